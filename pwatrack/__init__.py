@@ -1,0 +1,51 @@
+"""Output tracking control of continuous piecewise affine systems, with proofs.
+
+    from pwatrack import load_spec, design, simulate
+
+The names below are loaded on first use, so that `import pwatrack` is instant.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pwatrack.control.controller import Controller as Controller
+    from pwatrack.errors import PwatrackError as PwatrackError
+    from pwatrack.model.cells import Partition as Partition
+    from pwatrack.model.pwa import PWASystem as PWASystem
+    from pwatrack.pipeline import Result as Result
+    from pwatrack.pipeline import design as design
+    from pwatrack.pipeline import simulate as simulate
+    from pwatrack.report.files import write_design as write_design
+    from pwatrack.report.files import write_result as write_result
+    from pwatrack.spec.load import Spec as Spec
+    from pwatrack.spec.load import load_spec as load_spec
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Controller": "pwatrack.control.controller",
+    "Partition": "pwatrack.model.cells",
+    "PWASystem": "pwatrack.model.pwa",
+    "PwatrackError": "pwatrack.errors",
+    "Result": "pwatrack.pipeline",
+    "Spec": "pwatrack.spec.load",
+    "design": "pwatrack.pipeline",
+    "load_spec": "pwatrack.spec.load",
+    "simulate": "pwatrack.pipeline",
+    "write_design": "pwatrack.report.files",
+    "write_result": "pwatrack.report.files",
+}
+__all__ = [*_HOME]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'pwatrack' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,50 @@
+"""Read-only float64 arrays: every matrix in this package is one."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: str = "array") -> Array:
+    """Return a read-only float64 copy of `values`.
+
+    Args:
+        values: Anything NumPy can turn into numbers.
+        shape: Expected shape; `None` in a place accepts any length there.
+        name: What to call the array in an error message.
+
+    Raises:
+        ValueError: If the shape is wrong or an entry is not finite.
+
+    Example:
+        >>> readonly([[1, 2]], shape=(1, None)).flags.writeable
+        False
+    """
+    array = np.array(values, dtype=np.float64)
+    if shape is not None:
+        wanted = tuple(shape)
+        fits = array.ndim == len(wanted) and all(
+            w is None or w == got for w, got in zip(wanted, array.shape, strict=True)
+        )
+        if not fits:
+            raise ValueError(f"{name} has shape {array.shape}, expected {wanted}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} has an entry that is not finite")
+    array.flags.writeable = False
+    return array
+
+
+def symmetric_part(X: Array) -> Array:
+    """Return sym(X) = X + Xᵀ of the design notes, for one matrix or a stack.
+
+    Example:
+        >>> symmetric_part(np.array([[1.0, 2.0], [0.0, 3.0]])).tolist()
+        [[2.0, 2.0], [2.0, 6.0]]
+    """
+    result: Array = X + np.swapaxes(X, -1, -2)
+    return result

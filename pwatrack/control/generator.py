@@ -1,0 +1,100 @@
+"""The trajectory generator (15) with its feedforward (16), and the shift that gives Assumption 2."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.control.convergence import prove_convergence
+from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.inequality import Solver
+from pwatrack.model.normal_form import NormalForm
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryGenerator:
+    """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16).
+
+    Attributes:
+        form: The normal form (11) it is made from; its cells are those of the plant at x̂_d.
+        A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + 1).
+        shift: M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none.
+        certificate: Proof of (17).
+    """
+
+    form: NormalForm
+    A_eta: Array
+    b_eta: Array
+    B_eta: Array
+    shift: Array | None
+    certificate: Certificate
+
+    @property
+    def r(self) -> int:
+        """Relative degree."""
+        return self.form.r
+
+    def feedforward(self) -> tuple[Array, Array, Array]:
+        """Return F_ξ (l, r + 1), F_η (l, n − r), f (l,) with û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f: (16)."""
+        form = self.form
+        top = np.ones((len(form.alpha), 1))
+        return np.hstack([-form.alpha, top]) / form.delta, -form.beta / form.delta, -form.gamma / form.delta
+
+    def state(self) -> tuple[Array, Array, Array]:
+        """Return X_ξ (n, r), X_η (n, n − r), x_0 (n,) with x̂_d = X_ξ ξ_d + X_η η̂ + x_0 in the plant's coordinates."""
+        T = self.form.T_inverse
+        return T[:, : self.r], T[:, self.r :], -T @ self.form.offset
+
+
+def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> TrajectoryGenerator:
+    """Build the generator and prove that its dynamics converge: (17).
+
+    Because u does not enter η̇ in `form`, (14) reads A_ηi = Ψ_i, b_ηi = σ_i, B_ηi = [χ_i 0].
+
+    Raises:
+        Infeasible: If (17) is proved to have no solution: the zero dynamics do not converge.
+        Undecided: If neither is proved.
+    """
+    A_eta, b_eta = form.Psi, form.sigma
+    B_eta = readonly(np.concatenate([form.chi, np.zeros((*form.chi.shape[:2], 1))], axis=2))
+    certificate = prove_convergence(
+        np.swapaxes(A_eta, 1, 2),
+        claim="(17), convergence of the tracking dynamics,",
+        cells=form.plant.cell_names,
+        subject=("system", "cells"),
+        solver=solver,
+    )
+    return TrajectoryGenerator(
+        form=form,
+        A_eta=A_eta,
+        b_eta=b_eta,
+        B_eta=B_eta,
+        shift=assumption_2_shift(A_eta, B_eta[:, :, :-1]),
+        certificate=certificate,
+    )
+
+
+def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
+    """Return the least M with A_ηi M + B_ηi equal in all cells, or None if there is none.
+
+    With η = η̄ + M ξ_d the input matrices of (14) become A_ηi M + B_ηi^ξ (and
+    −M on ξ̇_d), so Assumption 2 holds for η̄; the paper's (21) is the case M = [1 0; 0 0].
+
+    Args:
+        A_eta: (l, p, p).
+        B_xi: The part of B_η that acts on ξ_d, (l, p, r).
+
+    Example:
+        >>> assumption_2_shift(np.array([[[-1.0]], [[-3.0]]]), np.array([[[0.5]], [[2.5]]])).tolist()
+        [[1.0]]
+    """
+    p, r = B_xi.shape[1:]
+    left = (A_eta[1:] - A_eta[0]).reshape(-1, p)
+    right = (B_xi[0] - B_xi[1:]).reshape(-1, r)
+    if not left.size:
+        return readonly(np.zeros((p, r)))
+    M = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+    size = np.abs(B_xi).max(initial=0.0)
+    if np.abs(left @ M - right).max(initial=0.0) > 1e-9 * size:
+        return None
+    return readonly(M + 0.0)

@@ -1,0 +1,135 @@
+"""Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.control.convergence import prove_convergence
+from pwatrack.errors import Problem, Subject, Undecided
+from pwatrack.lmi.certificate import Certificate, prove
+from pwatrack.lmi.inequality import Solver, quadratic_cost
+from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.model.pwa import PWASystem
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """The gains of Theorem 2.
+
+    Attributes:
+        K: Controller gain (m, n): u = K (x̂ − x_d) + u_ff.
+        L: Observer gain (n, q): + L (ŷ − y).
+        controller: Proof that sym((A_i + B K) P_c) ≺ 0 for all cells: (8).
+        observer: Proof that sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9).
+    """
+
+    K: Array
+    L: Array
+    controller: Certificate
+    observer: Certificate
+
+
+def synthesize(
+    plant: PWASystem, *, K: Array | None = None, L: Array | None = None, solver: Solver = "clarabel"
+) -> Design:
+    """Find K and L by Theorem 2, or prove the ones that are given.
+
+    Args:
+        plant: The system (1).
+        K, L: Given gains, (m, n) and (n, q), in the sign convention of (10).
+        solver: Which interior-point solver to ask.
+
+    Raises:
+        Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
+        Undecided: If neither is proved.
+    """
+    names = plant.cell_names
+    if K is None:
+        K = stabilising_gain(plant.A, plant.B, claim="(8)", cells=names, subject=("system", "B"), solver=solver)
+        about: Subject = ("design", "controller")
+    else:
+        about = ("design", "controller", "K")
+    controller = prove_convergence(
+        plant.A + plant.B @ K, claim="(8) for the gain K", cells=names, subject=about, solver=solver
+    )
+    A_transposed = np.swapaxes(plant.A, 1, 2)
+    if L is None:
+        L = stabilising_gain(
+            A_transposed, plant.C.T, claim="(9)", cells=names, subject=("system", "C"), solver=solver
+        ).T
+        about = ("design", "observer")
+    else:
+        about = ("design", "observer", "L")
+    observer = prove_convergence(
+        A_transposed + plant.C.T @ L.T, claim="(9) for the gain L", cells=names, subject=about, solver=solver
+    )
+    return Design(K=readonly(K), L=readonly(L), controller=controller, observer=observer)
+
+
+def stabilising_gain(
+    A: Array,
+    B: Array,
+    *,
+    claim: str,
+    cells: Sequence[str],
+    subject: Subject = (),
+    solver: Solver = "clarabel",
+) -> Array:
+    """Return the gain K = Y P⁻¹ of (8) that minimises a quadratic cost with unit weights.
+
+    The weights are one in balanced units: states scaled to balance A, inputs
+    and time scaled so that A and B have size 1. So the gain does not depend on
+    the units of the description, and no weight has to be chosen.
+
+    Args:
+        A: (l, n, n).
+        B: (n, m).
+        claim: What is to be solved, for messages: `"(8)"`.
+        cells: Names of the l cells.
+        subject: What in the description a refusal is about.
+        solver: Which interior-point solver to ask.
+
+    Returns:
+        K, (m, n).
+
+    Raises:
+        Undecided: If no gain with a proof is found.
+
+    Example: a double integrator.
+
+        >>> K = stabilising_gain(np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]]), claim="(8)", cells=["all"])
+        >>> K.round(4).tolist()
+        [[-1.0, -1.7321]]
+    """
+    from pwatrack.lmi.picos_model import least_cost
+
+    scaling = Scaling.of(A, B)
+    matrices, _ = distinct(scaling.system(A))
+    B_scaled = scaling.input(B)
+    inequality = quadratic_cost(matrices, B_scaled, np.eye(A.shape[1]), np.eye(B.shape[1]))
+    candidate = least_cost(inequality, solver)
+    if candidate is not None and np.linalg.cond(candidate.P) < 1 / np.finfo(np.float64).eps:
+        K = np.linalg.solve(candidate.P, candidate.Y.T).T
+        if prove(matrices + B_scaled @ K, candidate.P) is not None:
+            return scaling.gain(K)
+    raise Undecided(
+        Problem(
+            message=f"{claim} is undecided: no gain with a proof was found{_uncontrollable(A, B, cells)}",
+            subject=subject,
+            hint="the plant may need another actuator, or another measured output",
+        )
+    )
+
+
+def _uncontrollable(A: Array, B: Array, cells: Sequence[str]) -> str:
+    """Name the modes that B cannot reach and that do not decay: the rank test of Popov, Belevitch, Hautus."""
+    found = []
+    for name, A_i in zip(cells, A, strict=True):
+        size = np.linalg.norm(A_i, 2)
+        for value in np.linalg.eigvals(A_i):
+            pencil = np.hstack([A_i - value * np.eye(len(A_i)), B])
+            if value.imag >= 0 and value.real > -1e-9 * size and np.linalg.svd(pencil)[1][-1] < 1e-9 * size:
+                found.append(f"{value:.4g} in cell '{name}'")
+    return "; out of its reach, within rounding: eigenvalue " + ", ".join(found) if found else ""

@@ -1,0 +1,110 @@
+"""The error family: what went wrong, where, by how much, and what to do next."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+Subject = tuple[str | int, ...]
+
+
+class ExitCode(IntEnum):
+    """What the shell sees."""
+
+    DONE = 0
+    BUG = 1
+    INVALID = 2
+    OUTSIDE_THEORY = 3
+    INFEASIBLE = 4
+    UNDECIDED = 5
+    CHECK_FAILED = 6
+
+
+@dataclass(frozen=True)
+class Place:
+    """A position in a source file, counted from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One thing that is wrong.
+
+    `subject` says what it is about as a path in the description, for example
+    `("system", "cells", 0, "A")`; whoever read the description from a file
+    knows the `place` of each path.
+    """
+
+    message: str
+    subject: Subject = ()
+    hint: str = ""
+    place: Place | None = None
+
+    def __str__(self) -> str:
+        where = f"{self.place}: " if self.place else ""
+        hint = f"\n  hint: {self.hint}" if self.hint else ""
+        return f"{where}{self.message}{hint}"
+
+
+class PwatrackError(Exception):
+    """A refusal with its reasons; `code` is the exit code of the command line."""
+
+    code = ExitCode.BUG
+
+    def __init__(self, *problems: Problem | str, hint: str = "") -> None:
+        self.problems = tuple(
+            p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems
+        )
+        super().__init__("\n".join(str(p) for p in self.problems))
+
+    def sorted(self) -> "PwatrackError":
+        """Return the same refusal with its problems in the order of the file."""
+        return type(self)(*sorted(self.problems, key=lambda p: (p.place.line, p.place.column) if p.place else (0, 0)))
+
+    def located(self, places: Mapping[Subject, Place]) -> "PwatrackError":
+        """Return the same refusal with the place of the nearest known subject filled in."""
+        return type(self)(*(_locate(p, places) for p in self.problems))
+
+
+class InvalidSpec(PwatrackError):
+    """The description is not well formed."""
+
+    code = ExitCode.INVALID
+
+
+class OutsideTheory(PwatrackError):
+    """The system is not one that the theorems cover."""
+
+    code = ExitCode.OUTSIDE_THEORY
+
+
+class Infeasible(PwatrackError):
+    """A matrix inequality is proved to have no solution."""
+
+    code = ExitCode.INFEASIBLE
+
+
+class Undecided(PwatrackError):
+    """Neither a solution nor a proof that there is none was found."""
+
+    code = ExitCode.UNDECIDED
+
+
+class CheckFailed(PwatrackError):
+    """A result was computed, but a check on it failed."""
+
+    code = ExitCode.CHECK_FAILED
+
+
+def _locate(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
+    if problem.place is not None:
+        return problem
+    subject = problem.subject
+    while subject and subject not in places:
+        subject = subject[:-1]
+    return replace(problem, place=places.get(subject))

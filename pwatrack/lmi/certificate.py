@@ -1,0 +1,100 @@
+"""What a solver proposes, decided: proof that a P works, proof that none exists.
+
+Both proofs are made in NumPy with a bound on every rounding error: an
+eigenvalue counts as positive only where it exceeds that bound.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from pwatrack.arrays import Array, readonly, symmetric_part
+
+_EPS = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell.
+
+    Attributes:
+        M: The matrices it speaks of, (l, n, n), as used: A_i + B K for (8),
+            (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
+        P: (n, n).
+        rate: Certified decay rate in 1/s, positive.
+        margin: Least eigenvalue of −(M_i P + P M_iᵀ + 2 rate P) over the
+            cells, less its rounding error; positive.
+    """
+
+    M: Array
+    P: Array
+    rate: float
+    margin: float
+
+
+def prove(M: Array, P: Array) -> Certificate | None:
+    """Return a certificate for the largest rate that this P proves, or None if it proves none.
+
+    Args:
+        M: (l, n, n).
+        P: A candidate (n, n); only its symmetric part counts.
+
+    Example:
+        >>> prove(np.array([[[-1.0]], [[-3.0]]]), np.eye(1)).rate > 0.999
+        True
+        >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
+        True
+    """
+    if not (np.isfinite(P).all() and P.any()):
+        return None
+    P = symmetric_part(P) / 2 / np.abs(P).max()
+    if not _definite(P, np.abs(P)):
+        return None
+    left = symmetric_part(M @ P)
+    rate = min(-float(eigh(side, P, eigvals_only=True)[-1]) / 2 for side in left)
+    size = np.abs(M) @ np.abs(P) + abs(rate) * np.abs(P)
+    for shrunk in (rate * (1 - 1e-9), rate * (1 - 1e-6), rate * (1 - 1e-3)):
+        slack = -left - 2 * shrunk * P
+        margin = min(_least(S, s) for S, s in zip(slack, size, strict=True))
+        if shrunk > 0 and margin > 0:
+            return Certificate(M=readonly(M), P=readonly(P), rate=shrunk, margin=margin)
+    return None
+
+
+def refutes(M: Array, Z: Array) -> Array | None:
+    """Return the weight of each cell in a proof that no P ≻ 0 has M_i P + P M_iᵀ ≺ 0 for all i.
+
+    The proof is Z_i ⪰ 0, not all 0, with Σ sym(Z_i M_i) ≻ 0.
+
+    Args:
+        M: (l, n, n).
+        Z: Candidates (l, n, n).
+
+    Returns:
+        Weights (l,) with sum 1, or None if Z proves nothing.
+    """
+    values, vectors = np.linalg.eigh(symmetric_part(Z) / 2)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    Z = root @ np.swapaxes(root, 1, 2)
+    total = symmetric_part(Z @ M).sum(axis=0)
+    if not np.isfinite(total).all() or not _definite(total, (np.abs(Z) @ np.abs(M)).sum(axis=0) * len(M)):
+        return None
+    weight: Array = np.trace(Z, axis1=1, axis2=2)
+    return weight / weight.sum()
+
+
+def _definite(X: Array, size: Array) -> bool:
+    return _least(X, size) > 0
+
+
+def _least(X: Array, size: Array) -> float:
+    """Return a lower bound of the least eigenvalue of X, computed with entries of magnitude `size`.
+
+    Forming a product of order n errs by at most n eps |·||·| per entry, and the
+    symmetric eigenvalue solver by a modest multiple of n eps ‖X‖ (Anderson et
+    al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
+    """
+    n = len(X)
+    bound = 16 * n * _EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
+    return float(np.linalg.eigvalsh(X)[0]) - bound

@@ -1,0 +1,106 @@
+"""The one kind of matrix inequality behind (7), (8), (9) and (17).
+
+Find P = Pᵀ and Y such that for every cell i
+
+    sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0,      sym(X) = X + Xᵀ.
+
+An `Inequality` holds the coefficients and nothing else; solvers read it.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pwatrack.arrays import Array, symmetric_part
+
+Solver = Literal["clarabel", "cvxopt"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inequality:
+    """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell.
+
+    Attributes:
+        L, R: (l, N, n) and (l, n, N), for P (n, n).
+        M, N: (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y.
+        constant: C_i, (l, N, N), symmetric.
+
+    Example:
+        >>> decay = lyapunov(np.array([[[-1.0]]]))
+        >>> decay.evaluate(np.array([[3.0]]), np.zeros((0, 1))).tolist()
+        [[[-6.0]]]
+    """
+
+    L: Array
+    R: Array
+    M: Array
+    N: Array
+    constant: Array
+
+    @property
+    def n(self) -> int:
+        """Order of P."""
+        return self.L.shape[2]
+
+    @property
+    def m(self) -> int:
+        """Number of rows of Y."""
+        return self.M.shape[2]
+
+    def evaluate(self, P: Array, Y: Array) -> Array:
+        """Return the left-hand sides, (l, N, N)."""
+        return symmetric_part(self.L @ P @ self.R) + symmetric_part(self.M @ Y @ self.N) + self.constant
+
+
+def lyapunov(M: Array, rate: float = 0.0) -> Inequality:
+    """M_i P + P M_iᵀ + 2 rate P ⪯ 0: (8) for given gains, and (7), (9), (17) with M_i transposed.
+
+    Args:
+        M: (l, n, n).
+        rate: Decay rate α in 1/s.
+    """
+    return state_feedback(M, np.zeros((M.shape[1], 0)), rate)
+
+
+def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
+    """A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ⪯ 0: eq. (8); eq. (9) is this for (A_iᵀ, Cᵀ), Y = 𝒳ᵀ.
+
+    Args:
+        A: (l, n, n).
+        B: (n, m).
+        rate: Decay rate α in 1/s.
+    """
+    cells, n = A.shape[:2]
+    eye = np.broadcast_to(np.eye(n), (cells, n, n))
+    return Inequality(
+        L=A + rate * np.eye(n),
+        R=eye,
+        M=np.broadcast_to(B, (cells, *B.shape)),
+        N=eye,
+        constant=np.zeros((cells, n, n)),
+    )
+
+
+def quadratic_cost(A: Array, B: Array, Q_root: Array, R_root: Array) -> Inequality:
+    """Return (8) with a cost: [sym(A_i P + B Y), P Q^½, Yᵀ R^½; ·, −I, 0; ·, ·, −I] ⪯ 0.
+
+    Under u = Y P⁻¹ x it bounds ∫(xᵀQx + uᵀRu) dt by x(0)ᵀ P⁻¹ x(0), whatever the switching
+    (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994, section 7.4).
+
+    Args:
+        A: (l, n, n).
+        B: (n, m).
+        Q_root: Q^½, (n, n).
+        R_root: R^½, (m, m).
+    """
+    cells, n = A.shape[:2]
+    m = B.shape[1]
+    order = 2 * n + m
+    L, M = np.zeros((cells, order, n)), np.zeros((cells, order, m))
+    N, constant = np.zeros((cells, n, order)), np.zeros((cells, order, order))
+    L[:, :n], L[:, n : 2 * n] = A, Q_root
+    M[:, :n], M[:, 2 * n :] = B, R_root
+    N[:, :, :n] = np.eye(n)
+    constant[:, n:, n:] = -np.eye(n + m)
+    return Inequality(L=L, R=N, M=M, N=N, constant=constant)

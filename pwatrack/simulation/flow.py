@@ -1,0 +1,108 @@
+"""An autonomous piecewise linear flow ż = F(mode) z; its last coordinate is the constant 1."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array, IntArray
+
+Mode = tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwitchedPart:
+    """A part of the flow that has cells of its own: the plant, the observer, the generator.
+
+    Attributes:
+        name: For events and reports.
+        cells: Names of its l cells.
+        guards: Rows g with g z = 0 on a hyperplane, (k, N).
+        signs: Side of each guard that each cell is on, (l, k).
+        F: What it adds to ż in each cell, (l, N, N).
+    """
+
+    name: str
+    cells: tuple[str, ...]
+    guards: Array
+    signs: IntArray
+    F: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """ż = (F0 + Σ_p F_p[mode_p]) z, continuous in z; mode_p is the cell of part p.
+
+    Attributes:
+        F0: What does not switch, (N, N).
+        parts: What does.
+    """
+
+    F0: Array
+    parts: tuple[SwitchedPart, ...]
+
+    def matrix(self, mode: Mode) -> Array:
+        """Return F(mode), (N, N)."""
+        total = self.F0.copy()
+        for part, cell in zip(self.parts, mode, strict=True):
+            total += part.F[cell]
+        return total
+
+    def guards(self) -> Array:
+        """Return all guards of all parts, (K, N)."""
+        return np.vstack([part.guards for part in self.parts])
+
+    def sides(self, mode: Mode) -> IntArray:
+        """Return the side of every guard that the mode is on, (K,); 0 where the guard does not bound it."""
+        return np.concatenate([part.signs[cell] for part, cell in zip(self.parts, mode, strict=True)])
+
+    def mode_on(self, sides: IntArray, current: Mode | None) -> Mode:
+        """Return the mode whose cells lie on the given sides (K,) of the guards; 0 fits either side.
+
+        The current cell of a part is kept if it fits. If rounding leaves no
+        cell that fits, the one with the fewest contradictions is taken.
+        """
+        mode, start = [], 0
+        for position, part in enumerate(self.parts):
+            here = sides[start : start + len(part.guards)]
+            start += len(part.guards)
+            wrong = (part.signs * here < 0).sum(axis=1)
+            if current is not None and wrong[current[position]] == wrong.min():
+                mode.append(current[position])
+            else:
+                mode.append(int(np.argmin(wrong)))
+        return tuple(mode)
+
+    def scaled(self, d: Array) -> "Flow":
+        """Return the flow of D⁻¹ z, D = diag(d); exact for powers of two."""
+        return Flow(
+            F0=self.F0 / d[:, None] * d,
+            parts=tuple(
+                SwitchedPart(
+                    name=p.name, cells=p.cells, guards=p.guards * d, signs=p.signs, F=p.F / d[:, None] * d
+                )
+                for p in self.parts
+            ),
+        )
+
+    def subsystem(self, name: str, keep: IntArray) -> "Flow":
+        """Return the flow of the coordinates `keep`, switched by one part only.
+
+        No coordinate that is left out may act on one that is kept.
+        """
+        part = next(p for p in self.parts if p.name == name)
+        block = np.ix_(keep, keep)
+        only = SwitchedPart(
+            name=name,
+            cells=part.cells,
+            guards=part.guards[:, keep],
+            signs=part.signs,
+            F=part.F[(slice(None), *block)],
+        )
+        return Flow(F0=self.F0[block], parts=(only,))
+
+    def size(self) -> Array:
+        """Return entrywise bounds on |F| over all modes, (N, N)."""
+        total: Array = np.abs(self.F0)
+        for part in self.parts:
+            total = total + np.abs(part.F).max(axis=0)
+        return total
