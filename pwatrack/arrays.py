@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,3 +49,15 @@ def symmetric_part(X: Array) -> Array:
     """
     result: Array = X + np.swapaxes(X, -1, -2)
     return result
+
+
+def balancing(A: Array) -> Array:
+    """Return powers of two d (n,) such that the stack of D⁻¹ A_i D, D = diag(d), is balanced.
+
+    Example:
+        >>> balancing(np.array([[[0.0, 1024.0], [1.0, 0.0]]])).tolist()
+        [32.0, 1.0]
+    """
+    size = np.abs(A).sum(axis=0)
+    _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    return np.asarray(scale, dtype=np.float64)

@@ -57,9 +57,7 @@ class PwatrackError(Exception):
     code = ExitCode.BUG
 
     def __init__(self, *problems: Problem | str, hint: str = "") -> None:
-        self.problems = tuple(
-            p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems
-        )
+        self.problems = tuple(p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems)
         super().__init__("\n".join(str(p) for p in self.problems))
 
     def sorted(self) -> "PwatrackError":

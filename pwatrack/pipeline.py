@@ -87,11 +87,13 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         period = spec.reference.period
         steady_state = None
         if period is not None and order:
-            steady_state = periodic_state(
-                loop.generator_flow(), start[loop.eta_hat.start :], free=order, period=period
-            )
+            steady_state = periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=order, period=period)
         return Result(
-            spec=spec, controller=controller, loop=loop, response=loop.response(trace), steady_state=steady_state
+            spec=spec,
+            controller=controller,
+            loop=loop,
+            response=loop.response(trace),
+            steady_state=steady_state,
         )
 
 
@@ -102,7 +104,8 @@ def _initial(values: Array | None, length: int, part: str) -> Array:
         subject: Subject = ("simulation", "initial", part)
         raise InvalidSpec(
             Problem(
-                message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject
+                message=f"simulation.initial.{part}: {len(values)} entries, expected {length}",
+                subject=subject,
             )
         )
     return values

@@ -79,9 +79,7 @@ def prove_convergence(
     )
 
 
-def refuse_unstable(
-    M: Array, abscissa: Array, claim: str, cells: Sequence[str], subject: Subject
-) -> None:
+def refuse_unstable(M: Array, abscissa: Array, claim: str, cells: Sequence[str], subject: Subject) -> None:
     """Refuse matrices that surely have an eigenvalue in the right half plane.
 
     Raises:

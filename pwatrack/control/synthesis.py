@@ -99,7 +99,8 @@ def stabilising_gain(
 
     Example: a double integrator.
 
-        >>> K = stabilising_gain(np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]]), claim="(8)", cells=["all"])
+        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
+        >>> K = stabilising_gain(A, B, claim="(8)", cells=["all"])
         >>> K.round(4).tolist()
         [[-1.0, -1.7321]]
     """
@@ -111,7 +112,7 @@ def stabilising_gain(
     inequality = quadratic_cost(matrices, B_scaled, np.eye(A.shape[1]), np.eye(B.shape[1]))
     candidate = least_cost(inequality, solver)
     if candidate is not None and np.linalg.cond(candidate.P) < 1 / np.finfo(np.float64).eps:
-        K = np.linalg.solve(candidate.P, candidate.Y.T).T
+        K: Array = np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64)
         if prove(matrices + B_scaled @ K, candidate.P) is not None:
             return scaling.gain(K)
     raise Undecided(

@@ -81,7 +81,8 @@ def refutes(M: Array, Z: Array) -> Array | None:
     if not np.isfinite(total).all() or not _definite(total, (np.abs(Z) @ np.abs(M)).sum(axis=0) * len(M)):
         return None
     weight: Array = np.trace(Z, axis1=1, axis2=2)
-    return weight / weight.sum()
+    weight /= weight.sum()
+    return weight
 
 
 def _definite(X: Array, size: Array) -> bool:

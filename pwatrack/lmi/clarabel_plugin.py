@@ -89,13 +89,15 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
             sides.append(-h)
         direction, objective = self.ext.no
         cost = self._affine(objective)[0].toarray().ravel() * (-1.0 if direction == "max" else 1.0)
-        self.int = (cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones)
+        data: Any = (cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones)
+        self.int = data
 
     def _update_problem(self) -> None:
         raise NotImplementedError  # documented way to make PICOS import the problem again
 
     def _solve(self) -> Any:
-        cost, G, h, cones = self.int
+        data: Any = self.int
+        cost, G, h, cones = data
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.direct_solve_method = "faer"
@@ -103,8 +105,13 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
         if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
             raise ArithmeticError("a coefficient is not finite")
         nothing = sparse.csc_matrix((self._size, self._size))
-        with self._stopwatch():
-            answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
+        try:
+            with self._stopwatch():
+                answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
+        except BaseException as error:  # a panic of the Rust library is no Exception
+            if type(error).__name__ == "PanicException":
+                raise ArithmeticError(f"Clarabel failed: {error}") from None
+            raise
         primal, dual, problem = _STATUS.get(answer.status, (SS_UNKNOWN, SS_UNKNOWN, PS_UNKNOWN))
         x = np.array(answer.x)
         return picos.Solution(

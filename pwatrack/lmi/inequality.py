@@ -41,12 +41,12 @@ class Inequality:
     @property
     def n(self) -> int:
         """Order of P."""
-        return self.L.shape[2]
+        return int(self.L.shape[2])
 
     @property
     def m(self) -> int:
         """Number of rows of Y."""
-        return self.M.shape[2]
+        return int(self.M.shape[2])
 
     def evaluate(self, P: Array, Y: Array) -> Array:
         """Return the left-hand sides, (l, N, N)."""

@@ -98,9 +98,7 @@ def _solve(problem: Any, P: Any, Y: Any, solver: Solver) -> Candidate | None:
     if not _run(problem, solver):
         return None
     n = P.shape[0]
-    return Candidate(
-        P=_value(P, (n, n)), Y=np.zeros((0, n)) if Y is None else _value(Y, (Y.shape[0], n))
-    )
+    return Candidate(P=_value(P, (n, n)), Y=np.zeros((0, n)) if Y is None else _value(Y, (Y.shape[0], n)))
 
 
 def _run(problem: Any, solver: Solver) -> bool:

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray
-from pwatrack.model.pwa import balancing
+from pwatrack.arrays import Array, IntArray, balancing
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """Hyperplanes H_jᵀx + h_j = 0, the polyhedral cells Λ_i they bound, and the facets between cells."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -47,13 +48,13 @@ class Partition:
     names: tuple[str, ...]
 
     @classmethod
-    def create(cls, *, H: object, h: object, signs: object, names: object) -> "Partition":
+    def create(cls, *, H: object, h: object, signs: object, names: Sequence[str]) -> "Partition":
         """Check the shapes, merge hyperplanes that are the same set, and return the partition.
 
         Raises:
             ValueError: If the shapes do not fit or a hyperplane has a zero normal.
         """
-        cell_names = tuple(names)  # type: ignore[call-overload]
+        cell_names = tuple(names)
         sign_table = np.array(signs, dtype=np.int64).reshape(len(cell_names), -1)
         count = sign_table.shape[1]
         normals = readonly(H, shape=(count, None), name="H")
@@ -177,10 +178,9 @@ class Partition:
             bounds=[(None, None)] * n + [(None, 1.0)],
             method="highs",
         )
-        if solution.status != 0 or solution.x[-1] < _INTERIOR:
+        if solution.x is None or solution.status != 0 or solution.x[-1] < _INTERIOR:
             return None
-        point: Array = unit * solution.x[:-1]
-        return point
+        return unit * np.asarray(solution.x[:-1], dtype=np.float64)
 
     @cached_property
     def _unit(self) -> float:

@@ -8,6 +8,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 
+_FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
 
@@ -136,12 +137,14 @@ def _complement(rows: Array, B: Array, delta: float) -> Array:
     unit = np.eye(n)
     candidates = [unit[j] for j in range(n) if B[j] == 0]
     candidates += [unit[j] - B[j] / delta * rows[-1] for j in range(n) if B[j] != 0]
+    candidates = [v for v in candidates if v.any()]
     basis, _ = np.linalg.qr((rows / np.linalg.norm(rows, axis=1)[:, None]).T)
     chosen: list[Array] = []
     while len(rows) + len(chosen) < n:
         rest = [v - basis @ (basis.T @ v) for v in candidates]
-        fresh = [float(np.linalg.norm(w) / max(np.linalg.norm(v), 1e-300)) for v, w in zip(candidates, rest, strict=True)]
-        best = next((k for k, size in enumerate(fresh) if size > 0.3), int(np.argmax(fresh)))
+        fresh = np.linalg.norm(rest, axis=1) / np.linalg.norm(candidates, axis=1)
+        good = np.flatnonzero(fresh > _FRESH)
+        best = int(good[0]) if len(good) else int(np.argmax(fresh))
         chosen.append(candidates[best])
         basis = np.column_stack([basis, rest[best] / np.linalg.norm(rest[best])])
     return np.array(chosen).reshape(n - len(rows), n)

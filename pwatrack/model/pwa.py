@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import matrix_balance
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array, balancing, readonly
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
 
@@ -126,8 +125,14 @@ class PWASystem:
             rest_A = np.abs(jump_A / scale[:, None] * scale).max()
             rest_b = np.abs(jump_b / scale).max()
             if rest_A > tolerance * size_A or rest_b > tolerance * size_b:
-                problems.append(self._jump_problem(facet, jump_A, jump_b, max(
-                    rest_A / size_A if size_A else 0.0, rest_b / size_b if size_b else 0.0)))
+                problems.append(
+                    self._jump_problem(
+                        facet,
+                        jump_A,
+                        jump_b,
+                        max(rest_A / size_A if size_A else 0.0, rest_b / size_b if size_b else 0.0),
+                    )
+                )
         if problems:
             raise OutsideTheory(*problems)
 
@@ -135,8 +140,7 @@ class PWASystem:
         if jump_A.any():
             row, column = np.unravel_index(np.argmax(np.abs(jump_A)), jump_A.shape)
             figure = (
-                f"A jumps by {abs(jump_A[row, column]):.6g} (row '{self.states[row]}', "
-                f"column '{self.states[column]}')"
+                f"A jumps by {abs(jump_A[row, column]):.6g} (row '{self.states[row]}', column '{self.states[column]}')"
             )
         else:
             row = np.argmax(np.abs(jump_b))
@@ -148,18 +152,6 @@ class PWASystem:
             subject=("system", "cells", facet.i, "A" if jump_A.any() else "b"),
             hint="correct the cell, or accept rounded data with 'tolerance: {continuity: …}'",
         )
-
-
-def balancing(A: Array) -> Array:
-    """Return powers of two d (n,) such that the stack of D⁻¹ A_i D, D = diag(d), is balanced.
-
-    Example:
-        >>> balancing(np.array([[[0.0, 1024.0], [1.0, 0.0]]])).tolist()
-        [32.0, 1.0]
-    """
-    size = np.abs(A).sum(axis=0)
-    _, (scale, _) = matrix_balance(size, permute=False, separate=True)
-    return np.asarray(scale, dtype=np.float64)
 
 
 def linear_form_text(row: Array, names: Sequence[str]) -> str:

@@ -25,7 +25,7 @@ class Reference:
     Example:
         >>> y_d = sinusoids(constant=1.0, amplitudes=[2.0], frequencies=[np.pi], phases=[0.0])
         >>> round(float(y_d(0.5)), 12), round(float(y_d(1.0, derivative=1)), 12)
-        (3.0, -6.283185307180)
+        (3.0, -6.28318530718)
     """
 
     S: Array
@@ -59,9 +59,7 @@ def sinusoids(
     """
     blocks = [np.zeros((1, 1))] + [np.array([[0.0, w], [-w, 0.0]]) for w in frequencies]
     outputs = [[1.0]] + [[1.0, 0.0] for _ in frequencies]
-    starts = [[float(constant)]] + [
-        [a * np.sin(p), a * np.cos(p)] for a, p in zip(amplitudes, phases, strict=True)
-    ]
+    starts = [[float(constant)]] + [[a * np.sin(p), a * np.cos(p)] for a, p in zip(amplitudes, phases, strict=True)]
     return Reference(
         S=readonly(block_diag(*blocks)),
         Q=readonly(np.concatenate(outputs)),

@@ -103,7 +103,7 @@ class Response:
     @property
     def observer_error(self) -> Array:
         """‖x − x̂‖, (K,)."""
-        return np.linalg.norm(self.x - self.x_hat, axis=1)
+        return np.asarray(np.linalg.norm(self.x - self.x_hat, axis=1))
 
 
 def closed_loop(controller: Controller, reference: Reference) -> ClosedLoop:
@@ -143,14 +143,10 @@ def closed_loop(controller: Controller, reference: Reference) -> ClosedLoop:
 
     eye = np.eye(N)
     parts = []
-    for name, rows, F in zip(
-        PARTS, (eye[x], eye[x_hat], x_d), (F_plant, F_observer, F_generator), strict=True
-    ):
+    for name, rows, F in zip(PARTS, (eye[x], eye[x_hat], x_d), (F_plant, F_observer, F_generator), strict=True):
         guards = plant.partition.H @ rows
         guards[:, -1] += plant.partition.h
-        parts.append(
-            SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
-        )
+        parts.append(SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F))
     return ClosedLoop(
         controller=controller,
         reference=reference,

@@ -77,9 +77,7 @@ class Flow:
         return Flow(
             F0=self.F0 / d[:, None] * d,
             parts=tuple(
-                SwitchedPart(
-                    name=p.name, cells=p.cells, guards=p.guards * d, signs=p.signs, F=p.F / d[:, None] * d
-                )
+                SwitchedPart(name=p.name, cells=p.cells, guards=p.guards * d, signs=p.signs, F=p.F / d[:, None] * d)
                 for p in self.parts
             ),
         )
@@ -90,15 +88,15 @@ class Flow:
         No coordinate that is left out may act on one that is kept.
         """
         part = next(p for p in self.parts if p.name == name)
-        block = np.ix_(keep, keep)
+        rows, columns = np.ix_(keep, keep)
         only = SwitchedPart(
             name=name,
             cells=part.cells,
             guards=part.guards[:, keep],
             signs=part.signs,
-            F=part.F[(slice(None), *block)],
+            F=part.F[:, rows, columns],
         )
-        return Flow(F0=self.F0[block], parts=(only,))
+        return Flow(F0=self.F0[rows, columns], parts=(only,))
 
     def size(self) -> Array:
         """Return entrywise bounds on |F| over all modes, (N, N)."""

@@ -9,9 +9,9 @@ blocks of steps are cleared with one matrix product.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import expm
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray, balancing
 from pwatrack.errors import PwatrackError
 from pwatrack.simulation.events import bernstein_matrix, first_crossing
 from pwatrack.simulation.flow import Flow, Mode
@@ -48,7 +48,7 @@ def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float)
         >>> round(float(trace.z[:, 0].max()), 12), len(trace.events)
         (0.2, 2)
     """
-    _, (d, _) = matrix_balance(flow.size(), permute=False, separate=True)
+    d = balancing(flow.size()[None])
     balanced = flow.scaled(d)
     halvings = _halvings(balanced.size(), sample_time)
     samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
@@ -65,7 +65,7 @@ def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float)
         for k in range(first + 1, walk.k + 1):
             if k % stride == 0:
                 z[k // stride], modes[k // stride] = states[k - first - 1], mode if k < walk.k else walk.mode
-    return Trace(t=sample_time * np.arange(samples), z=z * d, modes=modes, events=tuple(walk.events))
+    return Trace(t=sample_time * np.arange(samples, dtype=np.float64), z=z * d, modes=modes, events=tuple(walk.events))
 
 
 class _Walk:
@@ -179,7 +179,7 @@ class _Table:
     terms: Array
     powers: Array
     active: Array
-    index: Array
+    index: IntArray
     enclosure: Array
     size: Array
 
@@ -209,7 +209,7 @@ class _Table:
     def clear(self, states: Array) -> Array:
         """Say for each state (s, N) whether no active guard can reach 0 on the step that follows it."""
         least = (states @ self.enclosure.T).reshape(len(states), len(self.index), -1).min(axis=2)
-        return (least > _ROUNDING * (np.abs(states) @ self.size.T)).all(axis=1)
+        return np.asarray((least > _ROUNDING * (np.abs(states) @ self.size.T)).all(axis=1))
 
 
 def _halvings(size: Array, sample_time: float) -> int:
@@ -218,7 +218,7 @@ def _halvings(size: Array, sample_time: float) -> int:
 
 
 def _horner(terms: Array, tau: float) -> Array:
-    total = terms[-1]
+    total: Array = terms[-1]
     for term in terms[-2::-1]:
         total = total * tau + term
     return total

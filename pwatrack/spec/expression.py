@@ -14,7 +14,21 @@ from pwatrack.arrays import Array
 CONSTANTS = {"pi": math.pi}
 FUNCTIONS: dict[str, Callable[..., float]] = {
     name: getattr(math, name)
-    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "sqrt")
+    for name in (
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "log",
+        "sqrt",
+    )
 } | {"abs": abs, "min": min, "max": max}
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS)
 _LONGEST = 500
@@ -129,7 +143,7 @@ class _Reader:
         return result
 
     def _value(self, node: ast.AST) -> LinearForm:
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
             return self._constant(self._guarded(node, float, node.value))
         if isinstance(node, ast.Name):
             return self._name(node.id)

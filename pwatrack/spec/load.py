@@ -156,9 +156,7 @@ def _read(path: Path) -> tuple[Document, str]:
         ) from None
 
 
-def _parameters(
-    section: Any, overrides: Mapping[str, float | str]
-) -> tuple[dict[str, float | None], list[Problem]]:
+def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dict[str, float | None], list[Problem]]:
     """Evaluate the parameters in order; each may use those before it."""
     values: dict[str, float | None] = {}
     problems = []
@@ -218,32 +216,33 @@ def _further_problems(file: SpecFile) -> list[Problem]:
         for name in names:
             if name in taken:
                 problems.append(
-                    Problem(message=f"'{name}' is declared under {taken[name]} and under {kind}", subject=("system", kind))
+                    Problem(
+                        message=f"'{name}' is declared under {taken[name]} and under {kind}",
+                        subject=("system", kind),
+                    )
                 )
             taken[name] = kind
-    for name in system.units:
-        if taken.get(name, "parameters") == "parameters":
-            problems.append(
-                Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
-            )
+    problems += [
+        Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
+        for name in system.units
+        if taken.get(name, "parameters") == "parameters"
+    ]
     cells = [cell.name for cell in system.cells]
     for k, name in enumerate(cells):
         if name in cells[:k]:
-            problems.append(
-                Problem(message=f"a second cell is named '{name}'", subject=("system", "cells", k, "name"))
-            )
-    simulation = file.simulation
-    if simulation.sample_time > simulation.duration:
+            problems.append(Problem(message=f"a second cell is named '{name}'", subject=("system", "cells", k, "name")))
+    duration, step = file.simulation.duration, file.simulation.sample_time
+    if step > duration:
         problems.append(
             Problem(
-                message=f"sample_time {simulation.sample_time:g} s is longer than the duration {simulation.duration:g} s",
+                message=f"sample_time {step:g} s is longer than the duration {duration:g} s",
                 subject=("simulation", "sample_time"),
             )
         )
-    elif simulation.duration / simulation.sample_time > _MOST_SAMPLES:
+    elif duration / step > _MOST_SAMPLES:
         problems.append(
             Problem(
-                message=f"{simulation.duration / simulation.sample_time:.3g} samples, at most {_MOST_SAMPLES:,} are taken",
+                message=f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken",
                 subject=("simulation", "sample_time"),
                 hint="events are exact at any sample time; a longer one only draws fewer points",
             )

@@ -5,7 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+)
 
 from pwatrack.errors import Problem, Subject
 from pwatrack.lmi.inequality import Solver
@@ -27,7 +35,7 @@ class Context:
     outputs: tuple[str, ...]
 
 
-def _number(value: Any, info: ValidationInfo) -> float:
+def _number(value: Any, info: ValidationInfo[Context]) -> float:
     if isinstance(value, float):
         return value
     if not isinstance(value, str):
@@ -41,7 +49,7 @@ def _positive(value: float) -> float:
     return value
 
 
-def _inequalities(value: Any, info: ValidationInfo) -> list[LinearForm]:
+def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
     if not isinstance(value, str):
         raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
     return inequalities(value, info.context.states, info.context.parameters)
@@ -185,7 +193,6 @@ class SpecFile(Section):
     simulation: SimulationSection
     tolerance: ToleranceSection = ToleranceSection()
     expect: ExpectSection | None = None
-
 
 
 _SHAPES: dict[Subject, tuple[str, ...]] = {

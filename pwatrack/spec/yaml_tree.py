@@ -14,6 +14,7 @@ from pwatrack.errors import InvalidSpec, Place, Problem, Subject
 
 _DEEPEST = 20
 _LONGEST = 16 * 2**20  # bytes
+_Node = (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -47,8 +48,12 @@ def parse_yaml(text: str, file: str) -> Document:
         {'a': ['1e-3', 'no']}
     """
     if len(text) > _LONGEST:
-        raise InvalidSpec(Problem(message=f"the file has {len(text)} characters, at most {_LONGEST} are read",
-                                  place=Place(file, 1, 1)))
+        raise InvalidSpec(
+            Problem(
+                message=f"the file has {len(text)} characters, at most {_LONGEST} are read",
+                place=Place(file, 1, 1),
+            )
+        )
     try:
         events = list(yaml.parse(text, Loader=_Loader))
     except yaml.MarkedYAMLError as error:
@@ -77,13 +82,16 @@ class _Builder:
             if isinstance(event, yaml.DocumentStartEvent) and root:
                 self._stop(event, "a second document starts here; a spec is one document")
             if isinstance(event, yaml.AliasEvent):
-                self._stop(event, f"alias '*{event.anchor}': anchors and aliases are not supported",
-                           "give the value a name under 'parameters' and use it in expressions")
+                self._stop(
+                    event,
+                    f"alias '*{event.anchor}': anchors and aliases are not supported",
+                    "give the value a name under 'parameters' and use it in expressions",
+                )
             if isinstance(event, yaml.CollectionEndEvent):
                 stack.pop()
                 key.pop()
                 continue
-            if not isinstance(event, yaml.NodeEvent):
+            if not isinstance(event, _Node):
                 continue
             if event.tag and not _plain_tag(event):
                 self._stop(event, f"tag '{event.tag}': tags are not supported")
@@ -91,8 +99,11 @@ class _Builder:
             if isinstance(container, dict) and key[-1] is None:
                 key[-1] = self._key(event, container)
                 continue
-            value: Any = event.value if isinstance(event, yaml.ScalarEvent) else (
-                {} if isinstance(event, yaml.MappingStartEvent) else [])
+            value: Any = (
+                event.value
+                if isinstance(event, yaml.ScalarEvent)
+                else ({} if isinstance(event, yaml.MappingStartEvent) else [])
+            )
             if isinstance(container, dict):
                 here: Subject = (*path, key[-1] or "")
                 container[key[-1] or ""] = value
@@ -107,8 +118,12 @@ class _Builder:
                 stack.append((value, here))
                 key.append(None)
         if not root or not isinstance(root[0], dict):
-            raise InvalidSpec(Problem(message="the file must hold a mapping of sections (name, system, …)",
-                                      place=Place(self.file, 1, 1)))
+            raise InvalidSpec(
+                Problem(
+                    message="the file must hold a mapping of sections (name, system, …)",
+                    place=Place(self.file, 1, 1),
+                )
+            )
         self.document.data.update(root[0])
         return self.document
 

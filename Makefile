@@ -1,0 +1,68 @@
+# Bare `make` prints this help. Every target sets up what it needs in .venv, with uv where
+# it is installed, else with python3 -m venv and pip; both install exactly requirements.lock.
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help
+help: ## print this help
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+
+$(READY): requirements.lock pyproject.toml
+	@echo "Setting up .venv (once; about half a minute)"
+	@if command -v uv >/dev/null 2>&1; then \
+	  uv venv -q --clear --python '>=3.11' .venv \
+	  && uv pip install -q --python $(BIN)/python --require-hashes -r requirements.lock \
+	  && uv pip install -q --python $(BIN)/python --no-deps --no-build-isolation -e . ; \
+	else \
+	  $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed, this is " + sys.version + "; try make PYTHON=python3.12")' \
+	  && $(PYTHON) -m venv --clear .venv \
+	  && $(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock \
+	  && $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ; \
+	fi
+	@touch $@
+
+.PHONY: setup
+setup: $(READY) ## set up .venv only
+
+.PHONY: demo
+demo: $(READY) ## design and simulate the paper's example
+	@$(BIN)/pwatrack simulate specs/two_mass_backlash.yaml
+	@echo "Open the pictures in runs/two_mass_backlash/, for example tracking_error.png"
+
+.PHONY: test
+test: $(READY) ## run the tests
+	@$(BIN)/pytest -q -n auto
+
+.PHONY: batch
+batch: $(READY) ## design and simulate every spec in specs/
+	@$(BIN)/pwatrack batch specs --jobs 2
+
+.PHONY: lint
+lint: $(READY) ## ruff: lint and format
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+.PHONY: type
+type: $(READY) ## mypy --strict
+	@$(BIN)/mypy
+
+.PHONY: imports
+imports: $(READY) ## import-linter: imports only point up the list of rooms
+	@$(BIN)/lint-imports
+
+.PHONY: check
+check: test batch lint type imports ## everything CI runs
+
+.PHONY: format
+format: $(READY) ## let ruff format and fix
+	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+.PHONY: lock
+lock: ## renew requirements.lock from pyproject.toml (needs uv)
+	uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	  --extra dev --custom-compile-command 'make lock' pyproject.toml -o requirements.lock
+
+.PHONY: clean
+clean: ## remove .venv, runs and caches
+	rm -rf .venv runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

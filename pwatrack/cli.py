@@ -1,0 +1,177 @@
+"""The command line: parse, call, print."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from pwatrack import __version__
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
+
+if TYPE_CHECKING:
+    from pwatrack.lmi.inequality import Solver
+    from pwatrack.spec.load import Spec
+
+app = typer.Typer(
+    help="Output tracking control of continuous piecewise affine systems, with proofs.",
+    epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+SpecPath = Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML file.", show_default=False)]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Replace a parameter; may be repeated."),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Run folder.", show_default="runs/<name of the spec>"),
+]
+SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pwatrack {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Output tracking control of continuous piecewise affine systems, with proofs."""
+
+
+@app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")
+def check(spec_path: SpecPath, parameters: Set = None) -> None:
+    """Say what the plant is: cells, continuity, relative degree, zero dynamics."""
+    with _refusals():
+        from rich.console import Console
+
+        from pwatrack.model.normal_form import normal_form
+        from pwatrack.report.summary import print_plant
+
+        spec = _load(spec_path, parameters, None)
+        with spec.located():
+            print_plant(Console(highlight=False), spec, normal_form(spec.plant))
+
+
+@app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3")
+def design(spec_path: SpecPath, out: Out = None, parameters: Set = None, solver: SolverName = None) -> None:
+    """Find the gains and prove them; write gains, certificate and generator."""
+    _run(spec_path, out, parameters, solver, simulated=False)
+
+
+@app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
+def simulate(spec_path: SpecPath, out: Out = None, parameters: Set = None, solver: SolverName = None) -> None:
+    """Design, then run the closed loop exactly; write traces and plots too."""
+    _run(spec_path, out, parameters, solver, simulated=True)
+
+
+@app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --junit report.xml")
+def batch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the specs are.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="A run folder for each spec goes in here.")] = Path(
+        "runs"
+    ),
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time.")] = 1,
+    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write a JUnit XML report.")] = None,
+    timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
+) -> None:
+    """Design and simulate every spec of a folder, each in a process of its own."""
+    with _refusals():
+        from pwatrack.batch.run import run_batch
+        from pwatrack.report.batch import print_batch, write_junit
+
+        outcomes = run_batch(folder, out, jobs=jobs, timeout=timeout)
+        print_batch(outcomes)
+        if junit:
+            write_junit(outcomes, junit)
+        raise typer.Exit(max(outcome.code for outcome in outcomes))
+
+
+def _run(
+    spec_path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
+) -> None:
+    with _refusals():
+        from rich.console import Console
+
+        from pwatrack import pipeline
+        from pwatrack.report import files, summary
+
+        console, progress = Console(highlight=False), Console(stderr=True)
+        folder = out or Path("runs") / spec_path.stem
+        seconds: dict[str, float] = {}
+        with progress.status("Reading the spec") as status:
+            with _timed(seconds, "load"):
+                spec = _load(spec_path, parameters, solver)
+            status.update("Solving the matrix inequalities")
+            with _timed(seconds, "design"):
+                controller = pipeline.design(spec)
+            if simulated:
+                status.update("Simulating the closed loop")
+                with _timed(seconds, "simulate"):
+                    result = pipeline.simulate(spec, controller)
+                status.update("Writing traces and plots")
+                files.write_result(result, folder, seconds=seconds)
+            else:
+                files.write_design(spec, controller, folder, seconds=seconds)
+        summary.print_design(console, spec, controller)
+        if simulated:
+            summary.print_result(console, result, folder)
+        else:
+            summary.print_files(console, folder)
+
+
+def _load(path: Path, assignments: list[str] | None, solver: "Solver | None") -> "Spec":
+    from dataclasses import replace
+
+    from pwatrack.spec.load import load_spec
+
+    parameters = {}
+    for text in assignments or []:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise InvalidSpec(f"--set {text}: expected NAME=VALUE, for example --set k2=0.3")
+        parameters[name.strip()] = value
+    spec = load_spec(path, parameters)
+    return replace(spec, solver=solver) if solver else spec
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[step] = round(time.perf_counter() - start, 4)
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn a refusal into its messages and its exit code."""
+    try:
+        yield
+    except PwatrackError as error:
+        for problem in error.problems:
+            print(f"error: {problem}", file=sys.stderr)
+        raise typer.Exit(int(error.code)) from None
+    except (typer.Exit, typer.Abort, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        import traceback
+
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        print(
+            f"error: this is a bug in pwatrack: {type(error).__name__}: {error} "
+            f"({Path(where.filename).name}:{where.lineno})\n  hint: please report it with the spec",
+            file=sys.stderr,
+        )
+        raise typer.Exit(int(ExitCode.BUG)) from None

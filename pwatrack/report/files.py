@@ -1,0 +1,200 @@
+"""Result -> files: JSON, CSV and, through `plots`, PNG."""
+
+import csv
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pwatrack import __version__
+from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
+from pwatrack.lmi.certificate import Certificate
+from pwatrack.pipeline import Result
+from pwatrack.report.run_folder import INDEX, RunFolder, run_folder
+from pwatrack.simulation.closed_loop import PARTS
+from pwatrack.spec.load import Spec
+
+
+def write_design(
+    spec: Spec, controller: Controller, folder: str | Path, *, seconds: Mapping[str, float] | None = None
+) -> Path:
+    """Write gains.json, certificate.json, generator.json and run.json.
+
+    Args:
+        spec: What was asked.
+        controller: What `design(spec)` returned.
+        folder: Made if it does not exist; files of an earlier run in it are replaced.
+        seconds: Time spent, by step, for run.json.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InvalidSpec: If the folder cannot be written; nothing is changed then.
+    """
+    with run_folder(folder) as run:
+        _design_files(run, spec, controller)
+        _index(run, spec, seconds, _gain_figures(controller))
+    return Path(folder)
+
+
+def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, float] | None = None) -> Path:
+    """Write the files of `write_design` and trace.csv, events.csv and the plots.
+
+    Args and raises: as `write_design`.
+    """
+    from pwatrack.report.plots import draw
+
+    with run_folder(folder) as run:
+        _design_files(run, result.spec, result.controller)
+        _trace(run, result)
+        _events(run, result)
+        for name, figure in draw(result).items():
+            figure.savefig(run.place(name), format="png", dpi=150)
+        _index(run, result.spec, seconds, _gain_figures(result.controller) | measures(result))
+    return Path(folder)
+
+
+def measures(result: Result) -> dict[str, float]:
+    """Return the figures of a simulation for run.json and the summary."""
+    response = result.response
+    return {
+        "final_tracking_error": result.final_error,
+        "largest_tracking_error": float(np.abs(response.tracking_error).max()),
+        "final_observer_error": float(response.observer_error[-1]),
+        "largest_input": float(np.abs(response.u).max()),
+        "mode_changes": len(response.trace.events),
+        "joint_modes": len(response.trace.visited()),
+    }
+
+
+def _gain_figures(controller: Controller) -> dict[str, float]:
+    design, generator = controller.design, controller.generator
+    return {
+        "norm_K": float(np.linalg.norm(design.K, 2)),
+        "norm_L": float(np.linalg.norm(design.L, 2)),
+        "controller_rate": design.controller.rate,
+        "observer_rate": design.observer.rate,
+        **({"generator_rate": generator.certificate.rate} if generator.A_eta.shape[1] else {}),
+    }
+
+
+def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
+    design, generator, form = controller.design, controller.generator, controller.generator.form
+    run.json(
+        "gains.json",
+        {
+            "convention": "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)",
+            "K": design.K.tolist(),
+            "L": design.L.tolist(),
+        },
+    )
+    certificates = {"controller (8)": design.controller, "observer (9)": design.observer}
+    if generator.A_eta.shape[1]:
+        certificates["generator (17)"] = generator.certificate
+    run.json(
+        "certificate.json",
+        {
+            "claim": "M_i P + P M_i^T + 2 rate P < 0 and P > 0 for every i",
+            "spec_sha256": spec.sha256,
+            "cells": list(spec.plant.cell_names),
+            **{name: _certificate(c) for name, c in certificates.items()},
+        },
+    )
+    run.json(
+        "generator.json",
+        {
+            "relative_degree": form.r,
+            "eta": list(form.eta_names),
+            "T": form.T.tolist(),
+            "offset": form.offset.tolist(),
+            "cells": list(spec.plant.cell_names),
+            "A_eta": generator.A_eta.tolist(),
+            "b_eta": generator.b_eta.tolist(),
+            "B_eta": generator.B_eta.tolist(),
+            "alpha": form.alpha.tolist(),
+            "beta": form.beta.tolist(),
+            "gamma": form.gamma.tolist(),
+            "delta": form.delta,
+            "shift": None if generator.shift is None else generator.shift.tolist(),
+        },
+    )
+
+
+def _certificate(certificate: Certificate) -> dict[str, Any]:
+    return {
+        "rate": certificate.rate,
+        "margin": certificate.margin,
+        "P": certificate.P.tolist(),
+        "M": certificate.M.tolist(),
+    }
+
+
+def _trace(run: RunFolder, result: Result) -> None:
+    response, plant = result.response, result.spec.plant
+    eta = [f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])]
+    header = [
+        "t",
+        *plant.states,
+        *(f"{s}_hat" for s in plant.states),
+        *(f"{s}_d" for s in plant.states),
+        *eta,
+    ]
+    header += [plant.outputs[0], f"{plant.outputs[0]}_d", plant.inputs[0], f"{plant.inputs[0]}_ff"]
+    columns: Array = np.column_stack(
+        [
+            response.t,
+            response.x,
+            response.x_hat,
+            response.x_d,
+            response.eta_hat,
+            response.y,
+            response.y_d,
+            response.u,
+            response.u_ff,
+        ]
+    )
+    header += [f"cell_{part}" for part in PARTS]
+    with run.place("trace.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for row, modes in zip(columns.tolist(), response.trace.modes.tolist(), strict=True):
+            writer.writerow([*map(repr, row), *modes])
+
+
+def _events(run: RunFolder, result: Result) -> None:
+    plant, loop = result.spec.plant, result.loop
+    with run.place("events.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "part", "from_cell", "to_cell", "guard"])
+        for event in result.response.trace.events:
+            guard = plant.hyperplane_text(event.guard % len(plant.partition.h))
+            for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
+                if before != after:
+                    writer.writerow([repr(event.t), part.name, part.cells[before], part.cells[after], guard])
+
+
+def _index(run: RunFolder, spec: Spec, seconds: Mapping[str, float] | None, figures: Mapping[str, float]) -> None:
+    run.json(
+        INDEX,
+        {
+            "name": spec.name,
+            "spec": str(spec.path),
+            "spec_sha256": spec.sha256,
+            "parameters": dict(spec.parameters),
+            "verdict": "proved",
+            "solver": spec.solver,
+            "figures": dict(figures),
+            "seconds": dict(seconds or {}),
+            "versions": {
+                "pwatrack": __version__,
+                "python": platform.python_version(),
+                **{name: version(name) for name in ("numpy", "scipy", "picos", "clarabel", "cvxopt")},
+            },
+            "files": run.names,
+        },
+    )
