@@ -53,7 +53,7 @@ def design(spec: Spec) -> Controller:
     Example:
         >>> from pwatrack import load_spec
         >>> controller = design(load_spec("specs/two_mass_backlash.yaml"))
-        >>> controller.generator.shift.tolist()
+        >>> controller.generator.shift.round(12).tolist()
         [[1.0, 0.0], [0.0, 0.0]]
     """
     with spec.located():

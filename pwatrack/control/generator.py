@@ -89,10 +89,10 @@ def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
         [[1.0]]
     """
     p, r = B_xi.shape[1:]
+    if not p or len(A_eta) == 1:
+        return readonly(np.zeros((p, r)))
     left = (A_eta[1:] - A_eta[0]).reshape(-1, p)
     right = (B_xi[0] - B_xi[1:]).reshape(-1, r)
-    if not left.size:
-        return readonly(np.zeros((p, r)))
     M = np.linalg.lstsq(left, right, rcond=1e-12)[0]
     size = np.abs(B_xi).max(initial=0.0)
     if np.abs(left @ M - right).max(initial=0.0) > 1e-9 * size:

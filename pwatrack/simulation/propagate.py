@@ -75,7 +75,6 @@ class _Walk:
         self.flow = flow
         self.h = h
         self.guards = flow.guards()
-        self.guard_size = np.abs(self.guards)
         self.tables: dict[Mode, _Table] = {}
         self.events: list[Event] = []
         self.z = z0
@@ -131,7 +130,7 @@ class _Walk:
     def _first_event(self, table: "_Table", terms: Array) -> tuple[float, int] | None:
         """Return (τ, guard) of the first crossing out of the current cells."""
         values = terms @ table.active.T
-        tolerance = _ROUNDING * (np.abs(table.active) @ np.abs(terms[:2]).max(axis=0))
+        tolerance = table.rounding(self.z)[table.index]
         best: tuple[float, int] | None = None
         for column, guard in enumerate(table.index):
             crossing = first_crossing(values[:, column], float(tolerance[column]))
@@ -149,8 +148,7 @@ class _Walk:
             start = current or self.flow.mode_on(np.sign(self.guards @ self.z).astype(np.int64), None)
             terms = self.table(start).terms @ self.z
             values = terms @ self.guards.T
-            tolerance = _ROUNDING * (self.guard_size @ np.abs(terms[:2]).max(axis=0))
-            significant = np.abs(values) > tolerance
+            significant = np.abs(values) > self.table(start).rounding(self.z)
             if crossed >= 0:
                 significant[0, crossed] = False
             order = significant.argmax(axis=0)
@@ -173,7 +171,7 @@ class _Table:
         active: Guards that bound the mode, turned so that they are positive inside, (K, N).
         index: Their numbers among all guards, (K,).
         enclosure: Bernstein coefficients of the active guards on the step as rows on z, (K · 16, N).
-        size: Bound on |guard| per unit of |z|, (K, N).
+        size: Bounds |guard| on the step by size |z|, for all guards, (all, N).
     """
 
     terms: Array
@@ -203,13 +201,18 @@ class _Table:
             active=active,
             index=index,
             enclosure=rows.reshape(-1, len(Fh)),
-            size=np.abs(active) @ np.abs(np.array(terms)).sum(axis=0),
+            size=np.abs(guards) @ np.abs(np.array(terms)).sum(axis=0),
         )
 
     def clear(self, states: Array) -> Array:
         """Say for each state (s, N) whether no active guard can reach 0 on the step that follows it."""
-        least = (states @ self.enclosure.T).reshape(len(states), len(self.index), -1).min(axis=2)
-        return np.asarray((least > _ROUNDING * (np.abs(states) @ self.size.T)).all(axis=1))
+        least = (states @ self.enclosure.T).reshape(len(states), len(self.index), _DEGREE + 1).min(axis=2)
+        return np.asarray((least > self.rounding(states)[:, self.index]).all(axis=1))
+
+    def rounding(self, z: Array) -> Array:
+        """Return the size below which each guard (…, all) at a state z (…, N) cannot be told from 0."""
+        result: Array = _ROUNDING * (np.abs(z) @ self.size.T)
+        return result
 
 
 def _halvings(size: Array, sample_time: float) -> int:

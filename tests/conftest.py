@@ -1,0 +1,23 @@
+from pathlib import Path
+
+import pytest
+
+from pwatrack import Result, Spec, load_spec, simulate
+
+SPECS = Path(__file__).parent.parent / "specs"
+
+
+@pytest.fixture(scope="session")
+def specs() -> Path:
+    return SPECS
+
+
+@pytest.fixture(scope="session")
+def paper_spec() -> Spec:
+    return load_spec(SPECS / "two_mass_paper_gains.yaml")
+
+
+@pytest.fixture(scope="session")
+def paper(paper_spec: Spec) -> Result:
+    """The example with the gains of the paper (ERRATA item 1)."""
+    return simulate(paper_spec)

@@ -1,0 +1,52 @@
+"""Plants for tests: continuous by construction, as ẋ = A x + b + Σ_j g_j max(0, h_jᵀ x + c_j) + B u."""
+
+from itertools import product
+
+import numpy as np
+
+from pwatrack import Partition, PWASystem
+from pwatrack.arrays import Array
+
+
+def springs(A: Array, b: Array, B: Array, C: Array, g: Array, h: Array, c: Array) -> PWASystem:
+    """One-sided springs g_j max(0, h_jᵀ x + c_j): 2^k cells for k springs in general position."""
+    k = len(c)
+    signs = np.array(list(product((-1, 1), repeat=k))).reshape(2**k, k)
+    active = (signs > 0).astype(float)
+    return PWASystem.create(
+        partition=Partition.create(
+            H=h, h=c, signs=signs, names=["".join("-+"[int(s > 0)] for s in row) for row in signs]
+        ),
+        A=A + np.einsum("ck,ki,kj->cij", active, g, h),
+        b=b + active @ (g * c[:, None]),
+        B=B,
+        C=C,
+    )
+
+
+def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2) -> PWASystem:
+    """A random SISO plant of relative degree r whose tracking dynamics converge, in scrambled coordinates.
+
+    In the coordinates (ξ, η) of (11) the springs act on the last of ξ and on η,
+    and A_η is far in the left half plane, so (17) holds.
+    """
+    random = np.random.default_rng(seed)
+    A = np.zeros((n, n))
+    A[: r - 1, 1:r] = np.eye(r - 1)
+    A[r - 1 :] = random.normal(size=(n - r + 1, n))
+    A[r:, r:] -= (np.linalg.norm(A[r:, r:], 2) + 2.0) * np.eye(n - r)
+    g = random.normal(size=(k, n))
+    g[:, : r - 1] = 0.0
+    g[:, r:] *= 0.2
+    h = random.normal(size=(k, n))
+    h /= np.linalg.norm(h, axis=1)[:, None]
+    B = np.zeros((n, 1))
+    B[r - 1] = random.choice([-1.0, 1.0]) * random.uniform(0.5, 2.0)
+    B[r:, 0] = 0.0
+    C = np.eye(n)[:1]
+    T = np.linalg.qr(random.normal(size=(n, n)))[0] * random.uniform(0.5, 2.0, size=n)
+    inverse = np.linalg.inv(T)
+    offset = random.normal(size=n) * 0.1
+    b = random.normal(size=n) * 0.1
+    b[: r - 1] = 0.0
+    return springs(T @ A @ inverse, T @ b, T @ B, C @ inverse, g @ T.T, h @ inverse, offset[:k])

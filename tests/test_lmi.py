@@ -1,0 +1,245 @@
+"""The kernel inequality, the two solvers, and what counts as a proof."""
+
+import numpy as np
+import picos
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_continuous_are
+
+from pwatrack.arrays import Array, symmetric_part
+from pwatrack.control import convergence, synthesis
+from pwatrack.errors import Infeasible, Undecided
+from pwatrack.lmi import picos_model
+from pwatrack.lmi.certificate import prove, refutes
+from pwatrack.lmi.clarabel_plugin import ClarabelSolver
+from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback
+from pwatrack.lmi.presolve import Scaling, distinct
+
+seeds = st.integers(0, 10_000)
+CELLS = ("a", "b", "c", "d")
+
+
+def random_stack(seed: int, n: int = 4, cells: int = 3) -> Array:
+    return np.random.default_rng(seed).normal(size=(cells, n, n))
+
+
+@given(seeds)
+def test_the_sandwich_form_of_8_is_8(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(3, 4, 4)), random.normal(size=(4, 2))
+    P, Y = symmetric_part(random.normal(size=(4, 4))), random.normal(size=(2, 4))
+    for left, A_i in zip(state_feedback(A, B, 0.3).evaluate(P, Y), A, strict=True):
+        np.testing.assert_allclose(left, A_i @ P + P @ A_i.T + B @ Y + Y.T @ B.T + 0.6 * P, atol=1e-12)
+
+
+@given(seeds)
+def test_the_sandwich_form_of_the_cost_is_its_block_matrix(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(2, 3, 3)), random.normal(size=(3, 2))
+    P, Y = symmetric_part(random.normal(size=(3, 3))), random.normal(size=(2, 3))
+    Q_root, R_root = symmetric_part(random.normal(size=(3, 3))), symmetric_part(random.normal(size=(2, 2)))
+    for left, A_i in zip(quadratic_cost(A, B, Q_root, R_root).evaluate(P, Y), A, strict=True):
+        corner = symmetric_part(A_i @ P + B @ Y)
+        expected = np.block(
+            [
+                [corner, P @ Q_root, Y.T @ R_root],
+                [Q_root @ P, -np.eye(3), np.zeros((3, 2))],
+                [R_root @ Y, np.zeros((2, 3)), -np.eye(2)],
+            ]
+        )
+        np.testing.assert_allclose(left, expected, atol=1e-12)
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=10)
+def test_picos_sees_the_inequality_that_numpy_evaluates(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    inequality = state_feedback(random.normal(size=(2, 3, 3)), random.normal(size=(3, 1)), 0.2)
+    problem, P, Y = picos_model._problem(inequality)
+    P.value, Y.value = symmetric_part(random.normal(size=(3, 3))), random.normal(size=(1, 3))
+    ours = inequality.evaluate(np.array(P.value), np.array(Y.value).reshape(1, 3))
+    for side, expected in zip(picos_model._left_sides(inequality, P, Y), ours, strict=True):
+        np.testing.assert_allclose(np.array(side.value), expected, atol=1e-12)
+
+
+@given(seeds, st.integers(1, 5))
+@settings(deadline=None, max_examples=15)
+def test_clarabel_and_cvxopt_find_the_same_optimum(seed: int, n: int) -> None:
+    """Minimise tr(C X) over X ⪰ 0 with tr X = 1 (an equality) and X_11 ≥ 0.1 (an inequality)."""
+    C = symmetric_part(np.random.default_rng(seed).normal(size=(n, n)))
+
+    def optimum(**choice: object) -> float:
+        X = picos.SymmetricVariable("X", n)
+        problem = picos.Problem()
+        problem.add_list_of_constraints([X >> 0, picos.trace(X) == 1, X[0, 0] >= 0.1])
+        problem.set_objective("min", picos.trace(C * X))
+        problem.solve(**choice)
+        return float(problem.value)
+
+    assert optimum(ad_hoc_solver=ClarabelSolver) == pytest.approx(optimum(solver="cvxopt"), abs=1e-6)
+
+
+def test_the_clarabel_plugin_maximises_too() -> None:
+    t = picos.RealVariable("t")
+    problem = picos.Problem()
+    problem.add_constraint((t & 1) // (1 & t) << 3 * np.eye(2))
+    problem.set_objective("max", t)
+    problem.solve(ad_hoc_solver=ClarabelSolver)
+    assert float(t.value) == pytest.approx(2.0, abs=1e-6)
+    assert float(problem.value) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_nan_in_the_data_is_not_called_solved() -> None:
+    assert picos_model.largest_margin(lyapunov(np.array([[[np.nan]]]))) is None
+
+
+@given(seed=seeds, n=st.integers(1, 5), m=st.integers(1, 2))
+@settings(deadline=None, max_examples=15)
+def test_with_one_cell_the_least_cost_gain_is_the_lqr_gain(seed: int, n: int, m: int) -> None:
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(n, n)) - 0.5 * np.eye(n), random.normal(size=(n, m))
+    if np.linalg.norm(solve_continuous_are(A, B, np.eye(n), np.eye(m)), 2) > 20:
+        return  # nearly unreachable
+    candidate = picos_model.least_cost(quadratic_cost(A[None], B, np.eye(n), np.eye(m)))
+    assert candidate is not None
+    K = np.linalg.solve(candidate.P, candidate.Y.T).T
+    K_lqr = -B.T @ solve_continuous_are(A, B, np.eye(n), np.eye(m))
+    np.testing.assert_allclose(K, K_lqr, rtol=0, atol=1e-2 * np.abs(K_lqr).max())
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=20)
+def test_the_observer_inequality_is_the_transposed_controller_inequality(seed: int) -> None:
+    """(9) in 𝒫_o, 𝒳 is (8) for (A_iᵀ, Cᵀ) with P = 𝒫_o, Y = 𝒳ᵀ."""
+    random = np.random.default_rng(seed)
+    A, C = random.normal(size=(2, 3, 3)), random.normal(size=(1, 3))
+    P, X = symmetric_part(random.normal(size=(3, 3))), random.normal(size=(3, 1))
+    ours = state_feedback(np.swapaxes(A, 1, 2), C.T).evaluate(P, X.T)
+    for left, A_i in zip(ours, A, strict=True):
+        np.testing.assert_allclose(left, P @ A_i + A_i.T @ P + X @ C + C.T @ X.T, atol=1e-12)
+
+
+@given(seeds, st.integers(1, 6), st.floats(0.01, 1.0))
+@settings(deadline=None, max_examples=30)
+def test_a_certificate_bounds_the_energy_along_any_switching(seed: int, n: int, slack: float) -> None:
+    """d/dt xᵀP⁻¹x ≤ −2 rate xᵀP⁻¹x in every cell, checked at random states."""
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(n, n)) + 2 * np.eye(n)
+    S = random.normal(size=(3, n, n))
+    S -= np.swapaxes(S, 1, 2)
+    M = root @ (S - slack * np.eye(n)) @ np.linalg.inv(root)
+    P = root @ root.T
+    certificate = prove(M, P)
+    assert certificate is not None
+    assert certificate.rate == pytest.approx(slack, rel=2e-3)
+    for x in random.normal(size=(10, n)):
+        v = np.linalg.solve(certificate.P, x)
+        for M_i in M:
+            assert 2 * v @ M_i @ x <= -2 * certificate.rate * (v @ x) * (1 - 1e-9)
+
+
+@given(seeds, st.integers(2, 5), st.floats(-16, -1), st.booleans())
+@settings(deadline=None, max_examples=200)
+def test_a_matrix_that_is_not_stable_is_never_certified(seed: int, n: int, exponent: float, marginal: bool) -> None:
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(n, n))
+    real = np.diag([0.0 if marginal else 10.0**exponent] + [-1.0] * (n - 1))
+    M = root @ real @ np.linalg.inv(root)
+    P = root @ np.diag(random.uniform(0.1, 1, size=n)) @ root.T
+    certificate = prove(M[None], P)
+    assert certificate is None or np.linalg.eigvals(M).real.max() < 0
+
+
+@pytest.mark.parametrize("P", [np.zeros((2, 2)), -np.eye(2), np.full((2, 2), np.nan), np.diag([1.0, 0.0])])
+def test_a_wrong_P_is_no_proof(P: Array) -> None:
+    assert prove(-np.eye(2)[None], P) is None
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "cvxopt"])
+@pytest.mark.parametrize(
+    "A",
+    [
+        np.array([[[0.0, 1.0], [-1.0, 0.0]]]),  # pure oscillator: best margin exactly 0
+        np.array([[[0.0]]]),  # pure integrator
+        np.array([[[-1.0, 0.0], [0.0, 0.0]], [[-1.0, 0.0], [0.0, -1.0]]]),  # zero mode in one cell
+    ],
+)
+def test_a_marginal_case_is_not_feasible(A: Array, solver: str) -> None:
+    with pytest.raises((Undecided, Infeasible)):
+        convergence.prove_convergence(A, claim="(7)", cells=CELLS[: len(A)], solver=solver)  # type: ignore[arg-type]
+
+
+def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    def liar(inequality: object, solver: object = None) -> picos_model.Candidate:
+        return picos_model.Candidate(P=np.eye(2), Y=np.zeros((1, 2)))
+
+    monkeypatch.setattr(picos_model, "largest_margin", liar)
+    monkeypatch.setattr(picos_model, "least_cost", liar)
+    monkeypatch.setattr(picos_model, "alternative", lambda M, solver: np.array([np.eye(2)] * len(M)))
+    stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
+    with pytest.raises(Undecided):
+        convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
+    with pytest.raises(Undecided):
+        synthesis.stabilising_gain(
+            np.array([[[0.0, 1.0], [1.0, 0.0]]]), np.array([[0.0], [1.0]]), claim="(8)", cells="a"
+        )
+
+
+def test_two_cells_that_are_stable_apart_can_be_proved_to_have_no_common_P() -> None:
+    A = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
+    with pytest.raises(Infeasible, match=r"\(7\) is infeasible: no common P exists for cells 'a', 'b'"):
+        convergence.prove_convergence(A, claim="(7)", cells=("a", "b"))
+
+
+def test_a_refutation_holds_only_for_what_it_speaks_of() -> None:
+    Z = np.eye(1)[None]
+    assert refutes(np.array([[[1.0]]]), Z) is not None
+    assert refutes(np.array([[[-1.0]]]), Z) is None
+    assert refutes(np.array([[[0.0]]]), Z) is None
+    assert refutes(np.array([[[1.0]]]), -Z) is None
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=20)
+def test_a_proof_and_a_refutation_never_both_exist(seed: int) -> None:
+    A = random_stack(seed, n=3, cells=2) - 1.5 * np.eye(3)
+    candidate, Z = picos_model.largest_margin(lyapunov(A)), picos_model.alternative(A)
+    assert candidate is not None
+    assert Z is not None
+    proved, refuted = prove(A, candidate.P) is not None, refutes(A, Z) is not None
+    assert proved != refuted  # random matrices are not marginal, so one of them exists
+
+
+@given(seeds, st.lists(st.integers(-20, 20), min_size=3, max_size=3))
+def test_scaling_by_powers_of_two_loses_no_bit(seed: int, exponents: list[int]) -> None:
+    A = random_stack(seed, n=3, cells=2)
+    d = 2.0 ** np.array(exponents)
+    stretched = A * d[:, None] / d
+    scaling = Scaling.of(stretched, np.ones((3, 1)))
+    back = scaling.system(stretched) * scaling.speed * scaling.d[:, None] / scaling.d
+    assert (back == stretched).all()
+
+
+@pytest.mark.parametrize(("length", "time", "force"), [(2**10, 1, 1), (2**-10, 2**-6, 2**8), (1e3, 60.0, 1e-3)])
+def test_a_design_exists_in_any_units(length: float, time: float, force: float) -> None:
+    """Positions in mm, hours for seconds …: the example stays feasible, with the same controller up to balancing."""
+    A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
+    B = np.array([[0.0], [1.0]])
+    d, s = np.array([length, length / time]), time
+    K = synthesis.stabilising_gain(A, B, claim="(8)", cells=CELLS[:2])
+    other = synthesis.stabilising_gain(s * A * d[:, None] / d, s * B * d[:, None] / force, claim="(8)", cells=CELLS[:2])
+    assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=1.0)
+
+
+def test_an_unreachable_unstable_mode_is_named() -> None:
+    A = np.diag([1.5, -1.0])[None]
+    with pytest.raises(Undecided, match=r"eigenvalue 1.5.* in cell 'only'"):
+        synthesis.stabilising_gain(A, np.array([[0.0], [1.0]]), claim="(8)", cells=["only"])
+
+
+def test_equal_cells_are_solved_once() -> None:
+    A = random_stack(0)
+    matrices, place = distinct(A[[0, 1, 0, 2, 1]])
+    assert len(matrices) == 3
+    assert (matrices[place] == A[[0, 1, 0, 2, 1]]).all()

@@ -1,0 +1,204 @@
+"""Cells, continuity (eq. (1)) and the normal form (11)."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pwatrack import Partition, PWASystem
+from pwatrack.errors import OutsideTheory
+from pwatrack.model.normal_form import normal_form
+from pwatrack.model.reference import sinusoids
+from tests.plants import random_plant, springs
+
+seeds = st.integers(0, 10_000)
+
+
+def quadrants(signs: list[list[int]]) -> Partition:
+    return Partition.create(
+        H=[[1.0, 0.0], [0.0, 1.0]], h=[0.0, 0.0], signs=signs, names=[f"q{k}" for k in range(len(signs))]
+    )
+
+
+def test_four_cells_around_a_point_meet_in_four_facets() -> None:
+    partition = quadrants([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    partition.check()
+    assert {(f.i, f.j) for f in partition.facets} == {(0, 1), (1, 2), (2, 3), (0, 3)}
+
+
+def test_a_missing_quadrant_is_a_hole_with_a_witness() -> None:
+    with pytest.raises(OutsideTheory, match=r"no cell contains x = \(.*-.*, .*-.*\)"):
+        quadrants([[1, 1], [-1, 1], [1, -1]]).check()
+
+
+def test_overlapping_cells_are_named_with_a_witness() -> None:
+    with pytest.raises(OutsideTheory, match="'q0' and 'q2' overlap, for example at x = "):
+        quadrants([[1, 1], [-1, 0], [0, 1], [1, -1]]).check()
+
+
+def test_a_cell_that_contradicts_itself_is_empty() -> None:
+    partition = Partition.create(
+        H=[[1.0], [1.0]], h=[0.0, -1.0], signs=[[-1, 1], [1, 0], [-1, 0]], names=["nowhere", "right", "left"]
+    )
+    with pytest.raises(OutsideTheory, match="'nowhere' has no interior"):
+        partition.check()
+
+
+def test_multiples_of_one_hyperplane_are_one() -> None:
+    partition = Partition.create(H=[[2.0, 4.0], [-1.0, -2.0]], h=[6.0, -3.0], signs=[[1, 0], [0, 1]], names=["a", "b"])
+    assert partition.H.shape == (1, 2)
+    assert partition.signs.tolist() == [[1], [-1]]
+    partition.check()
+
+
+def test_parallel_hyperplanes_make_a_strip_between_two_cells() -> None:
+    partition = Partition.create(
+        H=[[1.0, 1.0], [1.0, 1.0]], h=[1e-6, -1e-6], signs=[[-1, 0], [1, -1], [0, 1]], names=["a", "strip", "b"]
+    )
+    partition.check()
+    assert [(f.i, f.j) for f in partition.facets] == [(0, 1), (1, 2)]
+
+
+@given(seeds, st.integers(2, 6), st.integers(0, 3))
+@settings(deadline=None, max_examples=30)
+def test_springs_are_continuous_across_every_facet(seed: int, n: int, k: int) -> None:
+    random = np.random.default_rng(seed)
+    A, b, B, C = (random.normal(size=shape) for shape in ((n, n), n, (n, 1), (1, n)))
+    g, h, c = (random.normal(size=shape) for shape in ((k, n), (k, n), k))
+    if k > n:
+        return  # not in general position
+    plant = springs(A, b, B, C, g, h, c)
+    for facet in plant.partition.facets:
+        jump_A, jump_b = plant.jump(facet)
+        assert max(np.abs(jump_A).max(), np.abs(jump_b).max()) < 1e-12 * max(1.0, np.abs(plant.A).max())
+    x = random.normal(size=n)
+    u = random.normal(size=1)
+    np.testing.assert_allclose(plant.field(x, u), A @ x + b + np.maximum(0, h @ x + c) @ g + B @ u, atol=1e-12)
+
+
+@given(seeds, st.floats(1e-6, 1.0))
+@settings(deadline=None, max_examples=30)
+def test_a_jump_is_refused_with_its_size(seed: int, size: float) -> None:
+    random = np.random.default_rng(seed)
+    A = random.normal(size=(3, 3))
+    g, H = random.normal(size=3), random.normal(size=3)
+    broken = A + np.outer(g, H)
+    row, column = 1, int(np.argmin(np.abs(H)))
+    broken[row, column] += size
+    with pytest.raises(OutsideTheory, match="A jumps by "):
+        PWASystem.create(
+            partition=Partition.create(H=[H], h=[0.0], signs=[[-1], [1]], names=["a", "b"]),
+            A=[A, broken],
+            b=np.zeros((2, 3)),
+            B=np.ones((3, 1)),
+            C=np.ones((1, 3)),
+        )
+
+
+def test_a_tolerance_accepts_rounded_data() -> None:
+    cells = Partition.create(H=[[1.0, 0.0]], h=[0.0], signs=[[-1], [1]], names=["a", "b"])
+    A = [[[0, 1], [0, -1]], [[0, 1], [-2, -1.00001]]]
+    with pytest.raises(OutsideTheory, match="tolerance: {continuity"):
+        PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]])
+    PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]], tolerance=1e-4)
+
+
+def test_a_jump_of_the_offset_alone_is_refused() -> None:
+    cells = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["a", "b"])
+    with pytest.raises(OutsideTheory, match="b jumps by 0.5"):
+        PWASystem.create(partition=cells, A=[[[-1.0]], [[-1.0]]], b=[[0.0], [0.5]], B=[[1.0]], C=[[1.0]])
+
+
+@given(seeds, st.integers(1, 4), st.integers(0, 3), st.integers(0, 2))
+@settings(deadline=None, max_examples=40)
+def test_any_linear_change_of_state_is_undone_by_the_normal_form(seed: int, r: int, extra: int, k: int) -> None:
+    plant = random_plant(seed, n=r + extra, k=k, r=r)
+    form = normal_form(plant)
+    assert form.r == r
+    n = r + extra
+    B = form.T @ plant.B[:, 0]
+    np.testing.assert_allclose(B, [0.0] * (r - 1) + [form.delta] + [0.0] * extra, atol=1e-9 * np.abs(B).max())
+    random = np.random.default_rng(seed)
+    for x in random.normal(size=(5, n)):
+        cell = plant.partition.locate(x)
+        xi_eta = form.T @ x + form.offset
+        xi, eta = xi_eta[:r], xi_eta[r:]
+        rate = form.T @ (plant.A[cell] @ x + plant.b[cell])
+        expected = np.concatenate(
+            [
+                xi[1:],
+                [form.alpha[cell] @ xi + form.beta[cell] @ eta + form.gamma[cell]],
+                form.chi[cell] @ xi + form.Psi[cell] @ eta + form.sigma[cell],
+            ]
+        )
+        np.testing.assert_allclose(rate, expected, atol=1e-8 * max(1.0, np.abs(rate).max()))
+        assert xi[0] == pytest.approx(float(plant.C[0] @ x), rel=1e-12)
+
+
+def test_eta_keeps_original_states_where_the_input_does_not_act() -> None:
+    plant = springs(
+        A=np.array([[0.0, 1, 0], [0, 0, 1], [1, 1, -2]]),
+        b=np.zeros(3),
+        B=np.array([[1.0], [2.0], [0.0]]),
+        C=np.array([[1.0, 0, 0]]),
+        g=np.zeros((0, 3)),
+        h=np.zeros((0, 3)),
+        c=np.zeros(0),
+    )
+    assert normal_form(plant).eta_names == ("x3", "x2 - 2*x1")
+
+
+def test_an_output_path_that_depends_on_the_cell_is_refused_with_row_and_cells() -> None:
+    plant = springs(
+        A=np.array([[0.0, 1], [0, 0]]),
+        b=np.zeros(2),
+        B=np.array([[0.0], [1]]),
+        C=np.array([[1.0, 0]]),
+        g=np.array([[1.0, 0]]),
+        h=np.array([[1.0, 0]]),
+        c=np.zeros(1),
+    )
+    with pytest.raises(OutsideTheory, match=r"row C A\^1 differs between cells '-' and '\+'.*entry 'x1' is 0 and 1"):
+        normal_form(plant)
+
+
+def test_an_input_that_never_reaches_the_output_has_no_relative_degree() -> None:
+    plant = springs(
+        A=np.diag([-1.0, -2.0]),
+        b=np.zeros(2),
+        B=np.array([[0.0], [1]]),
+        C=np.array([[1.0, 0]]),
+        g=np.zeros((0, 2)),
+        h=np.zeros((0, 2)),
+        c=np.zeros(0),
+    )
+    with pytest.raises(OutsideTheory, match="no relative degree"):
+        normal_form(plant)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-2, 2), st.floats(0.1, 10), st.floats(-3, 3)), max_size=3),
+    st.floats(-1, 1),
+    st.floats(0, 20),
+)
+@settings(deadline=None)
+def test_sinusoids_and_their_derivatives_are_exact(
+    terms: list[tuple[float, float, float]], constant: float, t: float
+) -> None:
+    y_d = sinusoids(
+        constant=constant,
+        amplitudes=[a for a, _, _ in terms],
+        frequencies=[w for _, w, _ in terms],
+        phases=[p for _, _, p in terms],
+    )
+    for order in range(4):
+        exact = sum(a * w**order * np.sin(w * t + p + order * np.pi / 2) for a, w, p in terms)
+        exact += constant if order == 0 else 0.0
+        assert y_d(t, order) == pytest.approx(exact, abs=1e-9 * max(1.0, 10.0**order))
+
+
+def test_the_common_period_of_commensurable_sinusoids_is_found() -> None:
+    both = sinusoids(constant=0.0, amplitudes=[1, 1], frequencies=[2 * np.pi * 3, 2 * np.pi * 2], phases=[0, 0])
+    assert both.period == pytest.approx(1.0)
+    neither = sinusoids(constant=0.0, amplitudes=[1, 1], frequencies=[1.0, np.sqrt(2)], phases=[0, 0])
+    assert neither.period is None

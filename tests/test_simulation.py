@@ -1,0 +1,235 @@
+"""Exact propagation, events and steady states, against scipy and closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from pwatrack import Result, Spec, design, simulate
+from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
+from pwatrack.control.generator import trajectory_generator
+from pwatrack.control.synthesis import synthesize
+from pwatrack.errors import PwatrackError
+from pwatrack.model.normal_form import normal_form
+from pwatrack.model.reference import sinusoids
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.flow import Flow, SwitchedPart
+from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.steady_state import periodic_state
+from tests.plants import random_plant
+
+seeds = st.integers(0, 10_000)
+
+
+def switched(F0: Array, guards: list[list[float]], signs: list[list[int]], F: list[Array]) -> Flow:
+    part = SwitchedPart(
+        name="part",
+        cells=tuple(str(k) for k in range(len(signs))),
+        guards=np.array(guards, dtype=float),
+        signs=np.array(signs),
+        F=np.array(F, dtype=float),
+    )
+    return Flow(F0=F0, parts=(part,))
+
+
+def abs_oscillator(kick: float = 3.0) -> Flow:
+    """ẍ = −x − kick · max(0, x), driven by nothing: half periods π and π/√(1 + kick)."""
+    F0 = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 0]])
+    stiff = np.zeros((3, 3))
+    stiff[1, 0] = -kick
+    return switched(F0, [[1.0, 0, 0]], [[-1], [1]], [np.zeros((3, 3)), stiff])
+
+
+def test_a_linear_flow_is_the_matrix_exponential() -> None:
+    random = np.random.default_rng(1)
+    F = random.normal(size=(5, 5))
+    z0 = random.normal(size=5)
+    flow = switched(F, np.zeros((0, 5)).tolist() or [[0.0, 0, 0, 0, 1]], [[0]], [np.zeros((5, 5))])
+    trace = simulate_flow(flow, z0, duration=3.0, sample_time=0.25)
+    for t, z in zip(trace.t, trace.z, strict=True):
+        np.testing.assert_allclose(z, expm(F * t) @ z0, rtol=1e-12, atol=1e-12)
+    assert trace.events == ()
+
+
+def test_crossings_of_an_oscillator_with_a_stiffer_side_are_where_they_must_be() -> None:
+    trace = simulate_flow(abs_oscillator(), np.array([0.0, 1.0, 1.0]), duration=50.0, sample_time=0.1)
+    halves = np.cumsum([np.pi / 2, np.pi] * 20)
+    expected = halves[halves < 50.0]
+    np.testing.assert_allclose([event.t for event in trace.events], expected, rtol=1e-13, atol=1e-13)
+
+
+@given(st.floats(0.003, 0.7))
+@settings(deadline=None, max_examples=20)
+def test_the_sample_time_moves_no_event(sample_time: float) -> None:
+    reference = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=0.05)
+    other = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=sample_time)
+    times = [event.t for event in reference.events if event.t < other.t[-1]]
+    np.testing.assert_allclose([event.t for event in other.events], times, atol=1e-12)
+
+
+def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, paper_spec: Spec) -> None:
+    finer = simulate(replace(paper_spec, sample_time=0.005), paper.controller).response
+    ours, theirs = paper.response.trace, finer.trace
+    assert [e.after for e in ours.events] == [e.after for e in theirs.events]
+    np.testing.assert_allclose([e.t for e in ours.events], [e.t for e in theirs.events], atol=1e-12)
+    np.testing.assert_allclose(ours.z, theirs.z[::2], atol=1e-11)
+
+
+@pytest.mark.parametrize("depth", [10.0**k for k in range(-11, -1)])
+def test_a_grazing_crossing_is_seen_however_shallow(depth: float) -> None:
+    """x(t) = (t − t0)² − depth under ẍ = 2: below 0 for 2 √depth."""
+    F0 = np.array([[0.0, 1, 0], [0, 0, 2], [0, 0, 0]])
+    flow = switched(F0, [[1.0, 0, 0]], [[-1], [1]], [np.zeros((3, 3))] * 2)
+    t0 = 0.7323
+    trace = simulate_flow(flow, np.array([t0**2 - depth, -2 * t0, 1.0]), duration=2.0, sample_time=0.1)
+    width = np.sqrt(depth)
+    assert len(trace.events) == 2
+    np.testing.assert_allclose([e.t for e in trace.events], [t0 - width, t0 + width], atol=1e-15 / width + 1e-13)
+    above = simulate_flow(flow, np.array([t0**2 + depth, -2 * t0, 1.0]), duration=2.0, sample_time=0.1)
+    assert above.events == ()
+
+
+def test_two_crossings_within_one_sample_are_both_seen() -> None:
+    trace = simulate_flow(abs_oscillator(), np.array([0.0, 1.0, 1.0]), duration=20.0, sample_time=10.0)
+    assert len(trace.events) == 8
+    assert len(trace.t) == 3
+
+
+def test_a_start_on_the_facet_enters_the_side_the_motion_points_to() -> None:
+    for speed, cell in ((1.0, 1), (-1.0, 0)):
+        trace = simulate_flow(abs_oscillator(), np.array([0.0, speed, 1.0]), duration=0.1, sample_time=0.1)
+        assert trace.first_mode == (cell,)
+        assert trace.events == ()
+
+
+def test_motion_along_a_facet_makes_no_events() -> None:
+    """x stays 0 while v turns: both cells agree there."""
+    F0 = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 0]])
+    bend = np.zeros((4, 4))
+    bend[0, 0] = -5.0
+    flow = switched(F0, [[1.0, 0, 0, 0]], [[-1], [1]], [np.zeros((4, 4)), bend])
+    trace = simulate_flow(flow, np.array([0.0, 1.0, 0.0, 1.0]), duration=20.0, sample_time=0.1)
+    assert trace.events == ()
+    np.testing.assert_allclose(trace.z[:, 0], 0.0, atol=0)
+
+
+def test_a_path_through_a_corner_goes_straight_to_the_opposite_cell() -> None:
+    F0 = np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 0]])
+    signs = [[-1, -1], [-1, 1], [1, -1], [1, 1]]
+    flow = switched(F0, [[1.0, 0, 0], [0, 1, 0]], signs, [np.zeros((3, 3))] * 4)
+    trace = simulate_flow(flow, np.array([-0.5, -0.5, 1.0]), duration=1.0, sample_time=0.3)
+    assert [(e.before, e.after) for e in trace.events] == [((0,), (3,))]
+    assert trace.events[0].t == pytest.approx(0.5, abs=1e-15)
+
+
+def test_an_ill_posed_field_that_chatters_is_reported() -> None:
+    """x' = −sign(x) is discontinuous: at 0 the trajectory cannot leave."""
+    push = [np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0, -1.0], [0, 0]])]
+    flow = switched(np.zeros((2, 2)), [[1.0, 0.0]], [[-1], [1]], push)
+    with pytest.raises(PwatrackError, match="mode changes at t = 0.5 s without progress"):
+        simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.1)
+
+
+def random_loop(seed: int) -> ClosedLoop:
+    plant = random_plant(seed)
+    controller = Controller(plant=plant, design=synthesize(plant), generator=trajectory_generator(normal_form(plant)))
+    y_d = sinusoids(constant=0.1, amplitudes=[1.0, 0.3], frequencies=[2.0, 4.0], phases=[0.0, 1.0])
+    return closed_loop(controller, y_d)
+
+
+def y_d_of_random_loop(t: float, order: int) -> float:
+    """The reference of `random_loop` and its derivatives, in closed form."""
+    wave = 2.0**order * np.sin(2 * t + order * np.pi / 2) + 0.3 * 4.0**order * np.sin(4 * t + 1 + order * np.pi / 2)
+    return float(wave) + (0.1 if order == 0 else 0.0)
+
+
+def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
+    """(1), (15), (16), (18), (19) written out with max and located cells, as an oracle for the flow."""
+    controller, plant, form = loop.controller, loop.controller.plant, loop.controller.generator.form
+    n = plant.A.shape[1]
+    x, x_hat, eta = state[:n], state[n : 2 * n], state[2 * n :]
+    xi = np.array([y_d_of_random_loop(t, k) for k in range(form.r + 1)])
+    x_d = form.T_inverse @ (np.concatenate([xi[:-1], eta]) - form.offset)
+    cell = plant.partition.locate(x_d)
+    u_ff = (xi[-1] - form.alpha[cell] @ xi[:-1] - form.beta[cell] @ eta - form.gamma[cell]) / form.delta
+    u = controller.design.K @ (x_hat - x_d) + u_ff
+    innovation = controller.design.L @ (plant.C @ (x_hat - x))
+    eta_rate = form.chi[cell] @ xi[:-1] + form.Psi[cell] @ eta + form.sigma[cell]
+    return np.concatenate([plant.field(x, u), plant.field(x_hat, u) + innovation, eta_rate])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
+    loop = random_loop(seed)
+    random = np.random.default_rng(seed)
+    x, x_hat, eta = random.normal(size=4), np.zeros(4), random.normal(size=2)
+    trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=3.0, sample_time=0.05)
+    truth = solve_ivp(
+        lambda t, s: right_hand_side(loop, t, s),
+        (0, 3.0),
+        np.concatenate([x, x_hat, eta]),
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+        t_eval=trace.t,
+    ).y.T
+    assert len(trace.events) > 0
+    np.testing.assert_allclose(trace.z[:, :10], truth, atol=1e-8 * max(1.0, np.abs(truth).max()))
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=6)
+def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:
+    loop = random_loop(seed)
+    random = np.random.default_rng(seed)
+    design_ = loop.controller.design
+    slowest = min(design_.controller.rate, design_.observer.rate, loop.controller.generator.certificate.rate)
+    ends = []
+    for _ in range(2):
+        start = loop.start(plant=random.normal(size=4), observer=random.normal(size=4), generator=random.normal(size=2))
+        ends.append(simulate_flow(loop.flow, start, duration=30 / slowest, sample_time=1 / slowest).z[-1])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-8)
+
+
+def test_the_desired_trajectory_is_a_solution_of_the_closed_loop(paper: Result) -> None:
+    """(x, x̂, η̂) = (x_d, x_d, η_d) of Theorem 3: started on it, the error stays at rounding."""
+    loop = paper.loop
+    start = loop.start(plant=np.zeros(4), observer=np.zeros(4), generator=np.array([0.2, 0.0]))
+    x_d = loop.x_d @ start
+    start[loop.x], start[loop.x_hat] = x_d, x_d
+    response = loop.response(simulate_flow(loop.flow, start, duration=20.0, sample_time=0.01))
+    assert np.abs(response.x - response.x_d).max() < 1e-12
+    assert np.abs(response.tracking_error).max() < 1e-13
+
+
+def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> None:
+    flow = paper.loop.generator_flow()
+    ends = []
+    for guess in ([0.0, 0.0], [0.5, -3.0]):
+        z0 = np.concatenate([guess, paper.loop.reference.w0, [1.0]])
+        ends.append(periodic_state(flow, z0, free=2, period=1.0).z[0])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+
+
+def test_relative_degree_equal_to_the_number_of_states_needs_no_generator() -> None:
+    plant = random_plant(3, n=2, k=1, r=2)
+    generator = trajectory_generator(normal_form(plant))
+    loop = closed_loop(
+        Controller(plant=plant, design=synthesize(plant), generator=generator),
+        sinusoids(constant=0.0, amplitudes=[1.0], frequencies=[1.0], phases=[0.0]),
+    )
+    start = loop.start(plant=np.ones(2), observer=np.zeros(2), generator=np.zeros(0))
+    slowest = min(loop.controller.design.controller.rate, loop.controller.design.observer.rate)
+    response = loop.response(simulate_flow(loop.flow, start, duration=40 / slowest, sample_time=0.05))
+    assert abs(response.tracking_error[-1]) < 1e-8
+
+
+def test_a_generator_start_of_the_wrong_length_is_refused_with_its_place(paper_spec: Spec) -> None:
+    with pytest.raises(PwatrackError, match=r"simulation.initial.generator: 3 entries, expected 2") as refusal:
+        simulate(replace(paper_spec, eta_hat0=np.zeros(3)), design(paper_spec))
+    assert refusal.value.problems[0].place is not None
