@@ -31,6 +31,7 @@ def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2) -> PWASystem:
     and A_η is far in the left half plane, so (17) holds.
     """
     random = np.random.default_rng(seed)
+    k = min(k, n)  # in general position
     A = np.zeros((n, n))
     A[: r - 1, 1:r] = np.eye(r - 1)
     A[r - 1 :] = random.normal(size=(n - r + 1, n))

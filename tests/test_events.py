@@ -20,7 +20,7 @@ def test_the_first_sign_change_from_plus_to_minus_is_found(roots: list[float], s
     if p(0) < 0:
         p = -p
     inside = sorted(r for r in roots if 0 < r < 1)
-    crossing = first_crossing(p.coef, 1e-15)
+    crossing = first_crossing(p.coef.astype(np.float64), 1e-15)
     if inside:
         assert crossing is not None
         assert not crossing.grazing
@@ -34,14 +34,14 @@ def test_the_first_sign_change_from_plus_to_minus_is_found(roots: list[float], s
 def test_a_dip_of_any_depth_is_not_missed(exponent: int, centre: float) -> None:
     depth = 10.0**exponent
     dip = Polynomial([centre**2 - depth, -2 * centre, 1.0])  # (τ − centre)² − depth
-    crossing = first_crossing(dip.coef, 1e-15)
+    crossing = first_crossing(dip.coef.astype(np.float64), 1e-15)
     if centre - np.sqrt(depth) <= 0:
         assert crossing is not None
     else:
         assert crossing is not None
         assert crossing.tau == pytest.approx(centre - np.sqrt(depth), abs=1e-10 / np.sqrt(depth))
     above = Polynomial([centre**2 + depth, -2 * centre, 1.0])
-    assert first_crossing(above.coef, 1e-15) is None
+    assert first_crossing(above.coef.astype(np.float64), 1e-15) is None
 
 
 def test_a_touch_within_rounding_is_called_grazing() -> None:

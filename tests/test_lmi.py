@@ -56,7 +56,7 @@ def test_the_sandwich_form_of_the_cost_is_its_block_matrix(seed: int) -> None:
 def test_picos_sees_the_inequality_that_numpy_evaluates(seed: int) -> None:
     random = np.random.default_rng(seed)
     inequality = state_feedback(random.normal(size=(2, 3, 3)), random.normal(size=(3, 1)), 0.2)
-    problem, P, Y = picos_model._problem(inequality)
+    _, P, Y = picos_model._problem(inequality)
     P.value, Y.value = symmetric_part(random.normal(size=(3, 3))), random.normal(size=(1, 3))
     ours = inequality.evaluate(np.array(P.value), np.array(Y.value).reshape(1, 3))
     for side, expected in zip(picos_model._left_sides(inequality, P, Y), ours, strict=True):
@@ -176,7 +176,7 @@ def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(picos_model, "largest_margin", liar)
     monkeypatch.setattr(picos_model, "least_cost", liar)
-    monkeypatch.setattr(picos_model, "alternative", lambda M, solver: np.array([np.eye(2)] * len(M)))
+    monkeypatch.setattr(picos_model, "alternative", lambda M, *_: np.array([np.eye(2)] * len(M)))
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))

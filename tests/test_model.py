@@ -98,14 +98,14 @@ def test_a_jump_is_refused_with_its_size(seed: int, size: float) -> None:
 def test_a_tolerance_accepts_rounded_data() -> None:
     cells = Partition.create(H=[[1.0, 0.0]], h=[0.0], signs=[[-1], [1]], names=["a", "b"])
     A = [[[0, 1], [0, -1]], [[0, 1], [-2, -1.00001]]]
-    with pytest.raises(OutsideTheory, match="tolerance: {continuity"):
+    with pytest.raises(OutsideTheory, match=r"tolerance: \{continuity"):
         PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]])
     PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]], tolerance=1e-4)
 
 
 def test_a_jump_of_the_offset_alone_is_refused() -> None:
     cells = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["a", "b"])
-    with pytest.raises(OutsideTheory, match="b jumps by 0.5"):
+    with pytest.raises(OutsideTheory, match=r"b jumps by 0\.5"):
         PWASystem.create(partition=cells, A=[[[-1.0]], [[-1.0]]], b=[[0.0], [0.5]], B=[[1.0]], C=[[1.0]])
 
 

@@ -103,8 +103,10 @@ def test_the_shift_of_equation_21_is_found(paper: Result) -> None:
 def test_the_generator_matrices_are_those_of_22(paper: Result) -> None:
     generator = paper.controller.generator
     for cell, k in enumerate((0.4, 0.0, 0.4)):
-        np.testing.assert_allclose(generator.A_eta[cell], [[0, 1], [-(k + 1), -0.3]], atol=1e-15)
-    np.testing.assert_allclose(generator.b_eta, [[0, 0.4 * 0.05], [0, 0], [0, -0.4 * 0.1]], atol=1e-15)
+        A_eta = np.array([[0.0, 1.0], [-(k + 1), -0.3]])
+        np.testing.assert_allclose(generator.A_eta[cell], A_eta, atol=1e-15)
+    b_eta = np.array([[0.0, 0.4 * 0.05], [0.0, 0.0], [0.0, -0.4 * 0.1]])
+    np.testing.assert_allclose(generator.b_eta, b_eta, atol=1e-15)
     assert generator.shift is not None
     B_bar = generator.A_eta @ generator.shift + generator.B_eta[:, :, :2]
     np.testing.assert_allclose(B_bar[:, 1], [[-1, 0.1]] * 3, atol=1e-12)

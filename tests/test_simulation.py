@@ -131,7 +131,7 @@ def test_an_ill_posed_field_that_chatters_is_reported() -> None:
     """x' = −sign(x) is discontinuous: at 0 the trajectory cannot leave."""
     push = [np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0, -1.0], [0, 0]])]
     flow = switched(np.zeros((2, 2)), [[1.0, 0.0]], [[-1], [1]], push)
-    with pytest.raises(PwatrackError, match="mode changes at t = 0.5 s without progress"):
+    with pytest.raises(PwatrackError, match=r"mode changes at t = 0\.5 s without progress"):
         simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.1)
 
 
