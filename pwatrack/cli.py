@@ -1,6 +1,5 @@
 """The command line: parse, call, print."""
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from pwatrack import __version__
-from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
+from pwatrack.report.refusal import refusals
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
@@ -54,7 +53,7 @@ def main(
 @app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")
 def check(spec_path: SpecPath, parameters: Set = None) -> None:
     """Say what the plant is: cells, continuity, relative degree, zero dynamics."""
-    with _refusals():
+    with refusals():
         from rich.console import Console
 
         from pwatrack.model.normal_form import normal_form
@@ -88,7 +87,7 @@ def batch(
     timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
 ) -> None:
     """Design and simulate every spec of a folder, each in a process of its own."""
-    with _refusals():
+    with refusals():
         from pwatrack.batch.run import run_batch
         from pwatrack.report.batch import print_batch, write_junit
 
@@ -102,7 +101,7 @@ def batch(
 def _run(
     spec_path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
 ) -> None:
-    with _refusals():
+    with refusals():
         from rich.console import Console
 
         from pwatrack import pipeline
@@ -132,18 +131,12 @@ def _run(
             summary.print_files(console, folder)
 
 
-def _load(path: Path, assignments: list[str] | None, solver: "Solver | None") -> "Spec":
+def _load(path: Path, texts: list[str] | None, solver: "Solver | None") -> "Spec":
     from dataclasses import replace
 
-    from pwatrack.spec.load import load_spec
+    from pwatrack.spec.load import assignments, load_spec
 
-    parameters = {}
-    for text in assignments or []:
-        name, equals, value = text.partition("=")
-        if not (name and equals and value):
-            raise InvalidSpec(f"--set {text}: expected NAME=VALUE, for example --set k2=0.3")
-        parameters[name.strip()] = value
-    spec = load_spec(path, parameters)
+    spec = load_spec(path, assignments(texts or []))
     return replace(spec, solver=solver) if solver else spec
 
 
@@ -152,26 +145,3 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[step] = round(time.perf_counter() - start, 4)
-
-
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """Turn a refusal into its messages and its exit code."""
-    try:
-        yield
-    except PwatrackError as error:
-        for problem in error.problems:
-            print(f"error: {problem}", file=sys.stderr)
-        raise typer.Exit(int(error.code)) from None
-    except (typer.Exit, typer.Abort, KeyboardInterrupt):
-        raise
-    except Exception as error:
-        import traceback
-
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        print(
-            f"error: this is a bug in pwatrack: {type(error).__name__}: {error} "
-            f"({Path(where.filename).name}:{where.lineno})\n  hint: please report it with the spec",
-            file=sys.stderr,
-        )
-        raise typer.Exit(int(ExitCode.BUG)) from None

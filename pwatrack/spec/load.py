@@ -1,7 +1,7 @@
 """A spec file -> `Spec`, or every error in the file at once with line and column."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,6 +132,23 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
+
+
+def assignments(texts: Sequence[str]) -> dict[str, str]:
+    """Return parameters given as NAME=VALUE.
+
+    Raises:
+        InvalidSpec: For each text that is not of this form.
+
+    Example:
+        >>> assignments(["k2=0.3", "omega=2*pi"])
+        {'k2': '0.3', 'omega': '2*pi'}
+    """
+    parts = [text.partition("=") for text in texts]
+    wrong = [text for text, (name, _, value) in zip(texts, parts, strict=True) if not (name.strip() and value.strip())]
+    if wrong:
+        raise InvalidSpec(*(f"--set {text}: expected NAME=VALUE, for example --set k2=0.3" for text in wrong))
+    return {name.strip(): value.strip() for name, _, value in parts}
 
 
 def expected_exit(path: str | Path) -> int:
