@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from pwatrack import __version__
-from pwatrack.report.refusal import refusals
+from pwatrack.report.terminal import console, refusals
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
@@ -54,14 +54,12 @@ def main(
 def check(spec_path: SpecPath, parameters: Set = None) -> None:
     """Say what the plant is: cells, continuity, relative degree, zero dynamics."""
     with refusals():
-        from rich.console import Console
-
         from pwatrack.model.normal_form import normal_form
         from pwatrack.report.summary import print_plant
 
         spec = _load(spec_path, parameters, None)
         with spec.located():
-            print_plant(Console(highlight=False), spec, normal_form(spec.plant))
+            print_plant(console(), spec, normal_form(spec.plant))
 
 
 @app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3")
@@ -95,19 +93,17 @@ def batch(
         print_batch(outcomes)
         if junit:
             write_junit(outcomes, junit)
-        raise typer.Exit(max(outcome.code for outcome in outcomes))
+        raise SystemExit(max(outcome.code for outcome in outcomes))
 
 
 def _run(
     spec_path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
 ) -> None:
     with refusals():
-        from rich.console import Console
-
         from pwatrack import pipeline
         from pwatrack.report import files, summary
 
-        console, progress = Console(highlight=False), Console(stderr=True)
+        screen, progress = console(), console(stderr=True)
         folder = out or Path("runs") / spec_path.stem
         seconds: dict[str, float] = {}
         with progress.status("Reading the spec") as status:
@@ -124,11 +120,11 @@ def _run(
                 files.write_result(result, folder, seconds=seconds)
             else:
                 files.write_design(spec, controller, folder, seconds=seconds)
-        summary.print_design(console, spec, controller)
+        summary.print_design(screen, spec, controller)
         if simulated:
-            summary.print_result(console, result, folder)
+            summary.print_result(screen, result, folder)
         else:
-            summary.print_files(console, folder)
+            summary.print_files(screen, folder)
 
 
 def _load(path: Path, texts: list[str] | None, solver: "Solver | None") -> "Spec":

@@ -37,11 +37,11 @@ class Problem:
 
     `subject` says what it is about as a path in the description, for example
     `("system", "cells", 0, "A")`; whoever read the description from a file
-    knows the `place` of each path.
+    knows the `place` of each path. None: it is not about the description.
     """
 
     message: str
-    subject: Subject = ()
+    subject: Subject | None = ()
     hint: str = ""
     place: Place | None = None
 
@@ -100,7 +100,7 @@ class CheckFailed(PwatrackError):
 
 
 def _locate(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
-    if problem.place is not None:
+    if problem.place is not None or problem.subject is None:
         return problem
     subject = problem.subject
     while subject and subject not in places:

@@ -6,10 +6,21 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
-from pwatrack.control.generator import trajectory_generator
+from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
+from pwatrack.control.state_tracking import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import synthesize
+from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.reference import (
+    InputReference,
+    OutputReference,
+    SetPoint,
+    check_bounded,
+    check_smooth,
+    exosystem,
+)
+from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.steady_state import periodic_state
@@ -23,10 +34,10 @@ class Result:
 
     Attributes:
         spec: What was asked.
-        controller: Gains, generator and their proofs.
+        controller: Gains, desired trajectory and their proofs.
         loop: The closed loop.
         response: Its signals.
-        steady_state: One period of the generator's steady state (η̂, w, 1), or None if y_d has no period.
+        steady_state: One period of the generator's steady state (η̂, w, 1), or None if it has none.
     """
 
     spec: Spec
@@ -37,16 +48,16 @@ class Result:
 
     @property
     def final_error(self) -> float:
-        """The largest |y − y_d| in the last tenth of the simulation."""
+        """The largest norm of the tracking error in the last tenth of the simulation."""
         tail = -(-len(self.response.t) // 10)
-        return float(np.abs(self.response.tracking_error[-tail:]).max())
+        return float(np.linalg.norm(self.response.tracking_error[-tail:], axis=1).max())
 
 
 def design(spec: Spec) -> Controller:
-    """Find the gains and prove that the closed loop tracks: Theorem 3.
+    """Find the gains and prove that the closed loop tracks: Theorem 2 or 3.
 
     Raises:
-        OutsideTheory: If the plant is not of form (11).
+        OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable.
         Infeasible: If (8), (9) or (17) is proved to have no solution.
         Undecided: If neither is proved.
 
@@ -57,10 +68,9 @@ def design(spec: Spec) -> Controller:
         [[1.0, 0.0], [0.0, 0.0]]
     """
     with spec.located():
-        form = normal_form(spec.plant)
-        generator = trajectory_generator(form, solver=spec.solver)  # (15)–(17)
+        trajectory, generator = _desired(spec)  # (15)–(17), or (3)
         gains = synthesize(spec.plant, K=spec.K, L=spec.L, solver=spec.solver)  # (8), (9)
-        return Controller(plant=spec.plant, design=gains, generator=generator)  # (18), (19)
+        return Controller(plant=spec.plant, design=gains, trajectory=trajectory, generator=generator)  # (18), (19)
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
@@ -76,25 +86,57 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """
     controller = controller or design(spec)
     with spec.located():
-        loop = closed_loop(controller, spec.reference)
-        n, order = spec.plant.A.shape[1], controller.generator.A_eta.shape[1]
+        loop = closed_loop(controller)
+        n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
+        fixed = controller.trajectory.eta0
         start = loop.start(
             plant=_initial(spec.x0, n, "plant"),
             observer=_initial(spec.x_hat0, n, "observer"),
-            generator=_initial(spec.eta_hat0, order, "generator"),
+            generator=fixed if fixed is not None else _initial(spec.eta_hat0, p, "generator"),
         )
-        trace = simulate_flow(loop.flow, start, duration=spec.duration, sample_time=spec.sample_time)
-        period = spec.reference.period
-        steady_state = None
-        if period is not None and order:
-            steady_state = periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=order, period=period)
+        steady_state = _steady_state(loop, start)
+        if steady_state is not None and isinstance(spec.reference, InputReference) and spec.reference.start is None:
+            start[loop.eta_hat] = steady_state.z[0, :p]
+        trace = simulate_flow(
+            loop.flow, start, duration=spec.duration, sample_time=spec.sample_time, resets=loop.resets
+        )
         return Result(
-            spec=spec,
-            controller=controller,
-            loop=loop,
-            response=loop.response(trace),
-            steady_state=steady_state,
+            spec=spec, controller=controller, loop=loop, response=loop.response(trace), steady_state=steady_state
         )
+
+
+def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
+    """Return the desired trajectory, and for output tracking the generator it comes from."""
+    plant, reference = spec.plant, spec.reference
+    if isinstance(reference, OutputReference):
+        form = normal_form(plant)
+        y_d = reference.signal(form.r)
+        _check([y_d], form.r, ("reference", "output"), "y_d")
+        generator = trajectory_generator(form, solver=spec.solver)
+        return output_trajectory(generator, exosystem([y_d])), generator
+    if isinstance(reference, SetPoint):
+        return set_point(plant, reference.y, subject=("reference", "setpoint")), None
+    signals = reference.signals()
+    if isinstance(reference, InputReference):
+        _check(signals, None, ("reference", "input"), "u_ff")
+        return input_trajectory(plant, exosystem(signals), reference.start), None
+    _check(signals, 1, ("reference", "state"), "x_d")
+    return state_trajectory(plant, exosystem(signals), horizon=spec.duration, subject=("reference", "state")), None
+
+
+def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:
+    for signal in signals:
+        check_bounded(signal, name=name, subject=subject)
+        if r is not None:
+            check_smooth(signal, r, name=name, subject=subject)
+
+
+def _steady_state(loop: ClosedLoop, start: Array) -> Trace | None:
+    trajectory = loop.controller.trajectory
+    p, period = trajectory.rate.shape[1], trajectory.exosystem.period
+    if not p or period is None:
+        return None
+    return periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=p, period=period)
 
 
 def _initial(values: Array | None, length: int, part: str) -> Array:
@@ -103,9 +145,6 @@ def _initial(values: Array | None, length: int, part: str) -> Array:
     if len(values) != length:
         subject: Subject = ("simulation", "initial", part)
         raise InvalidSpec(
-            Problem(
-                message=f"simulation.initial.{part}: {len(values)} entries, expected {length}",
-                subject=subject,
-            )
+            Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
         )
     return values

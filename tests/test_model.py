@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from pwatrack import Partition, PWASystem
 from pwatrack.errors import OutsideTheory
 from pwatrack.model.normal_form import normal_form
-from pwatrack.model.reference import sinusoids
 from tests.plants import random_plant, springs
 
 seeds = st.integers(0, 10_000)
@@ -36,12 +35,13 @@ def test_overlapping_cells_are_named_with_a_witness() -> None:
         quadrants([[1, 1], [-1, 0], [0, 1], [1, -1]]).check()
 
 
-def test_a_cell_that_contradicts_itself_is_empty() -> None:
+def test_a_cell_that_contradicts_itself_is_left_out_with_a_remark() -> None:
     partition = Partition.create(
         H=[[1.0], [1.0]], h=[0.0, -1.0], signs=[[-1, 1], [1, 0], [-1, 0]], names=["nowhere", "right", "left"]
     )
-    with pytest.raises(OutsideTheory, match="'nowhere' has no interior"):
-        partition.check()
+    plant = PWASystem.create(partition=partition, A=-np.ones((3, 1, 1)), b=np.zeros((3, 1)), B=[[1.0]], C=[[1.0]])
+    assert plant.cell_names == ("right", "left")
+    assert plant.remarks == ("cell 'nowhere' has no interior and is left out",)
 
 
 def test_multiples_of_one_hyperplane_are_one() -> None:
@@ -174,31 +174,3 @@ def test_an_input_that_never_reaches_the_output_has_no_relative_degree() -> None
     )
     with pytest.raises(OutsideTheory, match="no relative degree"):
         normal_form(plant)
-
-
-@given(
-    st.lists(st.tuples(st.floats(-2, 2), st.floats(0.1, 10), st.floats(-3, 3)), max_size=3),
-    st.floats(-1, 1),
-    st.floats(0, 20),
-)
-@settings(deadline=None)
-def test_sinusoids_and_their_derivatives_are_exact(
-    terms: list[tuple[float, float, float]], constant: float, t: float
-) -> None:
-    y_d = sinusoids(
-        constant=constant,
-        amplitudes=[a for a, _, _ in terms],
-        frequencies=[w for _, w, _ in terms],
-        phases=[p for _, _, p in terms],
-    )
-    for order in range(4):
-        exact = sum(a * w**order * np.sin(w * t + p + order * np.pi / 2) for a, w, p in terms)
-        exact += constant if order == 0 else 0.0
-        assert y_d(t, order) == pytest.approx(exact, abs=1e-9 * max(1.0, 10.0**order))
-
-
-def test_the_common_period_of_commensurable_sinusoids_is_found() -> None:
-    both = sinusoids(constant=0.0, amplitudes=[1, 1], frequencies=[2 * np.pi * 3, 2 * np.pi * 2], phases=[0, 0])
-    assert both.period == pytest.approx(1.0)
-    neither = sinusoids(constant=0.0, amplitudes=[1, 1], frequencies=[1.0, np.sqrt(2)], phases=[0, 0])
-    assert neither.period is None

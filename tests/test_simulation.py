@@ -9,18 +9,21 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import Result, Spec, design, simulate
+from pwatrack import PWASystem, Result, Spec, design, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.synthesis import synthesize
+from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import PwatrackError
 from pwatrack.model.normal_form import normal_form
-from pwatrack.model.reference import sinusoids
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.steady_state import periodic_state
+from pwatrack.spec.expression import formula
 from tests.plants import random_plant
 
 seeds = st.integers(0, 10_000)
@@ -135,11 +138,14 @@ def test_an_ill_posed_field_that_chatters_is_reported() -> None:
         simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.1)
 
 
+def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
+    generator = trajectory_generator(normal_form(plant))
+    trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
+    return closed_loop(Controller(plant=plant, design=synthesize(plant), trajectory=trajectory, generator=generator))
+
+
 def random_loop(seed: int) -> ClosedLoop:
-    plant = random_plant(seed)
-    controller = Controller(plant=plant, design=synthesize(plant), generator=trajectory_generator(normal_form(plant)))
-    y_d = sinusoids(constant=0.1, amplitudes=[1.0, 0.3], frequencies=[2.0, 4.0], phases=[0.0, 1.0])
-    return closed_loop(controller, y_d)
+    return loop_of(random_plant(seed), "0.1 + sin(2*t) + 0.3*sin(4*t + 1)")
 
 
 def y_d_of_random_loop(t: float, order: int) -> float:
@@ -150,7 +156,7 @@ def y_d_of_random_loop(t: float, order: int) -> float:
 
 def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
     """(1), (15), (16), (18), (19) written out with max and located cells, as an oracle for the flow."""
-    controller, plant, form = loop.controller, loop.controller.plant, loop.controller.generator.form
+    controller, plant, form = loop.controller, loop.controller.plant, normal_form(loop.controller.plant)
     n = plant.A.shape[1]
     x, x_hat, eta = state[:n], state[n : 2 * n], state[2 * n :]
     xi = np.array([y_d_of_random_loop(t, k) for k in range(form.r + 1)])
@@ -188,7 +194,9 @@ def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:
     loop = random_loop(seed)
     random = np.random.default_rng(seed)
     design_ = loop.controller.design
-    slowest = min(design_.controller.rate, design_.observer.rate, loop.controller.generator.certificate.rate)
+    generator = loop.controller.generator
+    assert generator is not None
+    slowest = min(design_.controller.rate, design_.observer.rate, generator.certificate.rate)
     ends = []
     for _ in range(2):
         start = loop.start(plant=random.normal(size=4), observer=random.normal(size=4), generator=random.normal(size=2))
@@ -211,22 +219,18 @@ def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> N
     flow = paper.loop.generator_flow()
     ends = []
     for guess in ([0.0, 0.0], [0.5, -3.0]):
-        z0 = np.concatenate([guess, paper.loop.reference.w0, [1.0]])
+        z0 = np.concatenate([guess, paper.controller.trajectory.exosystem.w0, [1.0]])
         ends.append(periodic_state(flow, z0, free=2, period=1.0).z[0])
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
 
 
 def test_relative_degree_equal_to_the_number_of_states_needs_no_generator() -> None:
     plant = random_plant(3, n=2, k=1, r=2)
-    generator = trajectory_generator(normal_form(plant))
-    loop = closed_loop(
-        Controller(plant=plant, design=synthesize(plant), generator=generator),
-        sinusoids(constant=0.0, amplitudes=[1.0], frequencies=[1.0], phases=[0.0]),
-    )
+    loop = loop_of(plant, "sin(t)")
     start = loop.start(plant=np.ones(2), observer=np.zeros(2), generator=np.zeros(0))
     slowest = min(loop.controller.design.controller.rate, loop.controller.design.observer.rate)
     response = loop.response(simulate_flow(loop.flow, start, duration=40 / slowest, sample_time=0.05))
-    assert abs(response.tracking_error[-1]) < 1e-8
+    assert abs(response.tracking_error[-1, 0]) < 1e-8
 
 
 def test_a_generator_start_of_the_wrong_length_is_refused_with_its_place(paper_spec: Spec) -> None:

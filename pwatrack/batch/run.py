@@ -105,7 +105,9 @@ def run_batch(folder: Path, out: Path, *, jobs: int = 1, timeout: float = 600.0)
         task = progress.add_task("specs", total=len(specs))
 
         def one(spec: Path) -> Outcome:
-            outcome = _run(spec, out / spec.relative_to(folder).with_suffix(""), timeout)
+            name = spec.relative_to(folder)
+            alone = sum(other.with_suffix("") == spec.with_suffix("") for other in specs) == 1
+            outcome = _run(spec, out / (name.with_suffix("") if alone else name), timeout)
             progress.advance(task)
             return outcome
 
@@ -115,7 +117,7 @@ def run_batch(folder: Path, out: Path, *, jobs: int = 1, timeout: float = 600.0)
 
 def _run(spec: Path, out: Path, timeout: float) -> Outcome:
     start = time.perf_counter()
-    command = [sys.executable, "-m", "pwatrack", "simulate", str(spec), "--out", str(out)]
+    command = [sys.executable, "-m", "pwatrack", "simulate", "--out", str(out), "--", str(spec)]
     code, messages = _call(command, timeout)
     return Outcome(
         spec=spec,

@@ -1,20 +1,27 @@
-"""What runs on the machine: observer (18), controller (19), generator (15), feedforward (16)."""
+"""What runs on the machine: observer (18), controller (19), desired trajectory and feedforward."""
 
 from dataclasses import dataclass
 
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
+from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.model.pwa import PWASystem
 
 
 @dataclass(frozen=True, kw_only=True)
 class Controller:
-    """The overall design of Theorem 3.
+    """The overall design of Theorem 2 (state tracking) or Theorem 3 (output tracking).
 
-    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x̂_d) + û_ff (19);
-    x̂_d from the generator (15); û_ff from the feedforward (16).
+    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19).
+
+    Attributes:
+        plant: The system (1).
+        design: The gains with their proofs.
+        trajectory: Where x_d and u_ff come from.
+        generator: The trajectory generator (15), for output tracking only.
     """
 
     plant: PWASystem
     design: Design
-    generator: TrajectoryGenerator
+    trajectory: DesiredTrajectory
+    generator: TrajectoryGenerator | None

@@ -87,30 +87,29 @@ class Partition:
             opposite = np.flatnonzero(self.signs[i] * self.signs[j] < 0)
             if len(opposite) == 1:
                 k = int(opposite[0])
-                if self._radius(_join(self.signs[i], self.signs[j]), on=k) is not None:
+                if self.interior_point(_join(self.signs[i], self.signs[j]), on=k) is not None:
                     found.append(Facet(i, j, k))
         return tuple(found)
 
+    def empty_cells(self) -> list[int]:
+        """Return the cells whose inequalities leave them no interior; nothing is lost without them."""
+        return [i for i in range(len(self.names)) if self.interior_point(self.signs[i]) is None]
+
+    def without(self, cells: Sequence[int]) -> "Partition":
+        """Return the partition without some of its cells."""
+        kept = [i for i in range(len(self.names)) if i not in cells]
+        return Partition(H=self.H, h=self.h, signs=self.signs[kept], names=tuple(self.names[i] for i in kept))
+
     def check(self) -> None:
-        """Prove by linear programs that cells have interiors, do not overlap and cover ℝⁿ.
+        """Prove by linear programs that the cells do not overlap and cover ℝⁿ.
 
         Raises:
-            OutsideTheory: With one problem per empty cell and overlapping pair,
-                and a witness point for a hole.
+            OutsideTheory: With one problem per overlapping pair, and a witness point for a hole.
         """
         problems = []
-        for i, name in enumerate(self.names):
-            if self._radius(self.signs[i]) is None:
-                problems.append(
-                    Problem(
-                        message=f"cell '{name}' has no interior: its inequalities contradict each other",
-                        subject=("system", "cells", i),
-                        hint="remove the cell or correct its inequalities",
-                    )
-                )
         for i, j in combinations(range(len(self.names)), 2):
             if not (self.signs[i] * self.signs[j] < 0).any():
-                witness = self._radius(_join(self.signs[i], self.signs[j]))
+                witness = self.interior_point(_join(self.signs[i], self.signs[j]))
                 if witness is not None:
                     problems.append(
                         Problem(
@@ -135,7 +134,7 @@ class Partition:
 
     def _hole(self, region: IntArray, cells: list[int]) -> Array | None:
         """Return a point inside `region` (a sign vector) that is in none of `cells`."""
-        point = self._radius(region)
+        point = self.interior_point(region)
         if point is None:
             return None
         for position, i in enumerate(cells):
@@ -153,8 +152,8 @@ class Partition:
             return None
         return point
 
-    def _radius(self, signs: IntArray, on: int | None = None) -> Array | None:
-        """Return an inner point of the polyhedron of a sign vector, or None if it has no interior.
+    def interior_point(self, signs: IntArray, on: int | None = None) -> Array | None:
+        """Return an inner point (n,) of the polyhedron of a sign vector (k,), or None if it has no interior.
 
         With `on`, the interior is meant relative to that hyperplane.
         """

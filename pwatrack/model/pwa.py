@@ -1,7 +1,7 @@
 """Continuous piecewise affine systems, eq. (1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ class PWASystem:
         B: (n, m).
         C: (q, n).
         states, inputs, outputs: Names, for reports.
+        remarks: What was noticed while it was built, and changes nothing.
 
     Example: a mass against a one-sided spring of stiffness 4.
 
@@ -41,6 +42,7 @@ class PWASystem:
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def create(
@@ -70,6 +72,7 @@ class PWASystem:
         n, cells = partition.H.shape[1], len(partition.names)
         A_, b_ = readonly(A, shape=(cells, n, n), name="A"), readonly(b, shape=(cells, n), name="b")
         B_, C_ = readonly(B, shape=(n, None), name="B"), readonly(C, shape=(None, n), name="C")
+        partition.check()
         system = cls(
             partition=partition,
             A=A_,
@@ -80,9 +83,8 @@ class PWASystem:
             inputs=tuple(inputs) or _numbered("u", B_.shape[1]),
             outputs=tuple(outputs) or _numbered("y", C_.shape[0]),
         )
-        partition.check()
         system._check_continuity(tolerance)
-        return system
+        return system._without(partition.empty_cells())
 
     @property
     def cell_names(self) -> tuple[str, ...]:
@@ -113,6 +115,16 @@ class PWASystem:
         Example: `'z2 - z1 = 0.05'`.
         """
         return f"{linear_form_text(self.partition.H[k], self.states)} = {-self.partition.h[k] + 0.0:.6g}"
+
+    def _without(self, cells: Sequence[int]) -> "PWASystem":
+        kept = [i for i in range(len(self.A)) if i not in cells]
+        return replace(
+            self,
+            partition=self.partition.without(cells),
+            A=readonly(self.A[kept]),
+            b=readonly(self.b[kept]),
+            remarks=tuple(f"cell '{self.cell_names[i]}' has no interior and is left out" for i in cells),
+        )
 
     def _check_continuity(self, tolerance: float) -> None:
         scale = balancing(self.A)

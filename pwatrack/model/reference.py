@@ -1,79 +1,241 @@
-"""The reference y_d and its derivatives as the output of a linear exosystem."""
+"""References as outputs of a linear exosystem ẇ = S w, with resets where a signal has a new piece."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from math import factorial
 
 import numpy as np
 from scipy.linalg import block_diag, expm
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.errors import OutsideTheory, Problem, Subject
+from pwatrack.model.signal import Course, Signal
+
+
+@dataclass(frozen=True)
+class OutputReference:
+    """A wanted output y_d, the sum of some courses: output tracking (Theorem 3)."""
+
+    courses: tuple[Course, ...]
+
+    def signal(self, r: int) -> Signal:
+        """Return y_d, with r continuous derivatives where rounding was asked for."""
+        return _sum(self.courses, r)
+
+
+@dataclass(frozen=True)
+class StateReference:
+    """A wanted x_d in closed form, some courses per state: state tracking (Theorem 2)."""
+
+    courses: tuple[tuple[Course, ...], ...]
+
+    def signals(self) -> list[Signal]:
+        """Return x_d; its first derivative is continuous where rounding was asked for."""
+        return [_sum(courses, 1) for courses in self.courses]
+
+
+@dataclass(frozen=True)
+class InputReference:
+    """A feedforward u_ff, some courses per input; x_d is the plant's own response from `start` (state tracking).
+
+    Without `start`, x_d is the periodic steady state.
+    """
+
+    courses: tuple[tuple[Course, ...], ...]
+    start: Array | None
+
+    def signals(self) -> list[Signal]:
+        """Return u_ff."""
+        return [_sum(courses, 0) for courses in self.courses]
+
+
+@dataclass(frozen=True)
+class SetPoint:
+    """Wanted constant outputs: the plant shall rest at x_d with C x_d = y (state tracking)."""
+
+    y: Array
+
+
+Reference = OutputReference | StateReference | InputReference | SetPoint
+
+
+@dataclass(frozen=True)
+class Reset:
+    """At time t (s) the entries `where` of w take new values."""
+
+    t: float
+    where: slice
+    w: Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
-    """y_d(t) = Q w(t), where ẇ = S w and w(0) = w0.
+class Exosystem:
+    """Signals s_j(t) = Q_j w(t), where ẇ = S w between resets and w(0) = w0.
 
-    Every derivative is again linear in w: y_d⁽ᵏ⁾ = Q Sᵏ w.
+    Every derivative is again linear in w: s⁽ᵏ⁾ = Q Sᵏ w.
 
     Attributes:
         S: (p, p), in 1/s.
-        Q: (p,).
+        Q: (q, p), one row per signal.
         w0: (p,).
-        period: In s, or None if y_d is constant or not periodic.
-        amplitude: The largest |y_d| that can occur.
+        resets: In order of time.
+        period: In s, or None if the signals are constant or not periodic.
+        end: Last time at which all signals are defined, or None.
 
     Example:
-        >>> y_d = sinusoids(constant=1.0, amplitudes=[2.0], frequencies=[np.pi], phases=[0.0])
-        >>> round(float(y_d(0.5)), 12), round(float(y_d(1.0, derivative=1)), 12)
-        (3.0, -6.28318530718)
+        >>> from pwatrack.model.signal import ExponentialPolynomial
+        >>> wave = (np.pi * ExponentialPolynomial.time()).sin() * 2.0 + 1.0
+        >>> y_d = exosystem([Signal.of(wave)])
+        >>> y_d(0.5).round(12).tolist(), y_d(1.0, derivative=1).round(6).tolist(), y_d.period
+        ([3.0], [-6.283185], 2.0)
     """
 
     S: Array
     Q: Array
     w0: Array
+    resets: tuple[Reset, ...]
     period: float | None
-    amplitude: float
+    end: float | None
 
     def derivative_rows(self, r: int) -> Array:
-        """Return Q, Q S, …, Q Sʳ as a matrix (r + 1, p)."""
+        """Return Q, Q S, …, Q Sʳ, (r + 1, q, p)."""
         rows = [self.Q]
         for _ in range(r):
             rows.append(rows[-1] @ self.S)
         return np.array(rows)
 
-    def __call__(self, t: float, derivative: int = 0) -> float:
-        """Return the derivative of the given order of y_d at time t in s."""
-        return float(self.derivative_rows(derivative)[-1] @ expm(self.S * t) @ self.w0)
+    def __call__(self, t: float, derivative: int = 0) -> Array:
+        """Return the derivative of the given order of all signals at time t in s, (q,)."""
+        w, now = self.w0.copy(), 0.0
+        for reset in self.resets:
+            if reset.t > t:
+                break
+            w, now = expm(self.S * (reset.t - now)) @ w, reset.t
+            w[reset.where] = reset.w
+        result: Array = self.derivative_rows(derivative)[-1] @ expm(self.S * (t - now)) @ w
+        return result
 
 
-def sinusoids(
-    *, constant: float, amplitudes: Sequence[float], frequencies: Sequence[float], phases: Sequence[float]
-) -> Reference:
-    """Return y_d(t) = constant + Σ amplitude_k sin(frequency_k t + phase_k).
+def exosystem(signals: Sequence[Signal]) -> Exosystem:
+    """Return one exosystem for several signals.
 
-    Args:
-        constant: The mean, in the unit of the output.
-        amplitudes: One per sinusoid, in the unit of the output.
-        frequencies: In rad/s, positive.
-        phases: In rad.
+    A term p(t) e^{λt} of degree d is the chain v_j = p⁽ʲ⁾(t) e^{λt}, j = 0 … d,
+    with v̇_j = λ v_j + v_{j+1}; a conjugate pair is kept as real and imaginary part.
     """
-    blocks = [np.zeros((1, 1))] + [np.array([[0.0, w], [-w, 0.0]]) for w in frequencies]
-    outputs = [[1.0]] + [[1.0, 0.0] for _ in frequencies]
-    starts = [[float(constant)]] + [[a * np.sin(p), a * np.cos(p)] for a, p in zip(amplitudes, phases, strict=True)]
-    return Reference(
-        S=readonly(block_diag(*blocks)),
-        Q=readonly(np.concatenate(outputs)),
-        w0=readonly(np.concatenate(starts)),
-        period=_common_period(frequencies),
-        amplitude=abs(float(constant)) + sum(abs(a) for a in amplitudes),
+    blocks, rows, starts, resets = [], [], [], []
+    offset = 0
+    for signal in signals:
+        chains = _chains(signal)
+        S, Q = zip(*(_chain(rate, length) for rate, length in chains.items()), strict=True) if chains else ((), ())
+        block, row = (block_diag(*S), np.concatenate(Q)) if chains else (np.zeros((0, 0)), np.zeros(0))
+        blocks.append(block)
+        rows.append(row)
+        where = slice(offset, offset + len(row))
+        states = [_chain_state(piece.terms, chains) for piece in signal.pieces]
+        starts.append(states[0])
+        resets += [
+            Reset(t, where, readonly(w))
+            for t, w in zip(signal.starts[1:], states[1:], strict=True)
+            if signal.end is None or t < signal.end
+        ]
+        offset += len(row)
+    ends = [signal.end for signal in signals if signal.end is not None]
+    return Exosystem(
+        S=readonly(block_diag(*blocks)) if offset else np.zeros((0, 0)),
+        Q=readonly(block_diag(*[row[None] for row in rows]).reshape(len(signals), offset)),
+        w0=readonly(np.concatenate([*starts, np.zeros(0)])),
+        resets=tuple(sorted(resets, key=lambda reset: reset.t)),
+        period=_period(signals),
+        end=min(ends, default=None),
     )
 
 
-def _common_period(frequencies: Sequence[float]) -> float | None:
-    """Return the least common period of sinusoids whose frequencies have ratios with denominators up to 1000."""
-    from fractions import Fraction
+def _sum(courses: Sequence[Course], r: int) -> Signal:
+    total = courses[0].signal(r)
+    for course in courses[1:]:
+        total = total + course.signal(r)
+    return total
 
-    if not len(frequencies):
+
+def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
+    """Refuse a signal that grows without bound: Theorems 2 and 3 need bounded references.
+
+    Raises:
+        OutsideTheory: Naming the term that grows and the alternative.
+    """
+    growing = signal.pieces[-1].unbounded_term() if signal.end is None else ""
+    if growing:
+        raise OutsideTheory(
+            Problem(
+                message=f"{name} is not bounded: it has {growing} (Theorem 3 needs a bounded reference)",
+                subject=subject,
+                hint="give the interval it is meant for: {formula: …, until: T}, with T in s",
+            )
+        )
+
+
+def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None:
+    """Refuse a signal that is not r times differentiable.
+
+    Raises:
+        OutsideTheory: Naming the derivative, the time and the size of its jump.
+    """
+    for order in range(r + 1):
+        jump = signal.jump(order)
+        if jump is not None:
+            what = "itself" if order == 0 else f"derivative {order}"
+            raise OutsideTheory(
+                Problem(
+                    message=f"{name} is not {r} times differentiable, as relative degree {r} needs: "
+                    f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
+                    subject=subject,
+                    hint="round its corners: add 'smooth: T' with T in s, or choose a smoother one",
+                )
+            )
+
+
+def _chains(signal: Signal) -> dict[complex, int]:
+    """Return the length of the chain for each λ with Im λ ≥ 0 that some piece needs."""
+    lengths: dict[complex, int] = {}
+    for piece in signal.pieces:
+        for rate, c in piece.terms.items():
+            length = int(np.max(np.flatnonzero(c), initial=-1)) + 1
+            if rate.imag >= 0 and length:
+                lengths[rate] = max(lengths.get(rate, 0), length)
+    return lengths
+
+
+def _chain(rate: complex, length: int) -> tuple[Array, Array]:
+    """Return S and Q of one chain."""
+    shift = np.eye(length, k=1)
+    if rate.imag == 0:
+        return rate.real * np.eye(length) + shift, np.eye(length)[0]
+    turn = np.array([[rate.real, -rate.imag], [rate.imag, rate.real]])
+    return np.kron(np.eye(length), turn) + np.kron(shift, np.eye(2)), 2.0 * np.eye(2 * length)[0]
+
+
+def _chain_state(terms: object, chains: dict[complex, int]) -> Array:
+    """Return the state of all chains at the start of a piece: v_j(0) = j! c_j."""
+    parts = []
+    for rate, length in chains.items():
+        c = np.zeros(length, dtype=np.complex128)
+        own = terms.get(rate, np.zeros(0))[:length]  # type: ignore[attr-defined]
+        c[: len(own)] = own
+        v = c * [factorial(j) for j in range(length)]
+        parts.append(v.real if rate.imag == 0 else np.column_stack([v.real, v.imag]).ravel())
+    return np.concatenate([*parts, np.zeros(0)])
+
+
+def _period(signals: Sequence[Signal]) -> float | None:
+    """Return the least common period where all signals are sums of sinusoids with commensurable frequencies."""
+    if any(len(signal.pieces) > 1 or signal.end is not None for signal in signals):
+        return None
+    chains = [(rate, length) for signal in signals for rate, length in _chains(signal).items()]
+    if any(rate.real != 0 or length > 1 for rate, length in chains):
+        return None
+    frequencies = sorted({rate.imag for rate, _ in chains if rate.imag > 0})
+    if not frequencies:
         return None
     first = frequencies[0]
     ratios = [Fraction(f / first).limit_denominator(1000) for f in frequencies]

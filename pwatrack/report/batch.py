@@ -1,17 +1,19 @@
 """The outcomes of a batch as a table and as JUnit XML."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from pwatrack.batch.run import Outcome
 from pwatrack.report.run_folder import run_folder
+from pwatrack.report.terminal import console
 
 _COLUMNS = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_tracking_error": "final error"}
+
+_CONTROL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # not allowed in XML
 
 
 def print_batch(outcomes: Sequence[Outcome]) -> None:
@@ -23,16 +25,16 @@ def print_batch(outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         figures = [f"{outcome.figures[key]:.3g}" if key in outcome.figures else "" for key in _COLUMNS]
         result = "pass" if outcome.passed else "FAIL"
-        table.add_row(escape(str(outcome.spec)), result, outcome.verdict, *figures, f"{outcome.seconds:.1f}")
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        console.width = 140  # a CI log: names stay whole
-    console.print(table)
+        table.add_row(str(outcome.spec), result, outcome.verdict, *figures, f"{outcome.seconds:.1f}")
+    screen, errors = console(), console(stderr=True)
+    if not screen.is_terminal:
+        screen.width = 140  # a CI log: names stay whole
+    screen.print(table)
     failed = [outcome for outcome in outcomes if not outcome.passed]
-    console.print(f"{len(outcomes) - len(failed)} passed, {len(failed)} failed")
+    screen.print(f"{len(outcomes) - len(failed)} passed, {len(failed)} failed")
     for outcome in failed:
         ending = f"{outcome.verdict}, exit {outcome.exit}, expected {outcome.expected}"
-        errors.print(escape(f"{outcome.spec}: {ending}\n{outcome.messages}"), soft_wrap=True)
+        errors.print(f"{outcome.spec}: {ending}\n{outcome.messages}", soft_wrap=True)
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -46,7 +48,7 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
         case = TestCase(str(outcome.spec), classname="pwatrack.batch", time=outcome.seconds)
         if not outcome.passed:
             failure = Failure(f"{outcome.verdict}: exit {outcome.exit}, expected {outcome.expected}")
-            failure.text = outcome.messages
+            failure.text = _CONTROL.sub("\ufffd", outcome.messages)
             case.result = [failure]
         case.system_out = outcome.verdict
         suite.add_testcase(case)

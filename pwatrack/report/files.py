@@ -2,6 +2,7 @@
 
 import csv
 import platform
+import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from pwatrack import __version__
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
+from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.pipeline import Result
 from pwatrack.report.run_folder import INDEX, RunFolder, run_folder
@@ -53,8 +55,10 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
         _design_files(run, result.spec, result.controller)
         _trace(run, result)
         _events(run, result)
-        for name, figure in draw(result).items():
-            figure.savefig(run.place(name), format="png", dpi=150)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
+            for name, figure in draw(result).items():
+                figure.savefig(run.place(name), format="png", dpi=150)
         _index(run, result.spec, seconds, _gain_figures(result.controller) | measures(result))
     return Path(folder)
 
@@ -64,7 +68,7 @@ def measures(result: Result) -> dict[str, float]:
     response = result.response
     return {
         "final_tracking_error": result.final_error,
-        "largest_tracking_error": float(np.abs(response.tracking_error).max()),
+        "largest_tracking_error": float(np.linalg.norm(response.tracking_error, axis=1).max()),
         "final_observer_error": float(response.observer_error[-1]),
         "largest_input": float(np.abs(response.u).max()),
         "mode_changes": len(response.trace.events),
@@ -73,18 +77,24 @@ def measures(result: Result) -> dict[str, float]:
 
 
 def _gain_figures(controller: Controller) -> dict[str, float]:
-    design, generator = controller.design, controller.generator
     return {
-        "norm_K": float(np.linalg.norm(design.K, 2)),
-        "norm_L": float(np.linalg.norm(design.L, 2)),
-        "controller_rate": design.controller.rate,
-        "observer_rate": design.observer.rate,
-        **({"generator_rate": generator.certificate.rate} if generator.A_eta.shape[1] else {}),
+        "norm_K": float(np.linalg.norm(controller.design.K, 2)),
+        "norm_L": float(np.linalg.norm(controller.design.L, 2)),
+        **{f"{name.split()[0]}_rate": c.rate for name, c in certificates(controller).items()},
     }
 
 
+def certificates(controller: Controller) -> dict[str, Certificate]:
+    """Return the proofs of a design by what they prove."""
+    found = {"controller (8)": controller.design.controller, "observer (9)": controller.design.observer}
+    generator = controller.generator
+    if generator is not None and generator.A_eta.shape[1]:
+        found["generator (17)"] = generator.certificate
+    return found
+
+
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
-    design, generator, form = controller.design, controller.generator, controller.generator.form
+    design = controller.design
     run.json(
         "gains.json",
         {
@@ -93,36 +103,36 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
             "L": design.L.tolist(),
         },
     )
-    certificates = {"controller (8)": design.controller, "observer (9)": design.observer}
-    if generator.A_eta.shape[1]:
-        certificates["generator (17)"] = generator.certificate
     run.json(
         "certificate.json",
         {
             "claim": "M_i P + P M_i^T + 2 rate P < 0 and P > 0 for every i",
             "spec_sha256": spec.sha256,
             "cells": list(spec.plant.cell_names),
-            **{name: _certificate(c) for name, c in certificates.items()},
+            **{name: _certificate(c) for name, c in certificates(controller).items()},
         },
     )
-    run.json(
-        "generator.json",
-        {
-            "relative_degree": form.r,
-            "eta": list(form.eta_names),
-            "T": form.T.tolist(),
-            "offset": form.offset.tolist(),
-            "cells": list(spec.plant.cell_names),
-            "A_eta": generator.A_eta.tolist(),
-            "b_eta": generator.b_eta.tolist(),
-            "B_eta": generator.B_eta.tolist(),
-            "alpha": form.alpha.tolist(),
-            "beta": form.beta.tolist(),
-            "gamma": form.gamma.tolist(),
-            "delta": form.delta,
-            "shift": None if generator.shift is None else generator.shift.tolist(),
-        },
-    )
+    if controller.generator is not None:
+        run.json("generator.json", _generator(controller.generator))
+
+
+def _generator(generator: TrajectoryGenerator) -> dict[str, Any]:
+    form = generator.form
+    return {
+        "relative_degree": form.r,
+        "eta": list(form.eta_names),
+        "T": form.T.tolist(),
+        "offset": form.offset.tolist(),
+        "cells": list(form.plant.cell_names),
+        "A_eta": generator.A_eta.tolist(),
+        "b_eta": generator.b_eta.tolist(),
+        "B_eta": generator.B_eta.tolist(),
+        "alpha": form.alpha.tolist(),
+        "beta": form.beta.tolist(),
+        "gamma": form.gamma.tolist(),
+        "delta": form.delta,
+        "shift": None if generator.shift is None else generator.shift.tolist(),
+    }
 
 
 def _certificate(certificate: Certificate) -> dict[str, Any]:
@@ -136,29 +146,19 @@ def _certificate(certificate: Certificate) -> dict[str, Any]:
 
 def _trace(run: RunFolder, result: Result) -> None:
     response, plant = result.response, result.spec.plant
-    eta = [f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])]
-    header = [
-        "t",
-        *plant.states,
-        *(f"{s}_hat" for s in plant.states),
-        *(f"{s}_d" for s in plant.states),
-        *eta,
-    ]
-    header += [plant.outputs[0], f"{plant.outputs[0]}_d", plant.inputs[0], f"{plant.inputs[0]}_ff"]
-    columns: Array = np.column_stack(
-        [
-            response.t,
-            response.x,
-            response.x_hat,
-            response.x_d,
-            response.eta_hat,
-            response.y,
-            response.y_d,
-            response.u,
-            response.u_ff,
-        ]
+    blocks = (
+        (["t"], response.t),
+        (plant.states, response.x),
+        ([f"{s}_hat" for s in plant.states], response.x_hat),
+        ([f"{s}_d" for s in plant.states], response.x_d),
+        ([f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])], response.eta_hat),
+        (plant.outputs, response.y),
+        ([f"{y}_d" for y in plant.outputs], response.y_d),
+        (plant.inputs, response.u),
+        ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )
-    header += [f"cell_{part}" for part in PARTS]
+    header = [name for names, _ in blocks for name in names] + [f"cell_{part}" for part in PARTS]
+    columns: Array = np.column_stack([values for _, values in blocks])
     with run.place("trace.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
@@ -172,7 +172,7 @@ def _events(run: RunFolder, result: Result) -> None:
         writer = csv.writer(file)
         writer.writerow(["t", "part", "from_cell", "to_cell", "guard"])
         for event in result.response.trace.events:
-            guard = plant.hyperplane_text(event.guard % len(plant.partition.h))
+            guard = plant.hyperplane_text(event.guard % len(plant.partition.h)) if event.guard >= 0 else "new piece"
             for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
                 if before != after:
                     writer.writerow([repr(event.t), part.name, part.cells[before], part.cells[after], guard])

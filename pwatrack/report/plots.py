@@ -1,5 +1,6 @@
 """The pictures of a closed loop. The only module that knows matplotlib."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pwatrack.pipeline import Result
 # Dark solid and light dashed: told apart without colour too.
 _ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
 _DESIRED: dict[str, Any] = {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))}
+_STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
 
 
@@ -37,45 +39,40 @@ def draw(result: Result) -> dict[str, Figure]:
 
 
 def tracking_error(result: Result) -> Figure:
-    """y − y_d over time, linear and logarithmic (Figure 2)."""
-    return _error(
-        result,
-        result.response.tracking_error,
-        f"tracking error {_output(result)} − {_output(result)}_d",
-        _unit(result, _output(result)),
-        f"Tracking error: at most {result.final_error:.1e} in the last tenth of the time",
-    )
+    """Draw the tracking error over time, linear and logarithmic (Figure 2)."""
+    plant = result.spec.plant
+    names = plant.outputs if result.controller.generator is not None else plant.states
+    error = result.response.tracking_error
+    curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
+    units = {result.spec.units.get(name, "") for name in names}
+    title = f"Tracking error: at most {result.final_error:.1e} in the last tenth of the time"
+    return _error(result, curves, np.linalg.norm(error, axis=1), units.pop() if len(units) == 1 else "", title)
 
 
 def observer_error(result: Result) -> Figure:
-    """‖x − x̂‖ over time, linear and logarithmic (Figure 2)."""
+    """Draw ‖x − x̂‖ over time, linear and logarithmic (Figure 2)."""
     error = result.response.observer_error
-    return _error(result, error, "observer error ‖x − x̂‖", "", f"Observer error: {error[-1]:.1e} at the end")
+    return _error(result, {"‖x − x̂‖": error}, error, "", f"Observer error: {error[-1]:.1e} at the end")
 
 
 def outputs(result: Result) -> Figure:
-    """Output and reference, whole and at both ends."""
-    response, name = result.response, _output(result)
-    curves = {f"output {name}": response.y, f"reference {name}_d": response.y_d}
-    return _whole_and_ends(result, "Output and reference", name, curves)
+    """Draw each output with its desired value, whole and at both ends."""
+    response = result.response
+    labels = ("output", "desired")
+    return _pairs(result, "Outputs", result.spec.plant.outputs, response.y, response.y_d, labels)
 
 
 def control_input(result: Result) -> Figure:
-    """The input with its feedforward part, whole and at both ends."""
-    response, name = result.response, result.spec.plant.inputs[0]
-    curves = {f"input {name} (19)": response.u, "its feedforward part (16)": response.u_ff}
-    return _whole_and_ends(result, "Control input", name, curves)
+    """Draw each input with its feedforward part, whole and at both ends."""
+    response = result.response
+    labels = ("input (19)", "its feedforward part (16)")
+    return _pairs(result, "Control input", result.spec.plant.inputs, response.u, response.u_ff, labels)
 
 
 def internal_states(result: Result) -> Figure:
-    """Each internal state η with its desired trajectory from the generator (Figure 3)."""
-    response, names = result.response, result.controller.generator.form.eta_names
-    figure, panels = _canvas(
-        result.spec.name,
-        "Internal states and the trajectory generator",
-        [[k] for k in range(len(names))],
-        height=1.2 + 1.7 * len(names),
-    )
+    """Draw each internal state η with its desired trajectory from the generator (Figure 3)."""
+    response, names = result.response, result.controller.trajectory.names
+    figure, panels = _column(result, "Internal states and the trajectory generator", len(names))
     for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
         axes.plot(response.t, response.eta[:, k], label="plant", **_ACTUAL)
         axes.plot(response.t, response.eta_hat[:, k], label="desired, from the generator (15)", **_DESIRED)
@@ -85,17 +82,13 @@ def internal_states(result: Result) -> Figure:
 
 
 def steady_state(result: Result) -> Figure:
-    """The generator's periodic steady state over two periods (Figure 4)."""
+    """Draw the generator's periodic steady state over two periods (Figure 4)."""
     trace = result.steady_state
     assert trace is not None
-    names = result.controller.generator.form.eta_names
+    names = result.controller.trajectory.names
     period = trace.t[-1]
-    figure, panels = _canvas(
-        result.spec.name,
-        f"Periodic steady state of the trajectory generator, period {period:.6g} s",
-        [[k] for k in range(len(names))],
-        height=1.2 + 1.7 * len(names),
-    )
+    title = f"Periodic steady state of the trajectory generator, period {period:.6g} s"
+    figure, panels = _column(result, title, len(names))
     t = np.concatenate([trace.t, trace.t[1:] + period])
     for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
         values = trace.z[:, k]
@@ -126,53 +119,72 @@ def active_cells(result: Result) -> Figure:
         for cell in range(len(cells)):
             bars = [(start, end - start) for mode, start, end in stays if mode[k] == cell]
             axes.broken_barh(bars, (cell - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0)
-        axes.set_yticks(range(len(cells)), cells, fontsize=8)
+        axes.set_yticks(range(len(cells)), [_plain(cell) for cell in cells], fontsize=8)
         axes.set_ylim(len(cells) - 0.4, -0.6)
         _label(axes, "time t (s)" if k == 2 else "", part.name, _span(trace.t))
     return figure
 
 
-def _error(result: Result, error: Array, label: str, unit: str, title: str) -> Figure:
+def _error(result: Result, curves: dict[str, Array], size: Array, unit: str, title: str) -> Figure:
+    """Draw error components, and below them their size on a logarithmic scale."""
     figure, (linear, logarithmic) = _canvas(result.spec.name, title, [[0], [1]], height=5.2)
     t = result.response.t
     unit = f" ({unit})" if unit else ""
-    linear.plot(t, error, **_ACTUAL)
+    for k, (label, values) in enumerate(curves.items()):
+        linear.plot(
+            t, values, label=_plain(label), **_ACTUAL | {"linestyle": _STYLES[k % 4], "alpha": 1 - 0.15 * (k % 4)}
+        )
     linear.axhline(0, color="0.6", linewidth=0.8)
-    _label(linear, "", label + unit, _span(t))
-    size = np.abs(error)
+    _label(linear, "", (next(iter(curves)) if len(curves) == 1 else "error") + unit, _span(t))
+    if len(curves) > 1:
+        _legend(linear)
     logarithmic.semilogy(t, np.where(size > 0, size, np.nan), **_ACTUAL)
     _label(logarithmic, "time t (s)", f"magnitude{unit}, logarithmic", _span(t))
     return figure
 
 
-def _whole_and_ends(result: Result, title: str, name: str, curves: dict[str, Array]) -> Figure:
-    """Draw an actual and a desired curve over the whole time, and enlarged at the start and the end."""
-    figure, (whole, start, end) = _canvas(result.spec.name, title, [[0, 0], [1, 2]], height=5.2)
+def _pairs(
+    result: Result, title: str, names: Sequence[str], actual: Array, desired: Array, labels: tuple[str, str]
+) -> Figure:
+    """Draw pairs of curves: one pair over the whole time and enlarged at both ends, several below each other."""
     t = result.response.t
-    total, window = float(t[-1]), _window(result)
-    for axes, first, last in ((whole, 0.0, total), (start, 0.0, window), (end, total - window, total)):
+    spans = [_span(t)]
+    if len(names) == 1:
+        figure, panels = _canvas(result.spec.name, title, [[0, 0], [1, 2]], height=5.2)
+        window = _window(result)
+        spans += [(float(t[0]), window), (float(t[-1]) - window, float(t[-1]))]
+        panels[1].set_title("start", fontsize=9)
+        panels[2].set_title("end", fontsize=9)
+    else:
+        figure, panels = _column(result, title, len(names))
+        spans *= len(names)
+    for k, (axes, (first, last)) in enumerate(zip(panels, spans, strict=True)):
+        column = k if len(names) > 1 else 0
         shown = (t >= first) & (t <= last)
-        for (label, values), style in zip(curves.items(), (_ACTUAL, _DESIRED), strict=True):
-            axes.plot(t[shown], values[shown], label=label, **style)
-        _label(axes, "time t (s)", _labelled(result, name), (first, last))
-    _legend(whole)
-    start.set_title("start", fontsize=9)
-    end.set_title("end", fontsize=9)
+        for label, values, style in zip(labels, (actual, desired), (_ACTUAL, _DESIRED), strict=True):
+            axes.plot(t[shown], values[shown, column], label=label, **style)
+        _label(axes, "time t (s)", _labelled(result, names[column]), (first, last))
+    _legend(panels[0])
     return figure
+
+
+def _column(result: Result, title: str, count: int) -> tuple[Figure, list[Axes]]:
+    """Return panels below each other."""
+    return _canvas(result.spec.name, title, [[k] for k in range(count)], height=1.2 + 1.7 * count)
 
 
 def _canvas(name: str, title: str, mosaic: Any, *, height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels in the order of their numbers in the mosaic."""
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{name}\n{title}", fontsize=10)
+    figure.suptitle(_plain(f"{name}\n{title}"), fontsize=10)
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic)
     return figure, [panels[key] for key in sorted(panels)]
 
 
 def _label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:
     axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
+    axes.set_ylabel(_plain(y), fontsize=9)
     axes.set_xlim(*span)
     axes.tick_params(labelsize=8)
     axes.grid(color="0.9", linewidth=0.6)
@@ -190,18 +202,15 @@ def _span(t: Array) -> tuple[float, float]:
 def _window(result: Result) -> float:
     """Return how much of either end to show: five periods of the reference, or a tenth of the time."""
     total = float(result.response.t[-1])
-    period = result.spec.reference.period
+    period = result.controller.trajectory.exosystem.period
     return min(total, 5 * period if period else total / 10)
 
 
-def _output(result: Result) -> str:
-    return result.spec.plant.outputs[0]
-
-
-def _unit(result: Result, name: str) -> str:
-    return result.spec.units.get(name, "")
+def _plain(text: str) -> str:
+    """Return text that matplotlib does not take for a formula."""
+    return text.replace("$", r"\$")
 
 
 def _labelled(result: Result, name: str) -> str:
-    unit = _unit(result, name)
+    unit = result.spec.units.get(name, "")
     return f"{name} ({unit})" if unit else name

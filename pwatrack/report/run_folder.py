@@ -1,5 +1,6 @@
 """A folder of results that is never torn: every file under a temporary name first, all moved at the end."""
 
+import errno
 import json
 import os
 import tempfile
@@ -42,11 +43,15 @@ class RunFolder:
 
     def commit(self) -> None:
         """Move all files to their names, the index last, and drop what only an earlier run had."""
+        for name in self._waiting:
+            if (self.path / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
         stale = set(_indexed(self.path)) - set(self._waiting) if INDEX in self._waiting else set()
         for name in sorted(self._waiting, key=lambda name: name == INDEX):
             self._waiting.pop(name).replace(self.path / name)
         for name in stale:
-            (self.path / name).unlink(missing_ok=True)
+            if (self.path / name).is_file():
+                (self.path / name).unlink()
 
     def discard(self) -> None:
         """Remove what was written so far; files of earlier runs stay."""

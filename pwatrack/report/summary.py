@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
+from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.pipeline import Result
 from pwatrack.report.files import measures
@@ -39,34 +39,33 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     """Say what was proved and the gains."""
     design, generator = controller.design, controller.generator
     table = _titled(spec.name)
-    given = {True: "given", False: "designed"}
-    table.add_row(
-        "(8) controller",
-        f"proved for all {len(design.controller.M)} cells, rate {design.controller.rate:.4g} 1/s; "
-        f"K {given[spec.K is not None]}, ‖K‖ = {np.linalg.norm(design.K, 2):.4g}",
-    )
-    table.add_row("", f"K = {_matrix(design.K)}")
-    table.add_row(
-        "(9) observer",
-        f"proved for all {len(design.observer.M)} cells, rate {design.observer.rate:.4g} 1/s; "
-        f"L {given[spec.L is not None]}, ‖L‖ = {np.linalg.norm(design.L, 2):.4g}",
-    )
-    table.add_row("", f"Lᵀ = {_matrix(design.L.T)}")
-    if generator.A_eta.shape[1]:
-        table.add_row(
-            "(17) generator",
-            f"proved, rate {generator.certificate.rate:.4g} 1/s; η = {', '.join(generator.form.eta_names)}",
-        )
-        table.add_row(
-            "Assumption 2",
-            "holds with η = η̄ + M ξ_d, M = " + _matrix(generator.shift)
-            if generator.shift is not None
-            else "fails for every shift; (17) suffices, as the tracking dynamics are continuous in η and ξ_d",
-        )
+    for claim, letter, gain, given, certificate in (
+        ("(8) controller", "K", design.K, spec.K is not None, design.controller),
+        ("(9) observer", "Lᵀ", design.L.T, spec.L is not None, design.observer),
+    ):
+        table.add_row(claim, f"proved for all {len(certificate.M)} cells, rate {certificate.rate:.4g} 1/s")
+        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {'given' if given else 'designed'}"
+        table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
+    if generator is None:
+        table.add_row("Assumption 1", "x_d and u_ff satisfy (3)")
+        table.add_row("Theorem 2", "all solutions track x_d with error going to 0, if x_d stays bounded")
     else:
-        table.add_row("(17) generator", "none needed: relative degree = number of states")
-    table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
+        _generator_rows(table, generator)
     console.print(table)
+
+
+def _generator_rows(table: Table, generator: TrajectoryGenerator) -> None:
+    if not generator.A_eta.shape[1]:
+        table.add_row("(17) generator", "none needed: relative degree = number of states")
+    else:
+        rate = generator.certificate.rate
+        table.add_row("(17) generator", f"proved, rate {rate:.4g} 1/s; η = {', '.join(generator.form.eta_names)}")
+        if generator.shift is not None:
+            table.add_row("Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}")
+        else:
+            reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
+            table.add_row("Assumption 2", f"holds for no shift; {reason}")
+    table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
 
 
 def print_result(console: Console, result: Result, folder: Path) -> None:
@@ -95,8 +94,7 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
 def print_files(console: Console, folder: Path) -> None:
     """Say where the files are."""
     console.print(
-        f"Results in {escape(str(folder))}/: "
-        + ", ".join(sorted(escape(p.name) for p in folder.iterdir() if not p.name.startswith("."))),
+        f"Results in {folder!s}/: " + ", ".join(sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))),
         highlight=False,
         soft_wrap=True,
     )
@@ -107,7 +105,7 @@ def _titled(title: str | None) -> Table:
         show_header=False,
         box=None,
         padding=(0, 2, 0, 0),
-        title=escape(title) if title else None,
+        title=title if title else None,
         title_justify="left",
         title_style="bold",
     )
@@ -118,7 +116,7 @@ def _titled(title: str | None) -> Table:
 
 def _matrix(X: Array) -> str:
     rows = [" ".join(f"{v:.5g}" for v in row) for row in X]
-    return escape("[" + "; ".join(rows) + "]")
+    return "[" + "; ".join(rows) + "]"
 
 
 def _eigenvalues(A: Array) -> str:

@@ -6,6 +6,7 @@ seen through the guards, say whether any guard is crossed on the step; whole
 blocks of steps are cleared with one matrix product.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,18 @@ _ROUNDING = 64 * float(np.finfo(np.float64).eps)
 _STUCK = 1000  # events without progress in time
 
 
-def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float) -> Trace:
+@dataclass(frozen=True, kw_only=True)
+class StateReset:
+    """At time t (s) the entries `where` of z take new values."""
+
+    t: float
+    where: slice
+    value: Array
+
+
+def simulate_flow(
+    flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateReset] = ()
+) -> Trace:
     """Propagate a flow from t = 0 and sample it.
 
     Args:
@@ -31,6 +43,7 @@ def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float)
         z0: Initial state (N,).
         duration: In s; the last sample is at the last multiple of `sample_time` up to it.
         sample_time: In s.
+        resets: In order of time.
 
     Returns:
         The samples, the mode at each and every event in between.
@@ -52,7 +65,9 @@ def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float)
     balanced = flow.scaled(d)
     halvings = _halvings(balanced.size(), sample_time)
     samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
-    walk = _Walk(balanced, z0 / d, sample_time / 2**halvings)
+    h = sample_time / 2**halvings
+    scaled = [_GridReset(r.t / h, r.where, r.value / d[r.where]) for r in resets if r.t > 0]
+    walk = _Walk(balanced, z0 / d, h, scaled)
     z = np.empty((samples, len(z0)))
     modes = np.empty((samples, len(flow.parts)), dtype=np.int64)
     z[0], modes[0] = walk.z, walk.mode
@@ -68,12 +83,22 @@ def simulate_flow(flow: Flow, z0: Array, *, duration: float, sample_time: float)
     return Trace(t=sample_time * np.arange(samples, dtype=np.float64), z=z * d, modes=modes, events=tuple(walk.events))
 
 
+@dataclass(frozen=True)
+class _GridReset:
+    """A reset with its time in steps."""
+
+    step: float
+    where: slice
+    value: Array
+
+
 class _Walk:
     """A trajectory on the grid of step h: state, mode and step index, and the events so far."""
 
-    def __init__(self, flow: Flow, z0: Array, h: float) -> None:
+    def __init__(self, flow: Flow, z0: Array, h: float, resets: list[_GridReset]) -> None:
         self.flow = flow
         self.h = h
+        self.resets = resets[::-1]
         self.guards = flow.guards()
         self.tables: dict[Mode, _Table] = {}
         self.events: list[Event] = []
@@ -84,6 +109,12 @@ class _Walk:
     def forward(self, steps: int) -> Array:
         """Advance by up to `steps` whole steps, at least one; return the state after each."""
         table = self.table(self.mode)
+        if self.resets:
+            steps = min(steps, int(self.resets[-1].step - self.k))
+        if steps <= 0:
+            self._step_with_events()
+            self.k += 1
+            return self.z[None]
         states = table.powers[:steps] @ self.z
         clear = table.clear(np.vstack([self.z, states[:-1]]))
         count = steps if clear.all() else int(np.argmin(clear))
@@ -102,30 +133,43 @@ class _Walk:
         return self.tables[mode]
 
     def _step_with_events(self) -> None:
-        """Advance by one step in which guards may be crossed."""
-        done, idle = 0.0, 0
+        """Advance by one step in which guards may be crossed and resets may fall."""
+        done = 0.0
+        while self.resets and self.resets[-1].step < self.k + 1:
+            reset = self.resets.pop()
+            done = self._part(done, max(done, reset.step - self.k))
+            self.z = self.z.copy()
+            self.z[reset.where] = reset.value
+            self._change_mode(self._settle(self.mode, -1), -1, done)
+        self._part(done, 1.0)
+
+    def _part(self, done: float, end: float) -> float:
+        """Advance from `done` to `end`, in steps from k, and return `end`."""
+        idle = 0
         while True:
-            rest = 1.0 - done
+            rest = end - done
             table = self.table(self.mode)
             terms = (table.terms @ self.z) * rest ** np.arange(_DEGREE + 1)[:, None]
             crossing = self._first_event(table, terms)
             if crossing is None:
                 self.z = terms.sum(axis=0)
-                return
+                return end
             tau, guard = crossing
             self.z = _horner(terms, tau)
             done += tau * rest
             idle = idle + 1 if tau * rest < 1e-15 else 0
-            before = self.mode
-            self.mode = self._settle(before, guard)
-            time = (self.k + done) * self.h
-            if self.mode != before:
-                self.events.append(Event(t=time, guard=guard, before=before, after=self.mode))
+            self._change_mode(self._settle(self.mode, guard), guard, done)
             if idle > _STUCK:
+                time = (self.k + done) * self.h
                 raise PwatrackError(
                     f"more than {_STUCK} mode changes at t = {time:.9g} s without progress in time",
                     hint="the vector field may be discontinuous there",
                 )
+
+    def _change_mode(self, mode: Mode, guard: int, done: float) -> None:
+        if mode != self.mode:
+            self.events.append(Event(t=(self.k + done) * self.h, guard=guard, before=self.mode, after=mode))
+            self.mode = mode
 
     def _first_event(self, table: "_Table", terms: Array) -> tuple[float, int] | None:
         """Return (τ, guard) of the first crossing out of the current cells."""

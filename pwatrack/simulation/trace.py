@@ -8,7 +8,7 @@ from pwatrack.simulation.flow import Mode
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """The mode changed at time t (s) when `guard` was crossed."""
+    """The mode changed at time t (s) when `guard` was crossed; −1 if a new piece of the reference did it."""
 
     t: float
     guard: int

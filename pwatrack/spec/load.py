@@ -7,17 +7,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.lmi.inequality import Solver
-from pwatrack.model.cells import Partition
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Reference, sinusoids
+from pwatrack.model.reference import Reference
+from pwatrack.spec.build import build_plant, build_reference
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
-from pwatrack.spec.schema import Context, SpecFile, SystemSection, path_text, shape_problems
+from pwatrack.spec.schema import (
+    Context,
+    ExpectSection,
+    SimulationSection,
+    SpecFile,
+    SystemSection,
+    path_text,
+    shape_problems,
+)
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _MOST_SAMPLES = 10_000_000
@@ -36,7 +43,7 @@ class Spec:
         units: Unit of each state, input and output that has one.
         K, L: Gains to prove, or None where they are to be designed.
         solver: Which interior-point solver to ask.
-        reference: y_d.
+        reference: What to track.
         duration, sample_time: In s.
         x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
@@ -93,19 +100,25 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
     )
-    problems = [*document.problems, *problems, *shape_problems(document.data, context)]
+    problems = [
+        *document.problems,
+        *problems,
+        *shape_problems(document.data, context),
+        *_name_problems(document.data, context),
+        *_sampling_problems(document.data, context),
+    ]
     try:
         file = SpecFile.model_validate(document.data, context=context)
     except ValidationError as error:
         problems += _validation_problems(error)
     if not problems:
-        problems += _further_problems(file)
+        problems += _plant_problems(file.system) + _reference_problems(file)
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
-    output = file.reference.output
     try:
-        plant = _plant(file.system, file.tolerance.continuity)
+        plant = build_plant(file.system, file.tolerance.continuity)
+        reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
     except PwatrackError as error:
         raise error.located(document.places) from None
     return Spec(
@@ -118,12 +131,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         K=_optional(file.design.controller.K),
         L=_optional(file.design.observer.L),
         solver=file.design.solver,
-        reference=sinusoids(
-            constant=output.constant,
-            amplitudes=[s.amplitude for s in output.sine],
-            frequencies=[s.frequency for s in output.sine],
-            phases=[s.phase for s in output.sine],
-        ),
+        reference=reference,
         duration=simulation.duration,
         sample_time=simulation.sample_time,
         x0=_optional(initial.plant),
@@ -155,22 +163,21 @@ def expected_exit(path: str | Path) -> int:
     """Return the exit code that a spec file expects, also where the rest of it is in error; 0 if it says none."""
     try:
         document, _ = _read(Path(path))
-        return int(document.data["expect"]["exit"])
-    except (PwatrackError, KeyError, TypeError, ValueError):
+        return ExpectSection.model_validate(document.data["expect"]).exit
+    except (PwatrackError, KeyError, ValidationError):
         return 0
 
 
 def _read(path: Path) -> tuple[Document, str]:
-    start = Place(str(path), 1, 1)
     try:
         content = path.read_bytes()
         return parse_yaml(content.decode("utf-8"), str(path)), hashlib.sha256(content).hexdigest()
     except OSError as error:
         raise InvalidSpec(Problem(message=f"cannot read {path}: {error.strerror or error}")) from None
     except UnicodeDecodeError as error:
-        raise InvalidSpec(
-            Problem(message=f"not UTF-8 text: byte {error.start} is {content[error.start]:#04x}", place=start)
-        ) from None
+        before = content[: error.start]
+        place = Place(str(path), before.count(b"\n") + 1, error.start - before.rfind(b"\n"))
+        raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {content[error.start]:#04x}", place=place)) from None
 
 
 def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dict[str, float | None], list[Problem]]:
@@ -181,20 +188,24 @@ def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dic
     for name in overrides:
         if name not in texts:
             known = ", ".join(texts) or "none"
-            problems.append(Problem(message=f"parameter '{name}' is set but not declared; declared: {known}"))
+            message = f"parameter '{name}' is set but not declared; declared: {known}"
+            problems.append(Problem(message=message, subject=None))
     for name, text in texts.items():
         text = overrides.get(name, text)
-        values[name] = None
         if name in RESERVED:
-            continue  # said by the schema
+            values[name] = None  # said by the schema
+            continue
         try:
             if not isinstance(text, str | int | float):
                 raise ExpressionError("a number or an expression is expected")
             values[name] = number(str(text), values)
         except BrokenParameter:
-            pass
+            values[name] = None
         except ExpressionError as error:
-            problems.append(Problem(message=f"parameter '{name}': {error}", subject=("parameters", name)))
+            values[name] = None
+            outside = name in overrides
+            message = f"parameter '{name}': {error}" + (" (set from outside the file)" if outside else "")
+            problems.append(Problem(message=message, subject=None if outside else ("parameters", name)))
     return values, problems
 
 
@@ -223,75 +234,107 @@ def _validation_problems(error: ValidationError) -> list[Problem]:
     return problems
 
 
-def _further_problems(file: SpecFile) -> list[Problem]:
-    """Check what spans several entries."""
+def _name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that every name stands for one thing."""
     problems = []
-    system = file.system
     taken: dict[str, str] = {}
     for kind in ("parameters", "states", "inputs", "outputs"):
-        names = file.parameters if kind == "parameters" else getattr(system, kind)
-        for name in names:
-            if name in taken:
-                problems.append(
-                    Problem(
-                        message=f"'{name}' is declared under {taken[name]} and under {kind}",
-                        subject=("system", kind),
-                    )
-                )
+        for name in context.parameters if kind == "parameters" else getattr(context, kind):
+            if taken.get(name, kind) != kind:
+                message = f"'{name}' is declared under {taken[name]} and under {kind}"
+                problems.append(Problem(message=message, subject=("system", kind)))
             taken[name] = kind
+    signals = [*context.states, *context.inputs, *context.outputs]
+    for name in signals:
+        for suffix in ("_hat", "_d", "_ff"):
+            if name + suffix in signals:
+                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
+                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
+    system = data.get("system")
+    system = system if isinstance(system, dict) else {}
+    units = system.get("units")
     problems += [
         Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
-        for name in system.units
-        if taken.get(name, "parameters") == "parameters"
+        for name in (units if isinstance(units, dict) else {})
+        if name not in signals
     ]
-    cells = [cell.name for cell in system.cells]
-    for k, name in enumerate(cells):
-        if name in cells[:k]:
-            problems.append(Problem(message=f"a second cell is named '{name}'", subject=("system", "cells", k, "name")))
-    duration, step = file.simulation.duration, file.simulation.sample_time
-    if step > duration:
-        problems.append(
-            Problem(
-                message=f"sample_time {step:g} s is longer than the duration {duration:g} s",
-                subject=("simulation", "sample_time"),
-            )
-        )
-    elif duration / step > _MOST_SAMPLES:
-        problems.append(
-            Problem(
-                message=f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken",
-                subject=("simulation", "sample_time"),
-                hint="events are exact at any sample time; a longer one only draws fewer points",
-            )
-        )
+    seen: list[str] = []
+    cells = system.get("cells")
+    for k, cell in enumerate(cells if isinstance(cells, list) else []):
+        name = cell.get("name") if isinstance(cell, dict) else None
+        if isinstance(name, str) and name in seen:
+            subject: Subject = ("system", "cells", k, "name")
+            problems.append(Problem(message=f"a second cell is named '{name}'", subject=subject))
+        seen.append(str(name))
     return problems
 
 
-def _plant(system: SystemSection, tolerance: float) -> PWASystem:
-    n = len(system.states)
-    forms = [[form for chain in cell.where for form in chain] for cell in system.cells]
-    rows = [form.row for cell in forms for form in cell]
-    signs = np.zeros((len(forms), len(rows)), dtype=np.int64)
-    start = 0
-    for i, cell in enumerate(forms):
-        signs[i, start : start + len(cell)] = 1
-        start += len(cell)
-    return PWASystem.create(
-        partition=Partition.create(
-            H=np.array(rows).reshape(-1, n),
-            h=[form.constant for cell in forms for form in cell],
-            signs=signs,
-            names=[cell.name for cell in system.cells],
-        ),
-        A=[cell.A for cell in system.cells],
-        b=[cell.b or np.zeros(n) for cell in system.cells],
-        B=system.B,
-        C=system.C,
-        states=system.states,
-        inputs=system.inputs,
-        outputs=system.outputs,
-        tolerance=tolerance,
-    )
+def _sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check that the samples are neither too many nor too few, where both numbers can be read."""
+    try:
+        section = SimulationSection.model_validate(data.get("simulation"), context=context)
+    except ValidationError:
+        return []
+    duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
+    if step > duration:
+        message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
+        return [Problem(message=message, subject=subject)]
+    if duration / step > _MOST_SAMPLES:
+        message = f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken"
+        hint = "events are exact at any sample time; a longer one only draws fewer points"
+        return [Problem(message=message, subject=subject, hint=hint)]
+    return []
+
+
+def _plant_problems(system: SystemSection) -> list[Problem]:
+    """Check that the plant is written in exactly one of the three ways."""
+    problems: list[tuple[str, Subject]] = []
+    if system.cells is None:
+        if system.A is None:
+            problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
+        if system.hyperplanes is not None:
+            problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
+    else:
+        problems += [
+            (f"system.{name} does not go with cells: give one or the other", ("system", name))
+            for name in ("A", "b", "nonlinearities")
+            if getattr(system, name) is not None
+        ]
+        wanted = "where" if system.hyperplanes is None else "signs"
+        for k, cell in enumerate(system.cells):
+            subject: Subject = ("system", "cells", k)
+            if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
+                count = len(system.hyperplanes or [])
+                problems.append((f"cell '{cell.name}' needs signs, one for each of the {count} hyperplanes", subject))
+            if wanted == "where" and cell.signs is not None:
+                problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
+    for k, element in enumerate(system.nonlinearities or []):
+        for state in element.into:
+            if state not in system.states:
+                subject = ("system", "nonlinearities", k, "into", state)
+                problems.append((f"nonlinearity '{element.name}': '{state}' is no state", subject))
+    return [Problem(message=message, subject=subject) for message, subject in problems]
+
+
+def _reference_problems(file: SpecFile) -> list[Problem]:
+    """Check that there is one reference, of the kind that is tracked."""
+    reference, tracking = file.reference, file.design.tracking
+    given = [kind for kind in ("output", "state", "input", "setpoint") if getattr(reference, kind) is not None]
+    fitting = ["output"] if tracking == "output" else ["state", "input", "setpoint"]
+    problems = []
+    if len(given) != 1 or given[0] not in fitting:
+        found = " and ".join(given) or "nothing"
+        message = f"{tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
+        problems.append(Problem(message=message, subject=("reference",)))
+    if reference.start is not None and reference.input is None:
+        problems.append(Problem(message="start goes with a reference 'input' only", subject=("reference", "start")))
+    if reference.input is not None and reference.start is None:
+        message = "reference.start is missing: x_d(0), or 'periodic'"
+        problems.append(Problem(message=message, subject=("reference",)))
+    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.outputs):
+        message = f"setpoint must give every output: {', '.join(file.system.outputs)}"
+        problems.append(Problem(message=message, subject=("reference", "setpoint")))
+    return problems
 
 
 def _optional(values: Any) -> Array | None:

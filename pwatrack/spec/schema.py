@@ -1,5 +1,6 @@
 """The sections of a spec file as pydantic models: structure, numbers and shapes."""
 
+import keyword
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +18,19 @@ from pydantic import (
 
 from pwatrack.errors import Problem, Subject
 from pwatrack.lmi.inequality import Solver
-from pwatrack.spec.expression import RESERVED, LinearForm, inequalities, number
+from pwatrack.model.nonlinearity import (
+    PiecewiseLinear,
+    absolute,
+    dead_zone,
+    piecewise_linear,
+    saturation,
+    spring,
+)
+from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number
+
+_LARGEST = 1e60  # products of a few entries stay finite
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -40,7 +53,29 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
         return value
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
-    return number(value, info.context.parameters)
+    result = number(value, info.context.parameters)
+    if abs(result) > _LARGEST:
+        raise ValueError(f"{result:g} is larger than {_LARGEST:g}")
+    return result
+
+
+def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
+    if not isinstance(value, str):
+        raise ValueError("a linear form of the states such as 'z2 - z1' is expected")
+    form = linear_form(value, info.context.states, info.context.parameters)
+    if not form.row.any():
+        raise ValueError(f"'{value}' does not depend on any state")
+    return form
+
+
+def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
+    if not isinstance(value, str):
+        raise ValueError("an expression in t is expected")
+    return formula(value, info.context.parameters)
+
+
+def _as_course(value: Any) -> Any:
+    return {"formula": value} if isinstance(value, str) else value
 
 
 def _positive(value: float) -> float:
@@ -57,9 +92,12 @@ def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]
 
 def _name(value: str) -> str:
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", value):
-        raise ValueError(f"'{value}' is not a name: use letters, digits and _, not starting with a digit")
-    if value in RESERVED:
-        raise ValueError(f"'{value}' is the name of a constant or function")
+        shown = value if len(value) <= 40 else value[:40] + "…"
+        raise ValueError(f"'{shown}' is not a name: use letters, digits and _, not starting with a digit")
+    if len(value) > _LONGEST_NAME:
+        raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_NAME} are read")
+    if value in RESERVED or keyword.iskeyword(value):
+        raise ValueError(f"'{value}' has a meaning of its own in expressions: choose another name")
     return value
 
 
@@ -79,6 +117,7 @@ def _listed(value: Any) -> Any:
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[Number, AfterValidator(_positive)]
 Name = Annotated[str, AfterValidator(_name)]
+Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
 Vector = list[Number]
 Rows = list[list[Number]]
@@ -91,16 +130,105 @@ class Section(BaseModel):
 
 
 class CellSection(Section):
-    """One cell: where it is, and A, b there."""
+    """One cell: where it is, and A, b there. A cell has no B of its own in class (1)."""
 
     name: str
-    where: list[Annotated[list[LinearForm], PlainValidator(_inequalities)]] = []
+    where: list[Annotated[list[LinearForm], PlainValidator(_inequalities)]] | None = None
+    signs: list[Literal["+", "-", "0"]] | None = None
     A: Rows
     b: Vector | None = None
+    B: Rows | None = None
+
+
+class HyperplaneSection(Section):
+    """The set H x + h = 0."""
+
+    H: Vector
+    h: Number = 0.0
+
+
+class ElementSection(Section):
+    """What all scalar nonlinearities have: s = of, and d(state)/dt += factor φ(s) for each state in `into`."""
+
+    name: str
+    of: Annotated[LinearForm, PlainValidator(_form)]
+    into: Annotated[dict[str, Number], Field(min_length=1)]
+
+
+class DeadZoneSection(ElementSection):
+    """φ = 0 in [lower, upper], lines outside."""
+
+    kind: Literal["dead_zone"]
+    lower: Number
+    upper: Number
+    slope: Number = 1.0
+    lower_slope: Number | None = None
+    upper_slope: Number | None = None
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ."""
+        left = self.slope if self.lower_slope is None else self.lower_slope
+        right = self.slope if self.upper_slope is None else self.upper_slope
+        return dead_zone(lower=self.lower, upper=self.upper, lower_slope=left, upper_slope=right)
+
+
+class SaturationSection(ElementSection):
+    """φ(s) = slope · clip(s, lower, upper)."""
+
+    kind: Literal["saturation"]
+    lower: Number
+    upper: Number
+    slope: Number = 1.0
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ."""
+        return saturation(lower=self.lower, upper=self.upper, slope=self.slope)
+
+
+class SpringSection(ElementSection):
+    """φ(s) = slope · max(0, s − start)."""
+
+    kind: Literal["spring"]
+    start: Number = 0.0
+    slope: Number = 1.0
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ."""
+        return spring(start=self.start, slope=self.slope)
+
+
+class AbsoluteSection(ElementSection):
+    """φ(s) = slope · |s|."""
+
+    kind: Literal["absolute"]
+    slope: Number = 1.0
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ."""
+        return absolute(slope=self.slope)
+
+
+class PiecewiseLinearSection(ElementSection):
+    """φ with free breakpoints and slopes."""
+
+    kind: Literal["piecewise_linear"]
+    breakpoints: list[Number]
+    slopes: list[Number]
+    value: Number | None = None
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ."""
+        return piecewise_linear(breakpoints=self.breakpoints, slopes=self.slopes, value=self.value)
+
+
+Element = Annotated[
+    DeadZoneSection | SaturationSection | SpringSection | AbsoluteSection | PiecewiseLinearSection,
+    Field(discriminator="kind"),
+]
 
 
 class SystemSection(Section):
-    """The plant (1)."""
+    """The plant (1), with cells, or with one A and b and scalar nonlinearities."""
 
     states: Names
     inputs: Names
@@ -108,7 +236,11 @@ class SystemSection(Section):
     units: dict[str, str] = {}
     B: Rows
     C: Rows
-    cells: Annotated[list[CellSection], Field(min_length=1)]
+    cells: Annotated[list[CellSection], Field(min_length=1)] | None = None
+    hyperplanes: list[HyperplaneSection] | None = None
+    A: Rows | None = None
+    b: Vector | None = None
+    nonlinearities: list[Element] | None = None
 
 
 class ControllerSection(Section):
@@ -126,7 +258,7 @@ class ObserverSection(Section):
 class DesignSection(Section):
     """What to design."""
 
-    tracking: Literal["output"] = "output"
+    tracking: Literal["output", "state"] = "output"
     controller: ControllerSection = ControllerSection()
     observer: ObserverSection = ObserverSection()
     solver: Solver = "clarabel"
@@ -140,17 +272,66 @@ class SineSection(Section):
     phase: Number = 0.0
 
 
-class OutputReferenceSection(Section):
-    """y_d(t) = constant + sum of sinusoids."""
+class StepSection(Section):
+    """From one value to another at a time (s), rounded over `smooth` (s)."""
+
+    before: Number = 0.0
+    after: Number
+    at: Number
+    smooth: Positive | None = None
+
+
+class TrapezoidSection(Section):
+    """Rise from low to high, hold, fall, rest, and again; times in s, corners rounded over `smooth`."""
+
+    low: Number = 0.0
+    high: Number
+    start: Number = 0.0
+    rise: Positive
+    hold: Number = 0.0
+    fall: Positive
+    rest: Number = 0.0
+    smooth: Positive | None = None
+
+
+class PolylineSection(Section):
+    """Straight lines through points (t in s, y), corners rounded over `smooth`; constant before and after."""
+
+    points: Annotated[list[list[Number]], Field(min_length=1)]
+    smooth: Positive | None = None
+
+
+class TableSection(Section):
+    """A CSV file with a header: column t (s) and the signal's column, joined by a spline."""
+
+    file: str
+    column: str | None = None
+
+
+class CourseSection(Section):
+    """A signal of time: the sum of everything that is given."""
 
     constant: Number = 0.0
     sine: Annotated[list[SineSection], BeforeValidator(_listed)] = []
+    formula: Time | None = None
+    until: Positive | None = None
+    step: Annotated[list[StepSection], BeforeValidator(_listed)] = []
+    trapezoid: TrapezoidSection | None = None
+    polyline: PolylineSection | None = None
+    table: TableSection | None = None
+
+
+Signal = Annotated[CourseSection, BeforeValidator(_as_course)]
 
 
 class ReferenceSection(Section):
-    """What to track."""
+    """What to track: an output, or for state tracking one of state, input, setpoint."""
 
-    output: OutputReferenceSection
+    output: Signal | None = None
+    state: list[Signal] | None = None
+    input: list[Signal] | None = None
+    start: Vector | Literal["periodic"] | None = None
+    setpoint: dict[str, Number] | None = None
 
 
 class InitialSection(Section):
@@ -198,6 +379,11 @@ class SpecFile(Section):
 _SHAPES: dict[Subject, tuple[str, ...]] = {
     ("system", "B"): ("states", "inputs"),
     ("system", "C"): ("outputs", "states"),
+    ("system", "A"): ("states", "states"),
+    ("system", "b"): ("states",),
+    ("reference", "state"): ("states",),
+    ("reference", "input"): ("inputs",),
+    ("reference", "start"): ("states",),
     ("design", "controller", "K"): ("inputs", "states"),
     ("design", "observer", "L"): ("states", "outputs"),
     ("simulation", "initial", "plant"): ("states",),
@@ -215,6 +401,10 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     for k in range(len(cells) if isinstance(cells, list) else 0):
         shapes["system", "cells", k, "A"] = ("states", "states")
         shapes["system", "cells", k, "b"] = ("states",)
+        shapes["system", "cells", k, "B"] = ("states", "inputs")
+    hyperplanes = _at(data, ("system", "hyperplanes"))
+    for k in range(len(hyperplanes) if isinstance(hyperplanes, list) else 0):
+        shapes["system", "hyperplanes", k, "H"] = ("states",)
     problems = []
     for subject, axes in shapes.items():
         for where, entries, axis in _axes(_at(data, subject), subject, axes):

@@ -5,15 +5,18 @@ Every scalar stays text, so YAML's guesses (`no` is False, `010` is 8,
 expression reader makes of the text. Anchors, aliases and tags are refused.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
+from yaml.reader import Reader
 
 from pwatrack.errors import InvalidSpec, Place, Problem, Subject
 
+_USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
 _DEEPEST = 20
-_LONGEST = 16 * 2**20  # bytes
+_LONGEST = 2**20  # characters
 _Node = (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -48,14 +51,14 @@ def parse_yaml(text: str, file: str) -> Document:
         {'a': ['1e-3', 'no']}
     """
     if len(text) > _LONGEST:
-        raise InvalidSpec(
-            Problem(
-                message=f"the file has {len(text)} characters, at most {_LONGEST} are read",
-                place=Place(file, 1, 1),
-            )
-        )
+        message = f"the file has {len(text)} characters, at most {_LONGEST} are read"
+        raise InvalidSpec(Problem(message=message, place=Place(file, 1, 1)))
+    control = Reader.NON_PRINTABLE.search(text)
+    if control:
+        message = f"not valid YAML: character {ord(control.group()):#06x} is not allowed"
+        raise InvalidSpec(Problem(message=message, place=_place_in(text, control.start(), file)))
     try:
-        events = list(yaml.parse(text, Loader=_Loader))
+        return _Builder(file).build(yaml.parse(text, Loader=_Loader))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = Place(file, mark.line + 1, mark.column + 1) if mark else Place(file, 1, 1)
@@ -64,7 +67,11 @@ def parse_yaml(text: str, file: str) -> Document:
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=Place(file, 1, 1))) from None
-    return _Builder(file).build(events)
+
+
+def _place_in(text: str, position: int, file: str) -> Place:
+    before = text[:position]
+    return Place(file, before.count("\n") + 1, position - before.rfind("\n"))
 
 
 class _Builder:
@@ -74,7 +81,7 @@ class _Builder:
         self.document = Document(data={}, places={})
         self.file = file
 
-    def build(self, events: list[Any]) -> Document:
+    def build(self, events: Iterable[Any]) -> Document:
         root: list[Any] = []
         stack: list[tuple[Any, Subject]] = [(root, ())]
         key: list[str | None] = [None]
@@ -82,17 +89,15 @@ class _Builder:
             if isinstance(event, yaml.DocumentStartEvent) and root:
                 self._stop(event, "a second document starts here; a spec is one document")
             if isinstance(event, yaml.AliasEvent):
-                self._stop(
-                    event,
-                    f"alias '*{event.anchor}': anchors and aliases are not supported",
-                    "give the value a name under 'parameters' and use it in expressions",
-                )
+                self._stop(event, f"alias '*{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
             if isinstance(event, yaml.CollectionEndEvent):
                 stack.pop()
                 key.pop()
                 continue
             if not isinstance(event, _Node):
                 continue
+            if event.anchor:
+                self._stop(event, f"anchor '&{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
             if event.tag and not _plain_tag(event):
                 self._stop(event, f"tag '{event.tag}': tags are not supported")
             container, path = stack[-1]

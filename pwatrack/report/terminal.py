@@ -1,12 +1,23 @@
-"""A refusal -> its messages on stderr and its exit code."""
+"""The terminal: consoles that print text as it is, and refusals with their exit codes."""
 
+import io
 import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from rich.console import Console
+
 from pwatrack.errors import ExitCode, PwatrackError
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console that reads no markup in names and never fails on a letter it cannot print."""
+    stream = sys.stderr if stderr else sys.stdout
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="replace")
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
 
 
 @contextmanager
@@ -16,15 +27,16 @@ def refusals() -> Iterator[None]:
     Raises:
         SystemExit: With the code of the refusal, or 1 for an exception that is none.
     """
+    errors = console(stderr=True)
     try:
         yield
     except PwatrackError as error:
         for problem in error.problems:
-            print(f"error: {problem}", file=sys.stderr)
+            errors.print(f"error: {problem}", soft_wrap=True)
         raise SystemExit(int(error.code)) from None
     except Exception as error:  # whatever else comes is a bug of ours, said without a traceback
         where = traceback.extract_tb(error.__traceback__)[-1]
         place = f"{Path(where.filename).name}:{where.lineno}"
-        print(f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})", file=sys.stderr)
-        print("  hint: please report it together with the spec", file=sys.stderr)
+        errors.print(f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})", soft_wrap=True)
+        errors.print("  hint: please report it together with the spec")
         raise SystemExit(int(ExitCode.BUG)) from None

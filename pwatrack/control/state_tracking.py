@@ -1,0 +1,142 @@
+"""Assumption 1: a desired state trajectory x_d(t) and a feedforward u_ff(t) that satisfy (3)."""
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.errors import OutsideTheory, Problem, Subject
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem, exosystem
+
+_REALISABLE = 1e-9  # of the size of the terms of (3)
+_CHECKS = 20_000  # times at which (3) is checked
+
+
+def state_trajectory(plant: PWASystem, x_d: Exosystem, *, horizon: float, subject: Subject = ()) -> DesiredTrajectory:
+    """Return the trajectory for x_d in closed form, with u_ff solved from (3): B u_ff = ẋ_d − A_i x_d − b_i.
+
+    Args:
+        plant: The system (1).
+        x_d: One signal per state.
+        horizon: Up to when (3) is checked, in s.
+        subject: What in the description a refusal is about.
+
+    Raises:
+        OutsideTheory: If no u_ff satisfies (3): worst time, state equation and size.
+    """
+    cells, n = plant.A.shape[:2]
+    s = len(x_d.w0)
+    Q, Q_rate = x_d.derivative_rows(1)
+    needed = np.concatenate([Q_rate - plant.A @ Q, -plant.b[:, :, None]], axis=2)  # B u_ff, on (w, 1)
+    pseudo = np.linalg.pinv(plant.B)
+    trajectory = DesiredTrajectory(
+        exosystem=x_d,
+        names=(),
+        to_eta=np.zeros((0, n)),
+        eta_offset=np.zeros(0),
+        rate=np.zeros((cells, 0, s + 1)),
+        x_d=np.hstack([Q, np.zeros((n, 1))]),
+        u_ff=pseudo @ needed,
+    )
+    unreached = needed - plant.B @ trajectory.u_ff
+    times = np.linspace(0.0, horizon, _CHECKS + 1)
+    w = _states(x_d, times)
+    cell = np.array([plant.partition.locate(x) for x in w[:, :-1] @ Q.T])
+    residual = np.einsum("tij,tj->ti", unreached[cell], w)
+    scale = np.einsum("tij,tj->ti", np.abs(Q_rate)[None] + np.abs(plant.A[cell]) @ np.abs(Q), np.abs(w[:, :-1]))
+    scale = scale.max() + np.abs(plant.b).max()
+    worst = np.unravel_index(np.argmax(np.abs(residual)), residual.shape)
+    if np.abs(residual[worst]) > _REALISABLE * scale:
+        raise OutsideTheory(
+            Problem(
+                message=f"x_d is not realisable: at t = {times[worst[0]]:.6g} s no input satisfies the equation of "
+                f"state '{plant.states[worst[1]]}' in (3); {abs(residual[worst]):.4g} is left over",
+                subject=subject,
+                hint="a state that the input does not drive directly must follow from the others",
+            )
+        )
+    return trajectory
+
+
+def input_trajectory(plant: PWASystem, u_ff: Exosystem, start: Array | None) -> DesiredTrajectory:
+    """Return the trajectory for a given u_ff: x_d is the plant's own solution, from x_d(0) = start."""
+    cells, n = plant.A.shape[:2]
+    s = len(u_ff.w0)
+    eye = np.hstack([np.eye(n), np.zeros((n, s + 1))])
+    rate = np.zeros((cells, n, n + s + 1))
+    rate[:, :, :n], rate[:, :, n : n + s], rate[:, :, -1] = plant.A, plant.B @ u_ff.Q, plant.b
+    inputs = np.zeros((plant.B.shape[1], n + s + 1))
+    inputs[:, n : n + s] = u_ff.Q
+    return DesiredTrajectory(
+        exosystem=u_ff,
+        names=plant.states,
+        to_eta=np.eye(n),
+        eta_offset=np.zeros(n),
+        rate=rate,
+        x_d=eye,
+        u_ff=np.broadcast_to(inputs, (cells, *inputs.shape)),
+        eta0=start,
+    )
+
+
+def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTrajectory:
+    """Return the constant trajectory with C x_d = y: A_i x_d + b_i + B u_ff = 0 with x_d in cell i.
+
+    Raises:
+        OutsideTheory: If no cell holds such an equilibrium.
+    """
+    n, m, q = plant.A.shape[1], plant.B.shape[1], plant.C.shape[0]
+    misses = []
+    for i, name in enumerate(plant.cell_names):
+        left = np.block([[plant.A[i], plant.B], [plant.C, np.zeros((q, m))]])
+        right = np.concatenate([-plant.b[i], y])
+        solution = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+        x_d, u_ff = solution[:n], solution[n:]
+        scale = np.abs(left) @ np.abs(solution) + np.abs(right)
+        if (np.abs(left @ solution - right) > 1e-9 * scale.max()).any():
+            misses.append(f"none at all in cell '{name}'")
+            continue
+        inside = plant.partition.signs[i] * (plant.partition.H @ x_d + plant.partition.h)
+        size = np.abs(plant.partition.H) @ np.abs(x_d) + np.abs(plant.partition.h)
+        if (inside >= -1e-12 * size).all():
+            return _constant(plant, x_d, u_ff)
+        misses.append(f"that of cell '{name}' lies outside it by {-inside.min():.4g}")
+    raise OutsideTheory(
+        Problem(
+            message="no equilibrium has the wanted outputs: " + "; ".join(misses),
+            subject=subject,
+            hint="choose a set-point that the plant can rest at",
+        )
+    )
+
+
+def _constant(plant: PWASystem, x_d: Array, u_ff: Array) -> DesiredTrajectory:
+    cells, n = plant.A.shape[:2]
+    return DesiredTrajectory(
+        exosystem=exosystem([]),
+        names=(),
+        to_eta=np.zeros((0, n)),
+        eta_offset=np.zeros(0),
+        rate=np.zeros((cells, 0, 1)),
+        x_d=readonly(x_d[:, None]),
+        u_ff=np.broadcast_to(u_ff[:, None], (cells, len(u_ff), 1)),
+    )
+
+
+def _states(system: Exosystem, times: Array) -> Array:
+    """Return (w, 1) at evenly spaced times, (T, p + 1)."""
+    from scipy.linalg import expm
+
+    step, now, pending = expm(system.S * (times[1] - times[0])), 0.0, list(system.resets)
+    w = system.w0.copy()
+    rows = []
+    for t in times:
+        while pending and pending[0].t <= t:
+            reset = pending.pop(0)
+            w = expm(system.S * (reset.t - now)) @ w
+            w[reset.where], now = reset.w, reset.t
+        if t > now:
+            w = (step if np.isclose(t - now, times[1], rtol=1e-12) else expm(system.S * (t - now))) @ w
+            now = t
+        rows.append(np.append(w, 1.0))
+    return np.array(rows)

@@ -1,0 +1,375 @@
+"""Signals of time whose derivatives are exact: piecewise sums of p(t) e^{λt}."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb, factorial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PPoly, make_interp_spline
+
+from pwatrack.arrays import Array
+
+ComplexArray = NDArray[np.complex128]
+_SAME = 1e-12  # relative distance below which two exponents λ are one
+
+
+class NotRepresentable(ValueError):
+    """An operation leads out of the class of signals or forms."""
+
+
+@dataclass(frozen=True)
+class ExponentialPolynomial:
+    """Σ_λ (c_λ0 + c_λ1 t + …) e^{λt}, real valued: λ comes with its conjugate.
+
+    The class is closed under sums, products and differentiation, and holds
+    constants, polynomials, sines, cosines and exponentials of linear arguments.
+
+    Attributes:
+        terms: Coefficients c_λ by λ.
+
+    Example:
+        >>> t = ExponentialPolynomial.time()
+        >>> wave = (3 * t).sin() * (3 * t).sin()
+        >>> round(wave(0.5), 6)
+        0.994996
+    """
+
+    terms: Mapping[complex, ComplexArray]
+
+    @classmethod
+    def constant(cls, value: float) -> "ExponentialPolynomial":
+        """Return the signal that is `value` at all times."""
+        return cls.polynomial([value])
+
+    @classmethod
+    def time(cls) -> "ExponentialPolynomial":
+        """Return the signal t."""
+        return cls.polynomial([0.0, 1.0])
+
+    @classmethod
+    def polynomial(cls, coefficients: Sequence[float] | Array) -> "ExponentialPolynomial":
+        """Return coefficients[0] + coefficients[1] t + …."""
+        return cls({0j: np.array(coefficients, dtype=np.complex128)})
+
+    def __call__(self, t: float) -> float:
+        """Return the value at time t."""
+        total = sum(np.polyval(c[::-1], t) * np.exp(rate * t) for rate, c in self.terms.items())
+        return float(np.real(total))
+
+    def __add__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
+        """Return the sum."""
+        terms = dict(self.terms)
+        for rate, c in _lift(other).terms.items():
+            _accumulate(terms, rate, c)
+        return ExponentialPolynomial(terms)
+
+    def __mul__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
+        """Return the product."""
+        terms: dict[complex, ComplexArray] = {}
+        for one, c in self.terms.items():
+            for two, d in _lift(other).terms.items():
+                _accumulate(terms, one + two, np.convolve(c, d))
+        return ExponentialPolynomial(terms)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> "ExponentialPolynomial":
+        """Return the negative."""
+        return self * -1.0
+
+    def __sub__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
+        """Return the difference."""
+        return self + -other
+
+    def __rsub__(self, other: float) -> "ExponentialPolynomial":
+        """Return the difference."""
+        return -self + other
+
+    def __truediv__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
+        """Return the quotient by a number."""
+        if isinstance(other, ExponentialPolynomial):
+            raise NotRepresentable("divides by a function of t")
+        return self * (1.0 / other)
+
+    def __rtruediv__(self, other: float) -> "ExponentialPolynomial":
+        """Refuse: 1/t has no exact exosystem."""
+        raise NotRepresentable("divides by a function of t")
+
+    def __pow__(self, exponent: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
+        """Return a power with a whole exponent from 0 to 20."""
+        if isinstance(exponent, ExponentialPolynomial) or exponent not in range(21):
+            raise NotRepresentable("has an exponent that is not a whole number from 0 to 20")
+        result = ExponentialPolynomial.constant(1.0)
+        for _ in range(int(exponent)):
+            result = result * self
+        return result
+
+    def __rpow__(self, base: float) -> "ExponentialPolynomial":
+        """Return a power of a positive number, base^(a t + b)."""
+        if base <= 0:
+            raise NotRepresentable("is a power of a number that is not positive")
+        return (self * float(np.log(base))).exp()
+
+    def exp(self) -> "ExponentialPolynomial":
+        """Return e^(a t + b)."""
+        slope, start = self._line("exp")
+        return ExponentialPolynomial({complex(slope): np.array([np.exp(start)], dtype=np.complex128)})
+
+    def sin(self) -> "ExponentialPolynomial":
+        """Return the sine of a t + b."""
+        slope, start = self._line("sin")
+        return _wave(slope, start - np.pi / 2)
+
+    def cos(self) -> "ExponentialPolynomial":
+        """Return the cosine of a t + b."""
+        return _wave(*self._line("cos"))
+
+    def derivative(self) -> "ExponentialPolynomial":
+        """Return the derivative with respect to t."""
+        terms: dict[complex, ComplexArray] = {}
+        for rate, c in self.terms.items():
+            shifted = np.append(c[1:] * np.arange(1, len(c)), 0.0)
+            terms[rate] = rate * c + shifted
+        return ExponentialPolynomial(terms)
+
+    def delayed(self, delay: float) -> "ExponentialPolynomial":
+        """Return the signal t ↦ self(t + delay)."""
+        terms = {}
+        for rate, c in self.terms.items():
+            moved = [
+                sum(c[k] * comb(k, j) * delay ** (k - j) for k in range(j, len(c))) * np.exp(rate * delay)
+                for j in range(len(c))
+            ]
+            terms[rate] = np.array(moved, dtype=np.complex128)
+        return ExponentialPolynomial(terms)
+
+    def unbounded_term(self) -> str:
+        """Say which term grows without bound as t → ∞, or '' if none does."""
+        for rate, c in self.terms.items():
+            degree = max((k for k in range(len(c)) if abs(c[k]) > 0), default=-1)
+            if degree >= 0 and (rate.real > 0 or (rate.real == 0 and degree > 0)):
+                return f"a term like exp({rate.real:.4g}*t)" if rate.real > 0 else f"a term like t**{degree}"
+        return ""
+
+    def _line(self, function: str) -> tuple[float, float]:
+        if set(self.terms) - {0j} or len(np.trim_zeros(self.terms[0j], "b")) > 2:
+            raise NotRepresentable(f"is {function} of something that is not linear in t")
+        start, slope = np.append(np.trim_zeros(self.terms[0j], "b"), [0.0, 0.0])[:2].real
+        return float(slope), float(start)
+
+
+def _lift(value: "ExponentialPolynomial | float") -> ExponentialPolynomial:
+    return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)
+
+
+def _wave(slope: float, phase: float) -> ExponentialPolynomial:
+    """Return cos(slope t + phase)."""
+    if slope == 0:
+        return ExponentialPolynomial.constant(float(np.cos(phase)))
+    half = np.array([np.exp(1j * phase) / 2])
+    return ExponentialPolynomial({1j * slope: half, -1j * slope: half.conj()})
+
+
+def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArray) -> None:
+    for known in terms:
+        if abs(known - rate) <= _SAME * max(abs(known), abs(rate)):
+            rate = known
+            break
+    before = terms.get(rate, np.zeros(0, dtype=np.complex128))
+    length = max(len(before), len(c))
+    terms[rate] = np.pad(before, (0, length - len(before))) + np.pad(c, (0, length - len(c)))
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal made of pieces, each an exponential polynomial of the time since its start.
+
+    Attributes:
+        starts: Increasing, the first is 0, in s.
+        pieces: One per start.
+        end: Last time at which it is defined, or None if it goes on for ever.
+
+    Example:
+        >>> ramp = Signal((0.0, 2.0), (ExponentialPolynomial.time(), ExponentialPolynomial.constant(2.0)))
+        >>> ramp(1.5), ramp(7.0), ramp(1.5, derivative=1)
+        (1.5, 2.0, 1.0)
+    """
+
+    starts: tuple[float, ...]
+    pieces: tuple[ExponentialPolynomial, ...]
+    end: float | None = None
+
+    @classmethod
+    def of(cls, formula: ExponentialPolynomial | float) -> "Signal":
+        """Return the signal with one formula at all times."""
+        return cls((0.0,), (_lift(formula),))
+
+    @classmethod
+    def piecewise_polynomial(cls, pieces: PPoly, end: float | None = None) -> "Signal":
+        """Return a piecewise polynomial of scipy, from its first break on."""
+        coefficients = pieces.c[::-1].T  # rising powers, one row per piece
+        formulas = tuple(ExponentialPolynomial.polynomial(row) for row in coefficients)
+        return cls(tuple(float(x) for x in pieces.x[:-1]), formulas, end)
+
+    def __call__(self, t: float, derivative: int = 0) -> float:
+        """Return a derivative at time t, from the right at a break."""
+        k = max(0, int(np.searchsorted(self.starts, t, side="right")) - 1)
+        piece = self.pieces[k]
+        for _ in range(derivative):
+            piece = piece.derivative()
+        return piece(t - self.starts[k])
+
+    def __add__(self, other: "Signal") -> "Signal":
+        """Return the sum."""
+        starts = tuple(sorted({*self.starts, *other.starts}))
+        pieces = tuple(self._from(t) + other._from(t) for t in starts)
+        ends = [end for end in (self.end, other.end) if end is not None]
+        return Signal(starts, pieces, min(ends, default=None))
+
+    def jump(self, order: int) -> tuple[float, float] | None:
+        """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
+
+        Sizes within 1e-9 of the derivative's own size are rounding.
+        """
+        worst, where, scale = 0.0, 0.0, 0.0
+        for k in range(1, len(self.starts)):
+            before, after = self.pieces[k - 1], self.pieces[k]
+            for _ in range(order):
+                before, after = before.derivative(), after.derivative()
+            span = self.starts[k] - self.starts[k - 1]
+            left, right = before(span), after(0.0)
+            scale = max(scale, abs(left), abs(right), abs(before(span / 2)))
+            if abs(right - left) > worst:
+                worst, where = abs(right - left), self.starts[k]
+        return (where, worst) if worst > 1e-9 * scale else None
+
+    def _from(self, t: float) -> ExponentialPolynomial:
+        k = max(0, int(np.searchsorted(self.starts, t, side="right")) - 1)
+        return self.pieces[k].delayed(t - self.starts[k]) if t != self.starts[k] else self.pieces[k]
+
+
+def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
+    """Return a piecewise linear course averaged `times` times over a moving window of width / times.
+
+    Every average adds one continuous derivative. A corner at t_j changes the
+    course only for |t − t_j| < width / 2, where a jump of the value becomes the
+    integral of a B-spline and a jump of the slope the integral of that.
+
+    Args:
+        corners: Of degree 0 or 1.
+        width: In s.
+        times: At least 1.
+    """
+    lines = np.vstack([np.zeros((2 - len(corners.c), corners.c.shape[1])), corners.c])  # slope, value
+    knots = corners.x[1:-1]
+    ends = lines[1, :-1] + lines[0, :-1] * np.diff(corners.x)[:-1]
+    jumps, kinks = lines[1, 1:] - ends, np.diff(lines[0])
+    edges = (np.arange(times + 1) / times - 0.5) * width
+    breaks = np.unique(np.concatenate([corners.x, (knots[:, None] + edges).ravel()]))
+    breaks = breaks[np.append(True, np.diff(breaks) > 1e-9 * width)]
+    pieces = np.zeros((times + 2, len(breaks) - 1))  # rising powers
+    for piece, (start, end) in enumerate(pairwise(breaks)):
+        middle = (start + end) / 2
+        own = int(np.clip(np.searchsorted(corners.x, middle) - 1, 0, lines.shape[1] - 1))
+        pieces[:2, piece] = lines[1, own] + lines[0, own] * (start - corners.x[own]), lines[0, own]
+        for j in np.flatnonzero(np.abs(knots - middle) < width / 2):
+            for jump, degree in ((jumps[j], 0), (kinks[j], 1)):
+                if jump:
+                    rounded = _rounded_power(degree, start - knots[j], middle - knots[j], edges, width)
+                    sharp = np.array([start - knots[j], 1.0] if degree else [1.0]) if middle > knots[j] else np.zeros(1)
+                    pieces[: len(rounded), piece] += jump * rounded
+                    pieces[: len(sharp), piece] -= jump * sharp
+    return PPoly(pieces[::-1], breaks)
+
+
+def _rounded_power(degree: int, start: float, middle: float, edges: Array, width: float) -> Array:
+    """Return max(0, t)^degree, averaged, about `start` as rising powers, on the piece that holds `middle`."""
+    times = len(edges) - 1
+    power = times + degree
+    total = np.zeros(power + 1)
+    for k in range(times + 1):
+        if edges[k] < middle:
+            weight = (-1) ** k * comb(times, k) * (times / width) ** times * factorial(degree) / factorial(power)
+            ahead = start - edges[k]
+            total += weight * np.array([comb(power, j) * ahead ** (power - j) for j in range(power + 1)])
+    return total
+
+
+def _local(pieces: PPoly, at: float) -> Array:
+    """Return the falling coefficients about `at` of the piece that holds it."""
+    k = int(np.clip(np.searchsorted(pieces.x, at, side="right") - 1, 0, len(pieces.x) - 2))
+    moved = ExponentialPolynomial.polynomial(pieces.c[::-1, k]).delayed(at - pieces.x[k])
+    result: Array = moved.terms[0j].real[::-1]
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given.
+
+    Attributes:
+        corners: The course, from well before t = 0.
+        continuous: Whether it is continuous; a step is not.
+        smooth: Width of the moving average, or None.
+        end: Last time at which it is defined, or None if it stays constant.
+    """
+
+    corners: PPoly
+    continuous: bool
+    smooth: float | None
+    end: float | None
+
+    def signal(self, r: int) -> Signal:
+        """Return the signal; with `smooth` it has r continuous derivatives."""
+        averages = r if self.continuous else r + 1
+        course = self.corners if self.smooth is None or not averages else smoothed(self.corners, self.smooth, averages)
+        first = max(0, int(np.searchsorted(course.x, 0.0, side="right")) - 1)
+        breaks = np.append(0.0, course.x[first + 1 :])
+        pieces = np.column_stack([_local(course, 0.0), course.c[:, first + 1 :]])
+        return Signal.piecewise_polynomial(PPoly(pieces, breaks), self.end)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed."""
+
+    t: Array
+    y: Array
+
+    def signal(self, r: int) -> Signal:
+        """Return the spline of odd degree ≥ r + 1."""
+        degree = max(3, r + 1 + r % 2)
+        spline = make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
+        course = PPoly.from_spline((spline.t, spline.c, spline.k))
+        inner = np.flatnonzero(np.diff(course.x) > 0)
+        return Signal.piecewise_polynomial(
+            PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), float(self.t[-1])
+        )
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula in t, on an interval from 0 or for ever."""
+
+    value: ExponentialPolynomial
+    until: float | None = None
+
+    def signal(self, r: int) -> Signal:  # noqa: ARG002 - it has all derivatives
+        """Return the signal."""
+        return Signal((0.0,), (self.value,), self.until)
+
+
+Course = Formula | Profile | Table
+
+
+def polyline(t: Sequence[float], y: Sequence[float]) -> PPoly:
+    """Return the piecewise linear course through (t_k, y_k).
+
+    Example:
+        >>> float(polyline([0.0, 2.0], [1.0, 3.0])(0.5))
+        1.5
+    """
+    times, values = np.array(t, dtype=np.float64), np.array(y, dtype=np.float64)
+    return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)

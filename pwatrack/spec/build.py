@@ -1,0 +1,230 @@
+"""Checked sections -> the plant (1) and the reference, as the model knows them."""
+
+import csv
+import itertools
+from pathlib import Path
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
+from pwatrack.model.cells import Partition
+from pwatrack.model.nonlinearity import Nonlinearity, generate_cells
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
+from pwatrack.model.signal import Course, ExponentialPolynomial, Formula, Profile, Table, polyline
+from pwatrack.spec.schema import (
+    CourseSection,
+    ReferenceSection,
+    StepSection,
+    SystemSection,
+    TableSection,
+    TrapezoidSection,
+)
+
+
+def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
+    """Return the plant from any of the three ways to write it.
+
+    Raises:
+        InvalidSpec: If a nonlinearity contradicts itself.
+        OutsideTheory: If it is not a continuous PWA system with one B.
+    """
+    _refuse_other_B(system)
+    if system.cells is None:
+        partition, A, b = _from_nonlinearities(system)
+    else:
+        cells = system.cells
+        partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
+        A = readonly([cell.A for cell in cells])
+        b = readonly([cell.b or np.zeros(len(system.states)) for cell in cells])
+    return PWASystem.create(
+        partition=partition,
+        A=A,
+        b=b,
+        B=system.B,
+        C=system.C,
+        states=system.states,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        tolerance=tolerance,
+    )
+
+
+def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder: Path, horizon: float) -> Reference:
+    """Return what is to be tracked.
+
+    Args:
+        section: The section of the file, with exactly one kind of reference.
+        outputs: Names of the outputs, for a set-point.
+        folder: Where table files are looked for.
+        horizon: Up to when a course that repeats is laid out, in s.
+
+    Raises:
+        InvalidSpec: If a table cannot be read, or a course ends before the horizon.
+    """
+    if section.output is not None:
+        return OutputReference(_courses(section.output, folder, horizon, ("reference", "output")))
+    if section.setpoint is not None:
+        return SetPoint(readonly([section.setpoint[name] for name in outputs]))
+    kind = "state" if section.state is not None else "input"
+    courses = tuple(
+        _courses(signal, folder, horizon, ("reference", kind, k)) for k, signal in enumerate(getattr(section, kind))
+    )
+    if kind == "state":
+        return StateReference(courses)
+    start = section.start
+    return InputReference(courses, None if start is None or start == "periodic" else readonly(start))
+
+
+def _refuse_other_B(system: SystemSection) -> None:
+    problems = [
+        Problem(
+            message=f"cell '{cell.name}' has an input matrix of its own: class (1) has one B for all cells; "
+            f"it differs by up to {np.abs(np.subtract(cell.B, system.B)).max():.4g}",
+            subject=("system", "cells", k, "B"),
+            hint="move what switches into the state, for example an actuator's own dynamics",
+        )
+        for k, cell in enumerate(system.cells or [])
+        if cell.B is not None and cell.B != system.B
+    ]
+    if problems:
+        raise OutsideTheory(*problems)
+
+
+def _from_inequalities(system: SystemSection) -> Partition:
+    cells = system.cells or []
+    forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
+    rows = [form.row for cell in forms for form in cell]
+    signs = np.zeros((len(forms), len(rows)), dtype=np.int64)
+    start = 0
+    for i, cell in enumerate(forms):
+        signs[i, start : start + len(cell)] = 1
+        start += len(cell)
+    return Partition.create(
+        H=np.array(rows).reshape(-1, len(system.states)),
+        h=[form.constant for cell in forms for form in cell],
+        signs=signs,
+        names=[cell.name for cell in cells],
+    )
+
+
+def _from_signs(system: SystemSection) -> Partition:
+    values = {"+": 1, "-": -1, "0": 0}
+    planes, cells = system.hyperplanes or [], system.cells or []
+    return Partition.create(
+        H=np.array([plane.H for plane in planes]).reshape(-1, len(system.states)),
+        h=[plane.h for plane in planes],
+        signs=[[values[sign] for sign in cell.signs or []] for cell in cells],
+        names=[cell.name for cell in cells],
+    )
+
+
+def _from_nonlinearities(system: SystemSection) -> tuple[Partition, Array, Array]:
+    n = len(system.states)
+    elements, problems = [], []
+    for k, section in enumerate(system.nonlinearities or []):
+        try:
+            function = section.function()
+        except ValueError as error:
+            subject: Subject = ("system", "nonlinearities", k)
+            problems.append(Problem(message=f"nonlinearity '{section.name}': {error}", subject=subject))
+            continue
+        direction = np.zeros(n)
+        for state, factor in section.into.items():
+            direction[system.states.index(state)] = factor
+        elements.append(
+            Nonlinearity(
+                name=section.name,
+                function=function,
+                row=section.of.row,
+                constant=section.of.constant,
+                direction=direction,
+            )
+        )
+    if problems:
+        raise InvalidSpec(*problems)
+    return generate_cells(np.array(system.A), np.array(system.b or np.zeros(n)), elements)
+
+
+def _courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:
+    t = ExponentialPolynomial.time()
+    steady = ExponentialPolynomial.constant(section.constant)
+    for sine in section.sine:
+        steady = steady + (t * sine.frequency + sine.phase).sin() * sine.amplitude
+    courses: list[Course] = [Formula(steady if section.formula is None else steady + section.formula, section.until)]
+    courses += [_step(step, horizon) for step in section.step]
+    if section.trapezoid:
+        courses.append(_trapezoid(section.trapezoid, horizon))
+    if section.polyline:
+        courses.append(_polyline(section.polyline.points, section.polyline.smooth, horizon, subject))
+    if section.table:
+        courses.append(_table(section.table, folder, (*subject, "table")))
+    for course in courses:
+        end = course.signal(0).end
+        if end is not None and end < horizon * (1 - 1e-12):
+            raise InvalidSpec(
+                Problem(
+                    message=f"the reference ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
+                    subject=subject,
+                    hint="shorten the simulation or lengthen the reference",
+                )
+            )
+    return tuple(courses)
+
+
+def _step(step: StepSection, horizon: float) -> Profile:
+    """Return a step as two constant pieces."""
+    from scipy.interpolate import PPoly
+
+    margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
+    corners = PPoly(np.array([[step.before, step.after]]), [-margin, step.at, margin + step.at])
+    return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
+
+
+def _trapezoid(shape: TrapezoidSection, horizon: float) -> Profile:
+    """Return the corners of as many trapezoids as the horizon holds."""
+    period = shape.rise + shape.hold + shape.fall + shape.rest
+    margin = 1.0 + (shape.smooth or 0.0)
+    times, values = [min(0.0, shape.start) - margin], [shape.low]
+    begin = shape.start
+    while begin < horizon + margin:
+        marks = np.cumsum([begin, shape.rise, shape.hold, shape.fall])
+        times += marks.tolist()
+        values += [shape.low, shape.high, shape.high, shape.low]
+        begin += period
+    times.append(times[-1] + margin + shape.rest)
+    values.append(shape.low)
+    kept = [k for k in range(len(times)) if k == 0 or times[k] > times[k - 1]]
+    course = polyline([times[k] for k in kept], [values[k] for k in kept])
+    return Profile(corners=course, continuous=True, smooth=shape.smooth, end=horizon)
+
+
+def _polyline(points: list[list[float]], smooth: float | None, horizon: float, subject: Subject) -> Profile:
+    times, values = [row[0] for row in points], [row[-1] for row in points]
+    if any(len(row) != 2 for row in points) or any(b <= a for a, b in itertools.pairwise(times)):
+        raise InvalidSpec(
+            Problem(message="points are pairs [t, y] with increasing t", subject=(*subject, "polyline", "points"))
+        )
+    margin = 1.0 + horizon + (smooth or 0.0)
+    course = polyline([times[0] - margin, *times, times[-1] + margin], [values[0], *values, values[-1]])
+    return Profile(corners=course, continuous=True, smooth=smooth, end=None)
+
+
+def _table(section: TableSection, folder: Path, subject: Subject) -> Table:
+    path = folder / section.file
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file, skipinitialspace=True))
+        columns = list(rows[0]) if rows else []
+        column = section.column or next((name for name in columns if name != "t"), "y")
+        values = np.array([[float(row["t"]), float(row[column])] for row in rows])
+    except OSError as error:
+        raise InvalidSpec(Problem(message=f"cannot read {path}: {error.strerror or error}", subject=subject)) from None
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"{path} is no table with a header 't, {section.column or 'y'}' and numbers: {error}"
+        raise InvalidSpec(Problem(message=message, subject=subject)) from None
+    if len(values) < 4 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any() or values[0, 0] > 0:
+        message = f"{path}: at least 4 rows of finite numbers are needed, t increasing from 0 or before"
+        raise InvalidSpec(Problem(message=message, subject=subject))
+    return Table(values[:, 0], values[:, 1])

@@ -1,0 +1,397 @@
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from typer.testing import Result as Run
+
+from pwatrack import design, load_spec, simulate
+from pwatrack.cli import app
+
+STIFF = ("--set", "k2=0.7", "--set", "k3=0.7")
+
+
+def call(*arguments: object) -> Run:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def refused(run: Run, code: int) -> str:
+    assert run.exit_code == code, run.output
+    assert run.stdout == ""
+    assert run.stderr.startswith("error: ")
+    assert "Traceback" not in run.output
+    return str(run.stderr)
+
+
+def shortened(source: Path, target: Path, *replacements: tuple[str, str]) -> Path:
+    """Copy a spec with 2 s of simulation and further replacements."""
+    text = source.read_text(encoding="utf-8")
+    for old, new in (("duration: 60", "duration: 2"), *replacements):
+        assert old in text
+        text = text.replace(old, new)
+    target.write_text(text, encoding="utf-8")
+    return target
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    return {p.name: p.read_bytes() if p.is_file() else None for p in folder.iterdir()}
+
+
+@pytest.fixture
+def spec(specs: Path, tmp_path: Path) -> Path:
+    return shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml")
+
+
+@pytest.fixture(scope="module")
+def simulated(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Run]:
+    """A spec, its run folder and how the run went."""
+    folder = tmp_path_factory.mktemp("simulated")
+    path = shortened(specs / "two_mass_paper_gains.yaml", folder / "plant.yaml")
+    return path, folder / "out", call("simulate", path, "--out", folder / "out")
+
+
+def test_check_says_what_the_plant_is(spec: Path) -> None:
+    run = call("check", spec)
+    assert run.exit_code == 0
+    assert "relative degree" in run.stdout
+    assert "zero dynamics in 'gap'" in run.stdout
+    assert run.stderr == ""
+
+
+def test_check_writes_no_file(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(spec.parent)
+    assert call("check", spec).exit_code == 0
+    assert set(contents(spec.parent)) == {spec.name}
+
+
+def test_simulate_ends_with_0_and_names_its_files_on_stdout(simulated: tuple[Path, Path, Run]) -> None:
+    _, out, run = simulated
+    assert run.exit_code == 0, run.output
+    assert "proved for all 3 cells" in run.stdout
+    assert all(name in run.stdout for name in contents(out))
+
+
+def test_the_folder_holds_what_the_index_names_and_no_stray_file(simulated: tuple[Path, Path, Run]) -> None:
+    _, out, _ = simulated
+    index = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert set(contents(out)) == {*index["files"], "run.json"}
+    assert {"gains.json", "certificate.json", "generator.json", "trace.csv", "events.csv"} < set(index["files"])
+    assert all((out / name).stat().st_size > 0 for name in index["files"])
+    assert index["spec_sha256"] == load_spec(simulated[0]).sha256
+
+
+def test_the_trace_read_back_has_every_bit_of_the_result_of_the_library(
+    simulated: tuple[Path, Path, Run],
+) -> None:
+    path, out, _ = simulated
+    response = simulate(load_spec(path)).response
+    with (out / "trace.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    read = dict(zip(header, np.array(rows).T, strict=True))
+    assert len(read) == len(header)
+    expected = {"t": response.t, "y": response.y, "y_d": response.y_d, "u": response.u, "u_ff": response.u_ff}
+    for k, state in enumerate(("z1", "v1", "z2", "v2")):
+        expected |= {state: response.x[:, k], f"{state}_hat": response.x_hat[:, k]}
+        expected |= {f"{state}_d": response.x_d[:, k]}
+    for k in range(response.eta_hat.shape[1]):
+        expected[f"eta_hat{k + 1}"] = response.eta_hat[:, k]
+    for name, signal in expected.items():
+        assert read[name].astype(float).tobytes() == np.ascontiguousarray(signal).tobytes(), name
+    cells = [read[f"cell_{part}"].astype(int) for part in ("plant", "observer", "generator")]
+    assert np.array_equal(np.transpose(cells), response.trace.modes)
+    assert set(header) == {*expected, "cell_plant", "cell_observer", "cell_generator"}
+
+
+def test_the_events_read_back_are_those_of_the_library(simulated: tuple[Path, Path, Run]) -> None:
+    path, out, _ = simulated
+    events = simulate(load_spec(path)).response.trace.events
+    with (out / "events.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows
+    assert {float(row["t"]) for row in rows} == {event.t for event in events}
+    assert {row["from_cell"] for row in rows} <= {"upper spring", "gap", "lower spring"}
+
+
+def test_the_gains_read_back_are_those_of_the_library(simulated: tuple[Path, Path, Run]) -> None:
+    path, out, _ = simulated
+    gains = json.loads((out / "gains.json").read_text(encoding="utf-8"))
+    found = design(load_spec(path)).design
+    assert (gains["K"], gains["L"]) == (found.K.tolist(), found.L.tolist())
+
+
+def test_the_columns_of_the_trace_have_different_names_whatever_the_states_are_called(
+    specs: Path, tmp_path: Path
+) -> None:
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("z1", "t"))
+    run = call("simulate", path, "--out", tmp_path / "out")
+    if run.exit_code != 2:
+        assert run.exit_code == 0
+        header = (tmp_path / "out" / "trace.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+        assert len(set(header)) == len(header)
+
+
+@pytest.mark.parametrize("command", ["check", "design", "simulate"])
+def test_an_invalid_spec_ends_with_2_and_every_error_on_a_line_of_its_own(
+    spec: Path, tmp_path: Path, command: str
+) -> None:
+    spec.write_text(spec.read_text(encoding="utf-8").replace("-k2/m1", "-q/m1").replace("sample_time: 0.01", ""))
+    out = () if command == "check" else ("--out", tmp_path / "out")
+    message = refused(call(command, spec, *out), 2)
+    assert len(re.findall(rf"^error: {re.escape(str(spec))}:\d+:\d+: ", message, re.MULTILINE)) == 2
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "design", "simulate"])
+def test_a_discontinuous_field_ends_with_3_and_its_place(specs: Path, tmp_path: Path, command: str) -> None:
+    out = () if command == "check" else ("--out", tmp_path / "out")
+    message = refused(call(command, specs / "refused" / "printed_A1.yaml", *out), 3)
+    assert re.match(r"error: .*printed_A1\.yaml:\d+:\d+: ", message)
+    assert "'gap'" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["printed_gains.yaml", "stiff_springs.yaml"])
+@pytest.mark.parametrize("command", ["design", "simulate"])
+def test_what_is_proved_infeasible_ends_with_4_and_its_place(
+    specs: Path, tmp_path: Path, command: str, name: str
+) -> None:
+    message = refused(call(command, specs / "refused" / name, "--out", tmp_path / "out"), 4)
+    assert re.match(rf"error: .*{name}:\d+:\d+: ", message)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_initial_state_of_the_generator_of_a_wrong_length_ends_with_2(specs: Path, tmp_path: Path) -> None:
+    path = shortened(
+        specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("generator: [0.2, 0]", "generator: [0.2]")
+    )
+    message = refused(call("simulate", path, "--out", tmp_path / "out"), 2)
+    assert "simulation.initial.generator: 1 entries, expected 2" in message.replace("1 entry", "1 entries")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["check", "missing.yaml"],
+        ["check", "."],
+        ["check"],
+        ["frobnicate"],
+        ["simulate", "missing.yaml", "--nope"],
+        ["batch", "missing"],
+        ["batch", ".", "--jobs", "0"],
+    ],
+)
+def test_a_wrong_command_line_ends_with_2_and_no_traceback(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = call(*arguments)
+    assert run.exit_code == 2
+    assert run.stderr
+    assert run.stdout == ""
+    assert "Traceback" not in run.output
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("text", ["k2", "=1", "k2=", "kk=1", "k2=no", "k2=0.3=4", "k2=__import__('os')", "pi=3"])
+def test_a_parameter_that_cannot_be_set_ends_with_2(spec: Path, text: str) -> None:
+    assert text.partition("=")[0] in refused(call("check", spec, "--set", text), 2)
+
+
+def test_an_unknown_solver_ends_with_2(spec: Path, tmp_path: Path) -> None:
+    run = call("design", spec, "--solver", "mosek", "--out", tmp_path / "out")
+    assert (run.exit_code, run.stdout) == (2, "")
+    assert all(name in run.stderr for name in ("mosek", "clarabel", "cvxopt"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run = call("design", spec, "--set", "k2=0.3", "--set", "k3 = k2", "--solver", "cvxopt", "--out", out)
+    assert run.exit_code == 0, run.output
+    index = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert (index["parameters"]["k2"], index["parameters"]["k3"], index["solver"]) == (0.3, 0.3, "cvxopt")
+
+
+def test_both_solvers_prove_the_example(specs: Path, tmp_path: Path) -> None:
+    for solver in ("clarabel", "cvxopt"):
+        run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path / solver)
+        assert run.exit_code == 0, run.output
+        index = json.loads((tmp_path / solver / "run.json").read_text(encoding="utf-8"))
+        assert index["figures"]["controller_rate"] > 0
+
+
+def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(spec.parent)
+    assert call("design", spec).exit_code == 0
+    assert (spec.parent / "runs" / "plant" / "gains.json").is_file()
+
+
+def test_a_refusal_leaves_the_results_of_an_earlier_run_as_they_were(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert call("design", spec, "--out", out).exit_code == 0
+    before = contents(out)
+    refused(call("design", spec, "--out", out, *STIFF), 4)
+    refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
+    assert contents(out) == before
+
+
+def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
+    simulated: tuple[Path, Path, Run], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for name, content in contents(simulated[1]).items():
+        (out / name).write_bytes(content or b"")
+    (out / "notes.txt").write_text("mine")
+    assert (out / "trace.csv").exists()
+    assert call("design", simulated[0], "--out", out).exit_code == 0
+    assert set(contents(out)) == {"gains.json", "certificate.json", "generator.json", "run.json", "notes.txt"}
+
+
+def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "sub").mkdir(parents=True)
+    (tmp_path / "precious.txt").write_text("mine")
+    (out / "run.json").write_text('{"files": ["../precious.txt", "sub", "..", ".", "", 3, null]}')
+    assert call("design", spec, "--out", out).exit_code == 0
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+    assert (out / "sub").is_dir()
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", "3", '{"files": 3}', "\udcff"])
+def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "run.json").write_bytes(content.encode("utf-8", "surrogateescape"))
+    assert call("design", spec, "--out", out).exit_code == 0
+    assert "gains.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["files"]
+
+
+@pytest.mark.parametrize("out", ["plant.yaml", "plant.yaml/below"])
+def test_a_folder_that_cannot_be_written_ends_with_2(spec: Path, out: str) -> None:
+    before = contents(spec.parent)
+    assert "cannot write results" in refused(call("design", spec, "--out", spec.parent / out), 2)
+    assert contents(spec.parent) == before
+
+
+@pytest.mark.parametrize(("error", "code"), [(OSError(28, "No space left on device"), 2), (ValueError("a fault"), 1)])
+def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, code: int
+) -> None:
+    def fail(result: object) -> None:
+        raise error
+
+    out = tmp_path / "out"
+    assert call("design", spec, "--out", out).exit_code == 0
+    before = contents(out)
+    monkeypatch.setattr("pwatrack.report.plots.draw", fail)
+    message = refused(call("simulate", spec, "--out", out), code)
+    assert str(error.args[-1]) in message
+    assert contents(out) == before
+
+
+def test_a_folder_that_stands_in_the_way_of_a_file_changes_no_other_file(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert call("design", spec, "--out", out).exit_code == 0
+    (out / "generator.json").unlink()
+    (out / "generator.json").mkdir()
+    before = contents(out)
+    refused(call("design", spec, "--out", out, "--set", "k2=0.3"), 2)
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("name", ["[/gap]", "[red]gap", "[k1]"])
+def test_a_name_with_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, name: str) -> None:
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("name: gap", f'name: "{name}"'))
+    run = call("check", path)
+    assert run.exit_code == 0, run.output
+    assert f"zero dynamics in '{name}'" in run.stdout
+
+
+@pytest.mark.parametrize("unit", ["[m]", "[/m]"])
+def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, unit: str) -> None:
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("y: m}", f'y: "{unit}"}}'))
+    run = call("simulate", path, "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    assert unit in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("name: Two", r"name: $\nope$ Two"),
+        ("name: gap", r"name: $\nope$"),
+        ("y: m}", r"y: $\nope$}"),
+        ("name: Two", "name: 二 Two"),
+    ],
+)
+def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
+    specs: Path, tmp_path: Path, old: str, new: str
+) -> None:
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", (old, new))
+    run = subprocess.run(
+        [sys.executable, "-m", "pwatrack", "simulate", path, "--out", tmp_path / "out"],
+        capture_output=True,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
+def test_a_terminal_that_cannot_print_greek_loses_no_result(spec: Path, tmp_path: Path, encoding: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "pwatrack", "design", spec, "--out", tmp_path / "out"],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == b""
+    assert b"proved for all 3 cells" in run.stdout
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["check", "--help"], ["simulate", "--help"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    run = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "pwatrack", *arguments],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=True,
+    )
+    imported = {line.rsplit("|", 1)[1].strip().split(".")[0] for line in run.stderr.splitlines() if "|" in line}
+    assert "pwatrack" in imported
+    assert imported & {"matplotlib", "picos", "scipy", "clarabel", "cvxopt", "numpy"} == set()
+
+
+@pytest.mark.parametrize("command", ["check", "design", "simulate", "batch"])
+def test_the_help_of_a_command_shows_an_example(command: str) -> None:
+    run = call(command, "--help")
+    assert run.exit_code == 0
+    assert f"Example: pwatrack {command}" in " ".join(run.stdout.split())
+
+
+def test_a_bug_is_said_on_a_line_with_exit_code_1(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("a fault")
+
+    monkeypatch.setattr("pwatrack.spec.load.load_spec", fail)
+    message = refused(call("check", spec), 1)
+    assert "bug" in message
+    assert "ZeroDivisionError: a fault" in message
+
+
+def test_the_module_passes_its_exit_code_to_the_shell(specs: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "pwatrack", "check", specs / "refused" / "printed_A1.yaml"],
+        capture_output=True,
+        check=False,
+    )
+    assert (run.returncode, run.stdout) == (3, b"")
+    assert b"Traceback" not in run.stderr
