@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pwatrack.control.controller import Controller as Controller
+    from pwatrack.errors import OutsideTheory as OutsideTheory
     from pwatrack.errors import PwatrackError as PwatrackError
     from pwatrack.model.cells import Partition as Partition
     from pwatrack.model.pwa import PWASystem as PWASystem
@@ -27,6 +28,7 @@ _HOME = {
     "Controller": "pwatrack.control.controller",
     "Partition": "pwatrack.model.cells",
     "PWASystem": "pwatrack.model.pwa",
+    "OutsideTheory": "pwatrack.errors",
     "PwatrackError": "pwatrack.errors",
     "Result": "pwatrack.pipeline",
     "Spec": "pwatrack.spec.load",

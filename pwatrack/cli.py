@@ -1,5 +1,6 @@
 """The command line: parse, call, print."""
 
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -51,15 +52,25 @@ def main(
 
 
 @app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")
-def check(spec_path: SpecPath, parameters: Set = None) -> None:
-    """Say what the plant is: cells, continuity, relative degree, zero dynamics."""
+def check(
+    spec_path: SpecPath,
+    parameters: Set = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
+) -> None:
+    """Say what the plant is and which theorems apply."""
     with refusals():
-        from pwatrack.model.normal_form import normal_form
-        from pwatrack.report.summary import print_plant
+        from pwatrack.control.applicability import applicability
+        from pwatrack.report import summary
 
         spec = _load(spec_path, parameters, None)
-        with spec.located():
-            print_plant(console(), spec, normal_form(spec.plant))
+        report = applicability(spec.plant)
+        if as_json:
+            typer.echo(json.dumps(summary.plant_json(spec.name, report), indent=2))
+        else:
+            summary.print_plant(console(), spec.name, report)
+        if spec.tracking == "output" and report.refusal is not None:
+            with spec.located():
+                raise report.refusal
 
 
 @app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3")

@@ -24,11 +24,12 @@ def springs(A: Array, b: Array, B: Array, C: Array, g: Array, h: Array, c: Array
     )
 
 
-def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2) -> PWASystem:
+def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2, strength: float = 1.0) -> PWASystem:
     """A random SISO plant of relative degree r whose tracking dynamics converge, in scrambled coordinates.
 
     In the coordinates (ξ, η) of (11) the springs act on the last of ξ and on η,
-    and A_η is far in the left half plane, so (17) holds.
+    and A_η is far in the left half plane, so (17) holds; springs of small strength
+    leave (8) and (9) as feasible as they are without springs.
     """
     random = np.random.default_rng(seed)
     k = min(k, n)  # in general position
@@ -36,7 +37,7 @@ def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2) -> PWASystem:
     A[: r - 1, 1:r] = np.eye(r - 1)
     A[r - 1 :] = random.normal(size=(n - r + 1, n))
     A[r:, r:] -= (np.linalg.norm(A[r:, r:], 2) + 2.0) * np.eye(n - r)
-    g = random.normal(size=(k, n))
+    g = strength * random.normal(size=(k, n))
     g[:, : r - 1] = 0.0
     g[:, r:] *= 0.2
     h = random.normal(size=(k, n))

@@ -227,8 +227,10 @@ def test_a_design_exists_in_any_units(length: float, time: float, force: float) 
     A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
     B = np.array([[0.0], [1.0]])
     d, s = np.array([length, length / time]), time
-    K = synthesis.stabilising_gain(A, B, claim="(8)", cells=CELLS[:2])
-    other = synthesis.stabilising_gain(s * A * d[:, None] / d, s * B * d[:, None] / force, claim="(8)", cells=CELLS[:2])
+    K, _ = synthesis.stabilising_gain(A, B, claim="(8)", cells=CELLS[:2])
+    other, _ = synthesis.stabilising_gain(
+        s * A * d[:, None] / d, s * B * d[:, None] / force, claim="(8)", cells=CELLS[:2]
+    )
     assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=1.0)
 
 

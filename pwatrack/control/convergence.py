@@ -13,12 +13,44 @@ from pwatrack.lmi.presolve import Scaling, distinct
 _STEPS = 12  # at most so many bisections of the rate
 
 
-def prove_convergence(
-    M: Array, *, claim: str, cells: Sequence[str], subject: Subject = (), solver: Solver = "clarabel"
-) -> Certificate:
-    """Prove M_i P + P M_iᵀ ≺ 0 for all cells, with the largest decay rate that bisection finds.
+def best_certificate(M: Array, *, solver: Solver = "clarabel") -> Certificate | None:
+    """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that bisection finds.
 
-    With M_i = A_iᵀ this is (7).
+    Args:
+        M: (l, n, n), with all eigenvalues in the open left half plane.
+        solver: Which interior-point solver to ask.
+
+    Returns:
+        The certificate, or None if no P was found that proves anything.
+    """
+    from pwatrack.lmi.picos_model import largest_margin
+
+    scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
+    matrices, _ = distinct(scaling.system(M))
+    best, trial, ceiling = None, 0.0, -float(np.linalg.eigvals(M).real.max())
+    for _ in range(_STEPS):
+        candidate = largest_margin(lyapunov(matrices, trial / scaling.speed), solver)
+        found = None if candidate is None else prove(M, scaling.matrix(candidate.P))
+        if found is None or found.rate < trial:
+            ceiling = min(ceiling, trial)
+        if found is not None and (best is None or found.rate > best.rate):
+            best = found
+        if best is None or ceiling - best.rate <= 1e-3 * ceiling:
+            break
+        trial = (best.rate + ceiling) / 2
+    return best
+
+
+def prove_convergence(
+    M: Array,
+    *,
+    claim: str,
+    cells: Sequence[str],
+    subject: Subject = (),
+    solver: Solver = "clarabel",
+    hint: str = "every cell needs all its eigenvalues in the open left half plane",
+) -> Certificate:
+    """Prove M_i P + P M_iᵀ ≺ 0 for all cells, or say why not. With M_i = A_iᵀ this is (7).
 
     Args:
         M: (l, n, n).
@@ -26,6 +58,7 @@ def prove_convergence(
         cells: Names of the l cells.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
+        hint: What to do where a cell is unstable by itself.
 
     Raises:
         Infeasible: If it is proved that no P exists.
@@ -38,28 +71,15 @@ def prove_convergence(
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
-    from pwatrack.lmi.picos_model import alternative, largest_margin
-
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
-    refuse_unstable(M, abscissa, claim, cells, subject)
-    scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
-    matrices, place = distinct(scaling.system(M))
-    best, trial, ceiling = None, 0.0, -float(abscissa.max())
-    for _ in range(_STEPS):
-        candidate = largest_margin(lyapunov(matrices, trial / scaling.speed), solver)
-        found = None if candidate is None else prove(M, scaling.matrix(candidate.P))
-        if found is None or found.rate < trial:
-            ceiling = min(ceiling, trial)
-        if found is not None and (best is None or found.rate > best.rate):
-            best = found
-        if best is None or ceiling - best.rate <= 1e-3 * ceiling:
-            break
-        trial = (best.rate + ceiling) / 2
+    figures = eigenvalue_text(abscissa, cells)
+    error = 1e3 * np.finfo(np.float64).eps * np.linalg.norm(M, axis=(1, 2))
+    if (abscissa > error).any():
+        raise Infeasible(Problem(message=f"{claim} is infeasible: {figures}", subject=subject, hint=hint))
+    best = best_certificate(M, solver=solver)
     if best is not None:
         return best
-    Z = alternative(matrices, solver)
-    weight = None if Z is None else refutes(matrices, Z)
-    figures = eigenvalue_text(abscissa, cells)
+    weight = _conflict(M, solver)
     if weight is None:
         raise Undecided(
             Problem(
@@ -68,32 +88,25 @@ def prove_convergence(
                 hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
             )
         )
-    guilty = ", ".join(f"'{name}'" for name, k in zip(cells, place, strict=True) if weight[k] > 0.01)
+    guilty = ", ".join(f"'{name}'" for name, share in zip(cells, weight, strict=True) if share > 0.01)
+    apart = ", though each is stable by itself" if (abscissa < -error).all() else ""
     raise Infeasible(
         Problem(
-            message=f"{claim} is infeasible: no common P exists for cells {guilty}, "
-            f"though each is stable by itself; {figures}",
+            message=f"{claim} is infeasible: no common P exists for cells {guilty}{apart}; {figures}",
             subject=subject,
-            hint="the cells differ too much for one quadratic Lyapunov function; more damping would help",
+            hint="the cells differ too much for one quadratic Lyapunov function" if apart else hint,
         )
     )
 
 
-def refuse_unstable(M: Array, abscissa: Array, claim: str, cells: Sequence[str], subject: Subject) -> None:
-    """Refuse matrices that surely have an eigenvalue in the right half plane.
+def _conflict(M: Array, solver: Solver) -> Array | None:
+    """Return the weight of each cell in a proof that no common P exists, or None if no such proof is found."""
+    from pwatrack.lmi.picos_model import alternative
 
-    Raises:
-        Infeasible: With the figure for each cell.
-    """
-    error = 1e3 * np.finfo(np.float64).eps * np.linalg.norm(M, axis=(1, 2))
-    if (abscissa > error).any():
-        raise Infeasible(
-            Problem(
-                message=f"{claim} is infeasible: {eigenvalue_text(abscissa, cells)}",
-                subject=subject,
-                hint="every cell needs all its eigenvalues in the open left half plane",
-            )
-        )
+    matrices, place = distinct(Scaling.of(M, np.zeros((M.shape[1], 0))).system(M))
+    Z = alternative(matrices, solver)
+    weight = None if Z is None else refutes(matrices, Z)
+    return None if weight is None else weight[place]
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str]) -> str:

@@ -59,10 +59,12 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
     B_eta = readonly(np.concatenate([form.chi, np.zeros((*form.chi.shape[:2], 1))], axis=2))
     certificate = prove_convergence(
         np.swapaxes(A_eta, 1, 2),
-        claim="(17), convergence of the tracking dynamics,",
+        claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
         subject=("system", "cells"),
         solver=solver,
+        hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "
+        "state tracking (Theorem 2, 'tracking: state'), which needs only (8) and (9)",
     )
     return TrajectoryGenerator(
         form=form,

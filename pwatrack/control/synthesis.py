@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.control.convergence import prove_convergence
+from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import Problem, Subject, Undecided
-from pwatrack.lmi.certificate import Certificate, prove
+from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver, quadratic_cost
 from pwatrack.lmi.presolve import Scaling, distinct
 from pwatrack.model.pwa import PWASystem
+
+_STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,27 +47,30 @@ def synthesize(
         Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
         Undecided: If neither is proved.
     """
-    names = plant.cell_names
-    if K is None:
-        K = stabilising_gain(plant.A, plant.B, claim="(8)", cells=names, subject=("system", "B"), solver=solver)
-        about: Subject = ("design", "controller")
-    else:
-        about = ("design", "controller", "K")
-    controller = prove_convergence(
-        plant.A + plant.B @ K, claim="(8) for the gain K", cells=names, subject=about, solver=solver
-    )
     A_transposed = np.swapaxes(plant.A, 1, 2)
-    if L is None:
-        L = stabilising_gain(
-            A_transposed, plant.C.T, claim="(9)", cells=names, subject=("system", "C"), solver=solver
-        ).T
-        about = ("design", "observer")
-    else:
-        about = ("design", "observer", "L")
-    observer = prove_convergence(
-        A_transposed + plant.C.T @ L.T, claim="(9) for the gain L", cells=names, subject=about, solver=solver
+    K, controller = _gain(plant, plant.A, plant.B, K, ("(8)", "controller", "K", "B"), solver)
+    L_transposed, observer = _gain(
+        plant, A_transposed, plant.C.T, None if L is None else L.T, ("(9)", "observer", "L", "C"), solver
     )
-    return Design(K=readonly(K), L=readonly(L), controller=controller, observer=observer)
+    return Design(K=readonly(K), L=readonly(L_transposed.T), controller=controller, observer=observer)
+
+
+def _gain(
+    plant: PWASystem, A: Array, B: Array, given: Array | None, words: tuple[str, str, str, str], solver: Solver
+) -> tuple[Array, Certificate]:
+    """Return a gain for (8), found or given, with its proof; (9) is (8) transposed."""
+    claim, part, letter, matrix = words
+    if given is None:
+        return stabilising_gain(A, B, claim=claim, cells=plant.cell_names, subject=("system", matrix), solver=solver)
+    certificate = prove_convergence(
+        A + B @ given,
+        claim=f"{claim} for the given gain {letter}",
+        cells=plant.cell_names,
+        subject=("design", part, letter),
+        solver=solver,
+        hint=f"mind the signs: u = K (x̂ − x_d) + u_ff, + L (ŷ − y); or leave {letter} out to have it designed",
+    )
+    return given, certificate
 
 
 def stabilising_gain(
@@ -76,12 +81,13 @@ def stabilising_gain(
     cells: Sequence[str],
     subject: Subject = (),
     solver: Solver = "clarabel",
-) -> Array:
-    """Return the gain K = Y P⁻¹ of (8) that minimises a quadratic cost with unit weights.
+) -> tuple[Array, Certificate]:
+    """Return the gain K = Y P⁻¹ of (8) that minimises a quadratic cost, with the proof of its best rate.
 
-    The weights are one in balanced units: states scaled to balance A, inputs
-    and time scaled so that A and B have size 1. So the gain does not depend on
-    the units of the description, and no weight has to be chosen.
+    The weights are those of balanced units: states scaled to balance A, inputs
+    and time scaled so that A and B have size 1. There the weights on states and
+    inputs are one; if no proof is found for that gain, cheaper states are tried,
+    which make a gentler gain. So no weight has to be chosen.
 
     Args:
         A: (l, n, n).
@@ -92,7 +98,7 @@ def stabilising_gain(
         solver: Which interior-point solver to ask.
 
     Returns:
-        K, (m, n).
+        K (m, n) and its certificate.
 
     Raises:
         Undecided: If no gain with a proof is found.
@@ -100,21 +106,26 @@ def stabilising_gain(
     Example: a double integrator.
 
         >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> K = stabilising_gain(A, B, claim="(8)", cells=["all"])
-        >>> K.round(4).tolist()
-        [[-1.0, -1.7321]]
+        >>> K, certificate = stabilising_gain(A, B, claim="(8)", cells=["all"])
+        >>> K.round(4).tolist(), certificate.rate > 0.8
+        ([[-1.0, -1.7321]], True)
     """
     from pwatrack.lmi.picos_model import least_cost
 
     scaling = Scaling.of(A, B)
     matrices, _ = distinct(scaling.system(A))
     B_scaled = scaling.input(B)
-    inequality = quadratic_cost(matrices, B_scaled, np.eye(A.shape[1]), np.eye(B.shape[1]))
-    candidate = least_cost(inequality, solver)
-    if candidate is not None and np.linalg.cond(candidate.P) < 1 / np.finfo(np.float64).eps:
-        K: Array = np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64)
-        if prove(matrices + B_scaled @ K, candidate.P) is not None:
-            return scaling.gain(K)
+    for weight in _STATE_WEIGHTS:
+        Q_root, R_root = np.sqrt(weight) * np.eye(A.shape[1]), np.eye(B.shape[1])
+        candidate = least_cost(quadratic_cost(matrices, B_scaled, Q_root, R_root), solver)
+        if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
+            continue
+        K = scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64))
+        closed = A + B @ K
+        stable = np.isfinite(closed).all() and np.linalg.eigvals(closed).real.max() < 0
+        certificate = best_certificate(closed, solver=solver) if stable else None
+        if certificate is not None:
+            return K, certificate
     raise Undecided(
         Problem(
             message=f"{claim} is undecided: no gain with a proof was found{_uncontrollable(A, B, cells)}",

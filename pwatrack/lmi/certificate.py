@@ -23,8 +23,9 @@ class Certificate:
             (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
         P: (n, n).
         rate: Certified decay rate in 1/s, positive.
-        margin: Least eigenvalue of −(M_i P + P M_iᵀ + 2 rate P) over the
-            cells, less its rounding error; positive.
+        margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less
+            its rounding error, with the states scaled by powers of two to make the
+            diagonal of P about 1 (which changes no sign); positive.
     """
 
     M: Array
@@ -46,19 +47,21 @@ def prove(M: Array, P: Array) -> Certificate | None:
         >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
         True
     """
-    if not (np.isfinite(P).all() and P.any()):
+    diagonal = np.diag(P)
+    if not (np.isfinite(P).all() and (diagonal > 0).all()):
         return None
-    P = symmetric_part(P) / 2 / np.abs(P).max()
-    if not _definite(P, np.abs(P)):
+    d = 2.0 ** np.round(np.log2(diagonal) / 2)
+    scaled_P, scaled_M = symmetric_part(P) / 2 / d[:, None] / d, M / d[:, None] * d
+    if not _definite(scaled_P, np.abs(scaled_P)):
         return None
-    left = symmetric_part(M @ P)
-    rate = min(-float(eigh(side, P, eigvals_only=True)[-1]) / 2 for side in left)
-    size = np.abs(M) @ np.abs(P) + abs(rate) * np.abs(P)
+    left = symmetric_part(scaled_M @ scaled_P)
+    rate = min(-float(eigh(side, scaled_P, eigvals_only=True)[-1]) / 2 for side in left)
+    size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
     for shrunk in (rate * (1 - 1e-9), rate * (1 - 1e-6), rate * (1 - 1e-3)):
-        slack = -left - 2 * shrunk * P
+        slack = -left - 2 * shrunk * scaled_P
         margin = min(_least(S, s) for S, s in zip(slack, size, strict=True))
         if shrunk > 0 and margin > 0:
-            return Certificate(M=readonly(M), P=readonly(P), rate=shrunk, margin=margin)
+            return Certificate(M=readonly(M), P=readonly(symmetric_part(P) / 2), rate=shrunk, margin=margin)
     return None
 
 

@@ -74,6 +74,10 @@ class Partition:
         """Return (H, h) in the coordinates z with x = T z + offset."""
         return self.H @ T, self.H @ offset + self.h
 
+    def between(self, i: int, j: int) -> list[int]:
+        """Return the hyperplanes that cells i and j are on opposite sides of."""
+        return [int(k) for k in np.flatnonzero(self.signs[i] * self.signs[j] < 0)]
+
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
         """All pairs of cells that share a facet.
@@ -84,9 +88,9 @@ class Partition:
         """
         found = []
         for i, j in combinations(range(len(self.names)), 2):
-            opposite = np.flatnonzero(self.signs[i] * self.signs[j] < 0)
+            opposite = self.between(i, j)
             if len(opposite) == 1:
-                k = int(opposite[0])
+                k = opposite[0]
                 if self.interior_point(_join(self.signs[i], self.signs[j]), on=k) is not None:
                     found.append(Facet(i, j, k))
         return tuple(found)

@@ -155,7 +155,7 @@ class _Arrangement:
         rows: list[int] = []
         for n, k in zip(self.nonlinearities, combination, strict=False):
             count = len(n.function.breakpoints)
-            rows += [1 if j == k - 1 else -1 if j == k else 0 for j in range(count)]
+            rows += [1 if j < k else -1 for j in range(count)]
         return np.array(rows + [0] * (len(self.H) - len(rows)), dtype=np.int64)
 
     def exists(self, combination: tuple[int, ...]) -> bool:

@@ -8,6 +8,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 
+_STATE_TRACKING = "state tracking (Theorem 2, 'tracking: state') needs no form (11), only (8) and (9)"
 _FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
@@ -62,6 +63,7 @@ def normal_form(plant: PWASystem) -> NormalForm:
                 message=f"output tracking (Theorem 3) needs one input and one output, the plant has "
                 f"{plant.B.shape[1]} and {plant.C.shape[0]}",
                 subject=("system",),
+                hint=_STATE_TRACKING,
             )
         )
     rows, offsets, delta = _output_derivatives(plant)
@@ -109,8 +111,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
                     f"before the input enters: entry '{plant.states[column]}' is "
                     f"{following[0, column]:.6g} and {following[cell, column]:.6g}",
                     subject=("system", "C"),
-                    hint="output tracking needs the same relative degree path in every cell; "
-                    "another output may have it",
+                    hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
                 )
             )
         c, o = following[0], float(constants[0])
@@ -123,7 +124,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
             message=f"no relative degree in cell '{plant.cell_names[0]}': the input never reaches the output "
             f"'{plant.outputs[0]}'",
             subject=("system", "B"),
-            hint="measure another output or add an actuator",
+            hint=f"measure another output or add an actuator; {_STATE_TRACKING}",
         )
     )
 

@@ -117,6 +117,8 @@ class PWASystem:
         return f"{linear_form_text(self.partition.H[k], self.states)} = {-self.partition.h[k] + 0.0:.6g}"
 
     def _without(self, cells: Sequence[int]) -> "PWASystem":
+        if not cells:
+            return self
         kept = [i for i in range(len(self.A)) if i not in cells]
         return replace(
             self,
@@ -174,7 +176,8 @@ def linear_form_text(row: Array, names: Sequence[str]) -> str:
         '2.5*z2 - z1'
     """
     text = ""
-    terms = [(value, name) for value, name in zip(row, names, strict=True) if value]
+    least = 1e-12 * np.abs(row).max(initial=0.0)
+    terms = [(value, name) for value, name in zip(row, names, strict=True) if abs(value) > least]
     for value, name in sorted(terms, key=lambda term: term[0] < 0):
         size = "" if abs(value) == 1 else f"{abs(value):.6g}*"
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")

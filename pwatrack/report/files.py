@@ -172,9 +172,9 @@ def _events(run: RunFolder, result: Result) -> None:
         writer = csv.writer(file)
         writer.writerow(["t", "part", "from_cell", "to_cell", "guard"])
         for event in result.response.trace.events:
-            guard = plant.hyperplane_text(event.guard % len(plant.partition.h)) if event.guard >= 0 else "new piece"
             for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
                 if before != after:
+                    guard = " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
                     writer.writerow([repr(event.t), part.name, part.cells[before], part.cells[after], guard])
 
 

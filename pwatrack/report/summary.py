@@ -1,38 +1,75 @@
 """The short text for people: what was found, in the terminal."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from pwatrack.arrays import Array
+from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import measures
 from pwatrack.spec.load import Spec
 
 
-def print_plant(console: Console, spec: Spec, form: NormalForm) -> None:
-    """Say what the plant is: cells, facets, relative degree, zero dynamics."""
-    plant = spec.plant
-    n, m, q = plant.A.shape[1], plant.B.shape[1], plant.C.shape[0]
-    table = _titled(spec.name)
-    table.add_row(
-        "plant (1)",
-        f"{n} states, {m} input, {q} output, {len(plant.cell_names)} cells: " + ", ".join(plant.cell_names),
-    )
-    for facet in plant.partition.facets:
-        one, other = plant.cell_names[facet.i], plant.cell_names[facet.j]
-        table.add_row("facet", f"{one} | {other} on {plant.hyperplane_text(facet.k)}: continuous")
-    table.add_row("relative degree", f"{form.r}, the same in all cells; form (11) holds")
-    table.add_row("internal states η", ", ".join(form.eta_names) or "none")
-    for name, A_eta in zip(plant.cell_names, form.Psi, strict=True):
-        if A_eta.size:
-            table.add_row(f"zero dynamics in '{name}'", "eigenvalues " + _eigenvalues(A_eta))
+def print_plant(console: Console, name: str, report: Applicability) -> None:
+    """Say what the plant is and which theorems apply."""
+    content = plant_json(name, report)
+    sizes = ", ".join(f"{len(content[kind])} {kind}" for kind in ("states", "inputs", "outputs", "cells"))
+    table = _titled(name)
+    table.add_row("plant (1)", f"{sizes}; continuous across all {len(content['facets'])} facets")
+    for cell in content["cells"]:
+        eigenvalues = content["zero_dynamics"].get(cell)
+        shown = ": zero dynamics " + _eigenvalues([complex(*pair) for pair in eigenvalues]) if eigenvalues else ""
+        table.add_row("cell", cell + shown)
+    for facet in content["facets"]:
+        table.add_row("facet", f"{facet['cells'][0]} | {facet['cells'][1]}, on {facet['hyperplane']}")
+    if report.form is not None:
+        table.add_row(
+            "form (11)",
+            f"relative degree {report.form.r}, internal states η = {', '.join(report.form.eta_names) or 'none'}",
+        )
+    for theorem, answer in content["theorems"].items():
+        table.add_row(theorem, answer)
+    for remark in content["remarks"]:
+        table.add_row("remark", remark)
     console.print(table)
+
+
+def plant_json(name: str, report: Applicability) -> dict[str, Any]:
+    """Return what `print_plant` says, for machines."""
+    plant, form = report.plant, report.form
+    values = report.zero_dynamics if report.zero_dynamics is not None else ()
+    return {
+        "name": name,
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "cells": list(plant.cell_names),
+        "facets": [
+            {
+                "cells": [plant.cell_names[facet.i], plant.cell_names[facet.j]],
+                "hyperplane": plant.hyperplane_text(facet.k),
+            }
+            for facet in plant.partition.facets
+        ],
+        "continuous": True,
+        "form_11": form is not None,
+        "relative_degree": None if form is None else form.r,
+        "eta": [] if form is None else list(form.eta_names),
+        "zero_dynamics": {
+            cell: [[float(v.real), float(v.imag)] for v in row]
+            for cell, row in zip(plant.cell_names, values, strict=False)
+        },
+        "theorems": report.theorems(),
+        "remarks": list(plant.remarks),
+    }
 
 
 def print_design(console: Console, spec: Spec, controller: Controller) -> None:
@@ -48,7 +85,9 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
     if generator is None:
         table.add_row("Assumption 1", "x_d and u_ff satisfy (3)")
-        table.add_row("Theorem 2", "all solutions track x_d with error going to 0, if x_d stays bounded")
+        given = isinstance(spec.reference, InputReference) and spec.reference.start is not None
+        condition = ", as long as x_d stays bounded (not proved for a response from a given start)" if given else ""
+        table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
         _generator_rows(table, generator)
     console.print(table)
@@ -71,11 +110,11 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator) -> None:
 def print_result(console: Console, result: Result, folder: Path) -> None:
     """Say how the simulation went and where the files are."""
     figures = measures(result)
-    unit = result.spec.units.get(result.spec.plant.outputs[0], "")
+    unit = error_unit(result)
     table = _titled(None)
     table.add_row(
         "simulated",
-        f"{result.response.t[-1]:g} s, {figures['mode_changes']} mode changes, {figures['joint_modes']} joint modes",
+        f"{result.response.t[-1]:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
     )
     table.add_row(
         "tracking error",
@@ -89,6 +128,14 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
     )
     console.print(table)
     print_files(console, folder)
+
+
+def error_unit(result: Result) -> str:
+    """Return the unit of the tracking error, or '' if its entries differ in unit."""
+    plant = result.spec.plant
+    names = plant.outputs if result.controller.generator is not None else plant.states
+    units = {result.spec.units.get(name, "") for name in names}
+    return units.pop() if len(units) == 1 else ""
 
 
 def print_files(console: Console, folder: Path) -> None:
@@ -119,6 +166,5 @@ def _matrix(X: Array) -> str:
     return "[" + "; ".join(rows) + "]"
 
 
-def _eigenvalues(A: Array) -> str:
-    values = np.linalg.eigvals(A)
+def _eigenvalues(values: Sequence[complex]) -> str:
     return ", ".join(f"{v.real:.4g}{v.imag:+.4g}j" if v.imag else f"{v.real:.4g}" for v in values)

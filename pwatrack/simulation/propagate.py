@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray, balancing
-from pwatrack.errors import PwatrackError
+from pwatrack.errors import Problem, PwatrackError
 from pwatrack.simulation.events import bernstein_matrix, first_crossing
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.trace import Event, Trace
@@ -22,6 +22,7 @@ _DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
 _BLOCK = 16  # steps cleared at once
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)
 _STUCK = 1000  # events without progress in time
+_SAME_TIME = 1e-12  # relative, or in s before t = 1 s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,7 @@ class _Walk:
         self.events: list[Event] = []
         self.z = z0
         self.k = 0
-        self.mode = self._settle(None, -1)
+        self.mode = self._settle(None, set())
 
     def forward(self, steps: int) -> Array:
         """Advance by up to `steps` whole steps, at least one; return the state after each."""
@@ -140,40 +141,50 @@ class _Walk:
             done = self._part(done, max(done, reset.step - self.k))
             self.z = self.z.copy()
             self.z[reset.where] = reset.value
-            self._change_mode(self._settle(self.mode, -1), -1, done)
+            self._change_mode(self._settle(self.mode, set()), done)
         self._part(done, 1.0)
 
     def _part(self, done: float, end: float) -> float:
         """Advance from `done` to `end`, in steps from k, and return `end`."""
-        idle = 0
+        idle, crossed = 0, set[int]()
         while True:
             rest = end - done
             table = self.table(self.mode)
             terms = (table.terms @ self.z) * rest ** np.arange(_DEGREE + 1)[:, None]
-            crossing = self._first_event(table, terms)
+            crossing = self._first_event(table, terms, crossed)
             if crossing is None:
                 self.z = terms.sum(axis=0)
                 return end
             tau, guard = crossing
             self.z = _horner(terms, tau)
             done += tau * rest
-            idle = idle + 1 if tau * rest < 1e-15 else 0
-            self._change_mode(self._settle(self.mode, guard), guard, done)
+            idle, crossed = (idle + 1, {*crossed, guard}) if tau * rest < 1e-15 else (0, {guard})
+            self._change_mode(self._settle(self.mode, crossed), done)
             if idle > _STUCK:
                 time = (self.k + done) * self.h
                 raise PwatrackError(
-                    f"more than {_STUCK} mode changes at t = {time:.9g} s without progress in time",
-                    hint="the vector field may be discontinuous there",
+                    Problem(
+                        message=f"more than {_STUCK} mode changes at t = {time:.9g} s without progress in time",
+                        subject=None,
+                        hint="the vector field may be discontinuous there",
+                    )
                 )
 
-    def _change_mode(self, mode: Mode, guard: int, done: float) -> None:
-        if mode != self.mode:
-            self.events.append(Event(t=(self.k + done) * self.h, guard=guard, before=self.mode, after=mode))
-            self.mode = mode
+    def _change_mode(self, mode: Mode, done: float) -> None:
+        """Record a mode change; changes within rounding of each other are one."""
+        if mode == self.mode:
+            return
+        t, before = (self.k + done) * self.h, self.mode
+        if self.events and t - self.events[-1].t <= _SAME_TIME * max(1.0, t):
+            t, before = self.events[-1].t, self.events.pop().before
+        if mode != before:
+            self.events.append(Event(t=t, before=before, after=mode))
+        self.mode = mode
 
-    def _first_event(self, table: "_Table", terms: Array) -> tuple[float, int] | None:
-        """Return (τ, guard) of the first crossing out of the current cells."""
+    def _first_event(self, table: "_Table", terms: Array, crossed: set[int]) -> tuple[float, int] | None:
+        """Return (τ, guard) of the first crossing out of the current cells; `crossed` guards start at 0."""
         values = terms @ table.active.T
+        values[0, np.isin(table.index, list(crossed))] = 0.0
         tolerance = table.rounding(self.z)[table.index]
         best: tuple[float, int] | None = None
         for column, guard in enumerate(table.index):
@@ -182,7 +193,7 @@ class _Walk:
                 best = crossing.tau, int(guard)
         return best
 
-    def _settle(self, current: Mode | None, crossed: int) -> Mode:
+    def _settle(self, current: Mode | None, crossed: set[int]) -> Mode:
         """Return the mode that the trajectory enters from its present state.
 
         A guard at 0 counts by its first derivative that is not 0: the field
@@ -193,8 +204,7 @@ class _Walk:
             terms = self.table(start).terms @ self.z
             values = terms @ self.guards.T
             significant = np.abs(values) > self.table(start).rounding(self.z)
-            if crossed >= 0:
-                significant[0, crossed] = False
+            significant[0, list(crossed)] = False
             order = significant.argmax(axis=0)
             leading = values[order, np.arange(len(self.guards))]
             sides = np.where(significant.any(axis=0), np.sign(leading), 0).astype(np.int64)

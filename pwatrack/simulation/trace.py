@@ -8,10 +8,9 @@ from pwatrack.simulation.flow import Mode
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """The mode changed at time t (s) when `guard` was crossed; −1 if a new piece of the reference did it."""
+    """The mode changed at time t (s)."""
 
     t: float
-    guard: int
     before: Mode
     after: Mode
 

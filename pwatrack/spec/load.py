@@ -1,11 +1,12 @@
 """A spec file -> `Spec`, or every error in the file at once with line and column."""
 
+import difflib
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
@@ -22,6 +23,7 @@ from pwatrack.spec.schema import (
     SimulationSection,
     SpecFile,
     SystemSection,
+    known_keys,
     path_text,
     shape_problems,
 )
@@ -41,6 +43,7 @@ class Spec:
         parameters: Values of the parameters.
         plant: The system (1).
         units: Unit of each state, input and output that has one.
+        tracking: "output" (Theorem 3) or "state" (Theorem 2).
         K, L: Gains to prove, or None where they are to be designed.
         solver: Which interior-point solver to ask.
         reference: What to track.
@@ -56,6 +59,7 @@ class Spec:
     parameters: Mapping[str, float]
     plant: PWASystem
     units: Mapping[str, str]
+    tracking: Literal["output", "state"]
     K: Array | None
     L: Array | None
     solver: Solver
@@ -110,7 +114,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     try:
         file = SpecFile.model_validate(document.data, context=context)
     except ValidationError as error:
-        problems += _validation_problems(error)
+        problems += _validation_problems(error, document.data)
     if not problems:
         problems += _plant_problems(file.system) + _reference_problems(file)
     if problems:
@@ -128,6 +132,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         parameters={name: value for name, value in values.items() if value is not None},
         plant=plant,
         units=file.system.units,
+        tracking=file.design.tracking,
         K=_optional(file.design.controller.K),
         L=_optional(file.design.observer.L),
         solver=file.design.solver,
@@ -215,23 +220,40 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
     return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()
 
 
-def _validation_problems(error: ValidationError) -> list[Problem]:
+def _validation_problems(error: ValidationError, data: Any) -> list[Problem]:
     problems = []
     for item in error.errors(include_url=False):
         cause = item.get("ctx", {}).get("error")
         if isinstance(cause, BrokenParameter):
             continue
-        subject = tuple(part for part in item["loc"] if part != "[key]")
+        subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
         where = path_text(subject)
         if item["type"] == "missing":
             message, subject = f"{where} is missing", subject[:-1]
         elif item["type"] == "extra_forbidden":
-            message = f"{where}: unknown key"
+            close = difflib.get_close_matches(str(subject[-1]), known_keys(), n=1)
+            message = f"{where}: unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
+        elif item["type"] == "union_tag_invalid":
+            message = f"{where}: kind '{item['ctx']['tag']}' is none of {item['ctx']['expected_tags']}"
+        elif item["type"] == "union_tag_not_found":
+            message = f"{where}: kind is missing"
         else:
             reason = str(cause) if cause else item["msg"][0].lower() + item["msg"][1:]
             message = f"{where}: {reason}"
         problems.append(Problem(message=message, subject=subject))
     return problems
+
+
+def _in_tree(loc: Sequence[str | int], data: Any, *, missing: bool) -> Subject:
+    """Return a path of pydantic without the parts that name a variant instead of an entry of the file."""
+    subject: list[str | int] = []
+    for k, part in enumerate(loc):
+        there = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if there:
+            data = data[part]
+        if there or (missing and k == len(loc) - 1):
+            subject.append(part)
+    return tuple(subject)
 
 
 def _name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:

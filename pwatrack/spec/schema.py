@@ -438,6 +438,12 @@ def _at(data: Any, subject: Subject) -> Any:
     return data
 
 
+def known_keys() -> list[str]:
+    """Return every key that some section has."""
+    sections: list[type[Section]] = [SpecFile, *Section.__subclasses__(), *ElementSection.__subclasses__()]
+    return sorted({name for section in sections for name in section.model_fields})
+
+
 def path_text(subject: Subject) -> str:
     """Return a path as an engineer reads it, counted from 1.
 

@@ -1,0 +1,41 @@
+"""Every spec in specs/ ends as it says it should."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import PwatrackError, load_spec, simulate
+from pwatrack.spec.load import expected_exit
+from tests.conftest import SPECS
+
+ALL = sorted(SPECS.rglob("*.yaml"))
+WORKING = [path for path in ALL if not expected_exit(path)]
+REFUSED = [path for path in ALL if expected_exit(path)]
+
+
+@pytest.mark.parametrize("path", WORKING, ids=lambda path: path.stem)
+def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
+    result = simulate(load_spec(path))
+    desired = np.abs(result.response.y_d).max(axis=0)
+    assert result.final_error <= 1e-4 * max(desired.max(), np.abs(result.response.x_d).max())
+
+
+@pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
+def test_a_plant_that_must_be_refused_is_refused(path: Path) -> None:
+    with pytest.raises(PwatrackError) as refusal:
+        simulate(load_spec(path))
+    assert refusal.value.code == expected_exit(path)
+    assert all(problem.place for problem in refusal.value.problems)
+
+
+def test_the_gallery_shows_what_it_should() -> None:
+    plants = {path.stem: load_spec(path).plant for path in WORKING}
+    orders = {name: plant.A.shape[1] for name, plant in plants.items()}
+    cells = {name: len(plant.cell_names) for name, plant in plants.items()}
+    assert len(WORKING) >= 12
+    assert len(REFUSED) >= 5
+    assert 27 in cells.values()
+    assert max(orders.values()) >= 9
+    assert any(plant.B.shape[1] == plant.C.shape[0] == 2 for plant in plants.values())
+    assert max(float(np.abs(plant.A).max()) for plant in plants.values()) >= 1e6

@@ -1,0 +1,103 @@
+"""Theorem 2 with every way to give the trajectory, any number of inputs and outputs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import OutsideTheory, load_spec, simulate
+from pwatrack.errors import InvalidSpec
+
+PLANT = """
+name: two carts
+system:
+  states: [z1, v1, z2, v2]
+  inputs: [u1, u2]
+  outputs: [y1, y2]
+  A: [[0, 1, 0, 0], [-1, -0.5, 0, 0], [0, 0, 0, 1], [0, 0, -1, -0.5]]
+  B: [[0, 0], [1, 0], [0, 0], [0, 2]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+  nonlinearities:
+    - {name: buffer, kind: spring, of: z1 - z2, into: {v1: -1, v2: 1}, start: 0.1, slope: 3}
+design: {tracking: state}
+reference: %s
+simulation: {duration: 60, sample_time: 0.05, initial: {plant: [0.3, 0, -0.2, 0]}}
+"""
+
+
+def write(folder: Path, reference: str) -> Path:
+    path = folder / "plant.yaml"
+    path.write_text(PLANT % reference)
+    return path
+
+
+def test_a_closed_form_is_tracked_and_its_feedforward_solves_equation_3(tmp_path: Path) -> None:
+    path = write(tmp_path, '{state: ["0.3*sin(t)", "0.3*cos(t)", "0.2*cos(2*t)", "-0.4*sin(2*t)"]}')
+    result = simulate(load_spec(path))
+    t, plant, response = result.response.t, result.spec.plant, result.response
+    np.testing.assert_allclose(response.x_d[:, 0], 0.3 * np.sin(t), atol=1e-11)
+    rate = np.column_stack([0.3 * np.cos(t), -0.3 * np.sin(t), -0.4 * np.sin(2 * t), -0.8 * np.cos(2 * t)])
+    for k in range(0, len(t), 50):
+        np.testing.assert_allclose(plant.field(response.x_d[k], response.u_ff[k]), rate[k], atol=1e-10)
+    assert len(response.trace.events) > 20
+    assert result.final_error < 1e-9
+
+
+def test_a_trajectory_that_no_input_can_make_is_refused_with_time_state_and_size(tmp_path: Path) -> None:
+    path = write(tmp_path, '{state: ["0.3*sin(t)", "0.3*cos(t) + 0.05", "0", "0"]}')
+    with pytest.raises(OutsideTheory, match=r"not realisable: at t = .* s .* state 'z1' in \(3\); 0.05 is left over"):
+        simulate(load_spec(path))
+
+
+def test_the_response_to_a_given_input_is_tracked_from_a_given_start(tmp_path: Path) -> None:
+    path = write(tmp_path, '{input: ["0.4*sin(t)", "0.3"], start: [0.1, 0, 0, 0.2]}')
+    result = simulate(load_spec(path))
+    assert result.response.x_d[0].tolist() == [0.1, 0.0, 0.0, 0.2]
+    np.testing.assert_allclose(result.response.u_ff[:, 0], 0.4 * np.sin(result.response.t), atol=1e-11)
+    assert result.final_error < 1e-9
+
+
+def test_the_periodic_response_to_a_given_input_starts_where_it_ends(tmp_path: Path) -> None:
+    path = write(tmp_path, '{input: ["0.4*sin(t)", "0.3*cos(2*t)"], start: periodic}')
+    result = simulate(load_spec(path))
+    x_d, per_period = result.response.x_d, 2 * np.pi / 0.05
+    k = round(5 * per_period)
+    shift = (5 * per_period - k) * 0.05
+    assert abs(shift) < 0.03
+    steady = result.steady_state
+    assert steady is not None
+    assert np.abs(steady.z[-1] - steady.z[0]).max() < 1e-11
+    np.testing.assert_allclose(x_d[0], steady.z[0, :4], atol=0)
+    assert result.final_error < 1e-9
+
+
+@pytest.mark.parametrize("wanted", [(0.5, 0.0), (-0.3, 0.4)])
+def test_a_set_point_is_an_equilibrium_in_its_own_cell(tmp_path: Path, wanted: tuple[float, float]) -> None:
+    result = simulate(load_spec(write(tmp_path, f"{{setpoint: {{y1: {wanted[0]}, y2: {wanted[1]}}}}}")))
+    response, plant = result.response, result.spec.plant
+    np.testing.assert_allclose(plant.field(response.x_d[0], response.u_ff[0]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(response.y[-1], wanted, atol=1e-9)
+    touching = plant.cell_names[plant.partition.locate(response.x_d[0])] == "buffer on"
+    assert touching == (wanted[0] - wanted[1] > 0.1)
+
+
+def test_a_set_point_that_the_plant_cannot_rest_at_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "{setpoint: {y1: 0.1, y2: 0}}")
+    path.write_text(path.read_text().replace("C: [[1, 0, 0, 0], ", "C: [[0, 1, 0, 0], "))
+    with pytest.raises(OutsideTheory, match="no equilibrium has the wanted outputs: none at all in cell 'buffer off'"):
+        simulate(load_spec(path))
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("{output: 0.1}", "state tracking needs a reference that is state or input or setpoint, found output"),
+        ('{state: ["0", "0", "0"]}', "reference.state: 3 entries, expected 4"),
+        ('{input: ["0", "0"]}', "reference.start is missing"),
+        ("{setpoint: {y1: 1}}", "setpoint must give every output: y1, y2"),
+        ('{state: ["t", "1", "0", "0"]}', "x_d is not bounded"),
+    ],
+)
+def test_a_reference_that_does_not_fit_is_refused(tmp_path: Path, reference: str, message: str) -> None:
+    with pytest.raises((InvalidSpec, OutsideTheory), match=message):
+        simulate(load_spec(write(tmp_path, reference)))
