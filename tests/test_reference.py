@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pwatrack.errors import OutsideTheory
+from pwatrack.model.course import Profile, Table, polyline
 from pwatrack.model.reference import check_bounded, check_smooth, exosystem
-from pwatrack.model.signal import Profile, Signal, Table, polyline
+from pwatrack.model.signal import Signal
 from pwatrack.spec.expression import ExpressionError, formula
 
 FORMULAS = [

@@ -10,7 +10,8 @@ from scipy.linalg import block_diag, expm
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem, Subject
-from pwatrack.model.signal import Course, Signal
+from pwatrack.model.course import Course
+from pwatrack.model.signal import Signal
 
 
 @dataclass(frozen=True)

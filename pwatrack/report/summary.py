@@ -110,7 +110,7 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator) -> None:
 def print_result(console: Console, result: Result, folder: Path) -> None:
     """Say how the simulation went and where the files are."""
     figures = measures(result)
-    unit = error_unit(result)
+    unit = f" {error_unit(result)}".rstrip()
     table = _titled(None)
     table.add_row(
         "simulated",
@@ -118,7 +118,7 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
     )
     table.add_row(
         "tracking error",
-        f"at most {figures['final_tracking_error']:.2e} {unit} in the last tenth of the time "
+        f"at most {figures['final_tracking_error']:.2e}{unit} in the last tenth of the time "
         f"({figures['largest_tracking_error']:.2e} at worst)",
     )
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")

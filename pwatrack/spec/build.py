@@ -9,10 +9,11 @@ import numpy as np
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
+from pwatrack.model.course import Course, Formula, Profile, Table, polyline
 from pwatrack.model.nonlinearity import Nonlinearity, generate_cells
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
-from pwatrack.model.signal import Course, ExponentialPolynomial, Formula, Profile, Table, polyline
+from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.schema import (
     CourseSection,
     ReferenceSection,

@@ -1,0 +1,137 @@
+"""Courses of a reference: formulas, rounded polylines and steps, tables; each becomes a signal smooth enough."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb, factorial
+
+import numpy as np
+from scipy.interpolate import PPoly, make_interp_spline
+
+from pwatrack.arrays import Array
+from pwatrack.model.signal import ExponentialPolynomial, Signal
+
+
+def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
+    """Return a piecewise linear course averaged `times` times over a moving window of width / times.
+
+    Every average adds one continuous derivative. A corner at t_j changes the
+    course only for |t − t_j| < width / 2, where a jump of the value becomes the
+    integral of a B-spline and a jump of the slope the integral of that.
+
+    Args:
+        corners: Of degree 0 or 1.
+        width: In s.
+        times: At least 1.
+    """
+    lines = np.vstack([np.zeros((2 - len(corners.c), corners.c.shape[1])), corners.c])  # slope, value
+    knots = corners.x[1:-1]
+    ends = lines[1, :-1] + lines[0, :-1] * np.diff(corners.x)[:-1]
+    jumps, kinks = lines[1, 1:] - ends, np.diff(lines[0])
+    edges = (np.arange(times + 1) / times - 0.5) * width
+    breaks = np.unique(np.concatenate([corners.x, (knots[:, None] + edges).ravel()]))
+    breaks = breaks[np.append(True, np.diff(breaks) > 1e-9 * width)]
+    pieces = np.zeros((times + 2, len(breaks) - 1))  # rising powers
+    for piece, (start, end) in enumerate(pairwise(breaks)):
+        middle = (start + end) / 2
+        own = int(np.clip(np.searchsorted(corners.x, middle) - 1, 0, lines.shape[1] - 1))
+        pieces[:2, piece] = lines[1, own] + lines[0, own] * (start - corners.x[own]), lines[0, own]
+        for j in np.flatnonzero(np.abs(knots - middle) < width / 2):
+            for jump, degree in ((jumps[j], 0), (kinks[j], 1)):
+                if jump:
+                    rounded = _rounded_power(degree, start - knots[j], middle - knots[j], edges, width)
+                    sharp = np.array([start - knots[j], 1.0] if degree else [1.0]) if middle > knots[j] else np.zeros(1)
+                    pieces[: len(rounded), piece] += jump * rounded
+                    pieces[: len(sharp), piece] -= jump * sharp
+    return PPoly(pieces[::-1], breaks)
+
+
+def _rounded_power(degree: int, start: float, middle: float, edges: Array, width: float) -> Array:
+    """Return max(0, t)^degree, averaged, about `start` as rising powers, on the piece that holds `middle`."""
+    times = len(edges) - 1
+    power = times + degree
+    total = np.zeros(power + 1)
+    for k in range(times + 1):
+        if edges[k] < middle:
+            weight = (-1) ** k * comb(times, k) * (times / width) ** times * factorial(degree) / factorial(power)
+            ahead = start - edges[k]
+            total += weight * np.array([comb(power, j) * ahead ** (power - j) for j in range(power + 1)])
+    return total
+
+
+def _local(pieces: PPoly, at: float) -> Array:
+    """Return the falling coefficients about `at` of the piece that holds it."""
+    k = int(np.clip(np.searchsorted(pieces.x, at, side="right") - 1, 0, len(pieces.x) - 2))
+    moved = ExponentialPolynomial.polynomial(pieces.c[::-1, k]).delayed(at - pieces.x[k])
+    result: Array = moved.terms[0j].real[::-1]
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given.
+
+    Attributes:
+        corners: The course, from well before t = 0.
+        continuous: Whether it is continuous; a step is not.
+        smooth: Width of the moving average, or None.
+        end: Last time at which it is defined, or None if it stays constant.
+    """
+
+    corners: PPoly
+    continuous: bool
+    smooth: float | None
+    end: float | None
+
+    def signal(self, r: int) -> Signal:
+        """Return the signal; with `smooth` it has r continuous derivatives."""
+        averages = r if self.continuous else r + 1
+        course = self.corners if self.smooth is None or not averages else smoothed(self.corners, self.smooth, averages)
+        first = max(0, int(np.searchsorted(course.x, 0.0, side="right")) - 1)
+        breaks = np.append(0.0, course.x[first + 1 :])
+        pieces = np.column_stack([_local(course, 0.0), course.c[:, first + 1 :]])
+        return Signal.piecewise_polynomial(PPoly(pieces, breaks), self.end)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed."""
+
+    t: Array
+    y: Array
+
+    def signal(self, r: int) -> Signal:
+        """Return the spline of odd degree ≥ r + 1."""
+        degree = max(3, r + 1 + r % 2)
+        spline = make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
+        course = PPoly.from_spline((spline.t, spline.c, spline.k))
+        inner = np.flatnonzero(np.diff(course.x) > 0)
+        return Signal.piecewise_polynomial(
+            PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), float(self.t[-1])
+        )
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula in t, on an interval from 0 or for ever."""
+
+    value: ExponentialPolynomial
+    until: float | None = None
+
+    def signal(self, r: int) -> Signal:  # noqa: ARG002 - it has all derivatives
+        """Return the signal."""
+        return Signal((0.0,), (self.value,), self.until)
+
+
+Course = Formula | Profile | Table
+
+
+def polyline(t: Sequence[float], y: Sequence[float]) -> PPoly:
+    """Return the piecewise linear course through (t_k, y_k).
+
+    Example:
+        >>> float(polyline([0.0, 2.0], [1.0, 3.0])(0.5))
+        1.5
+    """
+    times, values = np.array(t, dtype=np.float64), np.array(y, dtype=np.float64)
+    return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)

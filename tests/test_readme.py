@@ -1,0 +1,30 @@
+"""What the README shows is true."""
+
+import re
+import textwrap
+from pathlib import Path
+
+from pwatrack import load_spec, simulate
+
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_spec_in_the_readme_is_a_whole_one_and_tracks(tmp_path: Path) -> None:
+    block = re.search(r"(?m)^    name: Cart with a stop\n(?:    .*\n)+", README)
+    assert block is not None
+    (tmp_path / "cart.yaml").write_text(textwrap.dedent(block.group()))
+    result = simulate(load_spec(tmp_path / "cart.yaml"))
+    assert result.final_error < 1e-9
+    assert result.spec.plant.cell_names == ("stop off", "stop on")
+
+
+def test_every_yaml_in_the_description_of_the_format_is_of_the_format() -> None:
+    """Each key shown in SPEC.md is a key of the schema."""
+    from pwatrack.spec.schema import known_keys
+
+    text = (Path(__file__).parent.parent / "SPEC.md").read_text(encoding="utf-8")
+    shown = {
+        key for block in re.findall(r"```yaml\n(.*?)```", text, re.S) for key in re.findall(r"(?m)^ *(\w+):", block)
+    }
+    assert shown <= set(known_keys())
+    assert len(shown) > 20
