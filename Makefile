@@ -18,8 +18,8 @@ $(READY): requirements.lock pyproject.toml
 	else \
 	  $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed, this is " + sys.version + "; try make PYTHON=python3.12")' \
 	  && $(PYTHON) -m venv --clear .venv \
-	  && $(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock \
-	  && $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ; \
+	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock \
+	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation -e . ; \
 	fi
 	@touch $@
 

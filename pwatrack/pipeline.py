@@ -47,6 +47,19 @@ class Result:
     steady_state: Trace | None
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was noticed and changes no verdict."""
+        S = self.controller.trajectory.exosystem.S
+        fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
+        remarks = list(self.spec.plant.remarks)
+        if fastest * self.spec.sample_time > 2 * np.pi / 10:
+            remarks.append(
+                f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
+                f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
+            )
+        return tuple(remarks)
+
+    @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
         tail = -(-len(self.response.t) // 10)
@@ -94,8 +107,8 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
             observer=_initial(spec.x_hat0, n, "observer"),
             generator=fixed if fixed is not None else _initial(spec.eta_hat0, p, "generator"),
         )
-        steady_state = _steady_state(loop, start)
-        if steady_state is not None and isinstance(spec.reference, InputReference) and spec.reference.start is None:
+        steady_state = _steady_state(spec, loop, start)
+        if steady_state is not None and _starts_periodic(spec):
             start[loop.eta_hat] = steady_state.z[0, :p]
         trace = simulate_flow(
             loop.flow, start, duration=spec.duration, sample_time=spec.sample_time, resets=loop.resets
@@ -119,7 +132,12 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
     signals = reference.signals()
     if isinstance(reference, InputReference):
         _check(signals, None, ("reference", "input"), "u_ff")
-        return input_trajectory(plant, exosystem(signals), reference.start), None
+        u_ff = exosystem(signals)
+        if _starts_periodic(spec) and u_ff.period is None and not u_ff.constant:
+            message = "start: periodic, but the inputs together have no period"
+            hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
+            raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+        return input_trajectory(plant, u_ff, reference.start), None
     _check(signals, 1, ("reference", "state"), "x_d")
     return state_trajectory(plant, exosystem(signals), horizon=spec.duration, subject=("reference", "state")), None
 
@@ -131,10 +149,16 @@ def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) ->
             check_smooth(signal, r, name=name, subject=subject)
 
 
-def _steady_state(loop: ClosedLoop, start: Array) -> Trace | None:
+def _starts_periodic(spec: Spec) -> bool:
+    return isinstance(spec.reference, InputReference) and spec.reference.start is None
+
+
+def _steady_state(spec: Spec, loop: ClosedLoop, start: Array) -> Trace | None:
+    """Return a period of the generator's steady state, where it has one; any time is a period of a constant."""
     trajectory = loop.controller.trajectory
-    p, period = trajectory.rate.shape[1], trajectory.exosystem.period
-    if not p or period is None:
+    p, system = trajectory.rate.shape[1], trajectory.exosystem
+    period = system.period if not system.constant else spec.duration if _starts_periodic(spec) else None
+    if not p or period is None or not (loop.controller.generator or _starts_periodic(spec)):
         return None
     return periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=p, period=period)
 

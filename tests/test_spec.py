@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pwatrack import simulate
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.reference import OutputReference
 from pwatrack.spec.load import Spec, expected_exit, load_spec
@@ -507,3 +508,15 @@ def test_a_file_that_says_no_exit_code_expects_zero(tmp_path: Path, content: byt
     path.write_bytes(content)
     assert expected_exit(path) == 0
     assert expected_exit(tmp_path / "missing.yaml") == 0
+
+
+def test_a_matrix_without_inner_brackets_is_said_once(write: Write) -> None:
+    problem = only(write(("C: [[1, 0]]", "C: [1, 0]")))
+    assert "system.C: a list of rows is expected" in problem.message
+    assert "[[1, 0]]" in problem.hint
+
+
+def test_a_reference_faster_than_the_samples_is_remarked(write: Write) -> None:
+    line = next(line for line in SPEC.splitlines() if line.startswith("  output:"))
+    result = simulate(load_spec(write((line, "  output: {sine: {amplitude: 0.1, frequency: 2*pi*100}}"))))
+    assert any("too long for a reference with a period of 0.01 s" in remark for remark in result.remarks)

@@ -71,6 +71,19 @@ def test_the_periodic_response_to_a_given_input_starts_where_it_ends(tmp_path: P
     assert result.final_error < 1e-9
 
 
+def test_the_steady_state_under_a_constant_input_is_an_equilibrium(tmp_path: Path) -> None:
+    result = simulate(load_spec(write(tmp_path, '{input: ["0.5", "-0.3"], start: periodic}')))
+    response = result.response
+    np.testing.assert_allclose(result.spec.plant.field(response.x_d[0], response.u_ff[0]), 0.0, atol=1e-10)
+    np.testing.assert_allclose(response.x_d[-1], response.x_d[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("first", ["sin(t) + sin(sqrt(2)*t)", "exp(-t)"])
+def test_a_periodic_start_without_a_period_is_refused(tmp_path: Path, first: str) -> None:
+    with pytest.raises(InvalidSpec, match="start: periodic, but the inputs together have no period"):
+        simulate(load_spec(write(tmp_path, f'{{input: ["{first}", "0"], start: periodic}}')))
+
+
 @pytest.mark.parametrize("wanted", [(0.5, 0.0), (-0.3, 0.4)])
 def test_a_set_point_is_an_equilibrium_in_its_own_cell(tmp_path: Path, wanted: tuple[float, float]) -> None:
     result = simulate(load_spec(write(tmp_path, f"{{setpoint: {{y1: {wanted[0]}, y2: {wanted[1]}}}}}")))

@@ -79,6 +79,8 @@ def find_specs(folder: Path) -> list[Path]:
     Raises:
         InvalidSpec: If there are none.
     """
+    if not folder.is_dir():
+        raise InvalidSpec(f"{folder} is no folder", hint="for one spec there is 'pwatrack simulate'")
     found = sorted(p for p in folder.rglob("*") if p.suffix in (".yaml", ".yml") and p.is_file())
     if not found:
         raise InvalidSpec(f"no .yaml file in {folder}", hint="name a folder that holds specs")

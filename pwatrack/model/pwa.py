@@ -135,7 +135,7 @@ class PWASystem:
             jump_A, jump_b = self.jump(facet)
             both = [facet.i, facet.j]
             size_A = np.abs(self.A[both] / scale[:, None] * scale).max()
-            size_b = np.abs(self.b[both] / scale).max()
+            size_b = np.abs(np.vstack([self.b[both], self.b[facet.i] - self.b[facet.j] - jump_b]) / scale).max()
             rest_A = np.abs(jump_A / scale[:, None] * scale).max()
             rest_b = np.abs(jump_b / scale).max()
             if rest_A > tolerance * size_A or rest_b > tolerance * size_b:
@@ -145,12 +145,13 @@ class PWASystem:
                         jump_A,
                         jump_b,
                         max(rest_A / size_A if size_A else 0.0, rest_b / size_b if size_b else 0.0),
+                        tolerance,
                     )
                 )
         if problems:
             raise OutsideTheory(*problems)
 
-    def _jump_problem(self, facet: Facet, jump_A: Array, jump_b: Array, relative: float) -> Problem:
+    def _jump_problem(self, facet: Facet, jump_A: Array, jump_b: Array, relative: float, tolerance: float) -> Problem:
         if jump_A.any():
             row, column = np.unravel_index(np.argmax(np.abs(jump_A)), jump_A.shape)
             figure = (
@@ -164,7 +165,8 @@ class PWASystem:
             message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: "
             f"{figure}, {relative:.1e} of the largest entry; the field must be continuous (eq. (1))",
             subject=("system", "cells", facet.i, "A" if jump_A.any() else "b"),
-            hint="correct the cell, or accept rounded data with 'tolerance: {continuity: …}'",
+            hint="correct the cell; for data rounded in print, 'tolerance: {continuity: …}' accepts a larger jump "
+            f"(in force: {tolerance:g})",
         )
 
 

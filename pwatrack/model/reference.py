@@ -99,6 +99,11 @@ class Exosystem:
     period: float | None
     end: float | None
 
+    @property
+    def constant(self) -> bool:
+        """Whether no signal ever changes."""
+        return not self.resets and not self.S.any()
+
     def derivative_rows(self, r: int) -> Array:
         """Return Q, Q S, …, Q Sʳ, (r + 1, q, p)."""
         rows = [self.Q]
@@ -169,7 +174,7 @@ def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
     if growing:
         raise OutsideTheory(
             Problem(
-                message=f"{name} is not bounded: it has {growing} (Theorem 3 needs a bounded reference)",
+                message=f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
                 subject=subject,
                 hint="give the interval it is meant for: {formula: …, until: T}, with T in s",
             )
@@ -191,7 +196,7 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
                     message=f"{name} is not {r} times differentiable, as relative degree {r} needs: "
                     f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
                     subject=subject,
-                    hint="round its corners: add 'smooth: T' with T in s, or choose a smoother one",
+                    hint="write 'smooth: T' (s) inside its step, trapezoid or polyline, or choose a smoother one",
                 )
             )
 

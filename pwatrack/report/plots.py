@@ -65,17 +65,18 @@ def outputs(result: Result) -> Figure:
 def control_input(result: Result) -> Figure:
     """Draw each input with its feedforward part, whole and at both ends."""
     response = result.response
-    labels = ("input (19)", "its feedforward part (16)")
+    output = result.controller.generator is not None
+    labels = ("input (19)", "its feedforward part (16)") if output else ("input (10)", "its feedforward part")
     return _pairs(result, "Control input", result.spec.plant.inputs, response.u, response.u_ff, labels)
 
 
 def internal_states(result: Result) -> Figure:
     """Draw each internal state η with its desired trajectory from the generator (Figure 3)."""
     response, names = result.response, result.controller.trajectory.names
-    figure, panels = _column(result, "Internal states and the trajectory generator", len(names))
+    figure, panels = _column(result, "Internal states" if result.controller.generator else "States", len(names))
     for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
         axes.plot(response.t, response.eta[:, k], label="plant", **_ACTUAL)
-        axes.plot(response.t, response.eta_hat[:, k], label="desired, from the generator (15)", **_DESIRED)
+        axes.plot(response.t, response.eta_hat[:, k], label=_desired_label(result), **_DESIRED)
         _label(axes, "time t (s)" if k == len(names) - 1 else "", _labelled(result, name), _span(response.t))
     _legend(panels[0])
     return figure
@@ -87,16 +88,16 @@ def steady_state(result: Result) -> Figure:
     assert trace is not None
     names = result.controller.trajectory.names
     period = trace.t[-1]
-    title = f"Periodic steady state of the trajectory generator, period {period:.6g} s"
+    title = f"Periodic steady state of the desired trajectory, period {period:.6g} s"
     figure, panels = _column(result, title, len(names))
     t = np.concatenate([trace.t, trace.t[1:] + period])
     for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
         values = trace.z[:, k]
-        axes.plot(t, np.concatenate([values, values[1:]]), label="desired, from the generator (15)", **_ACTUAL)
+        axes.plot(t, np.concatenate([values, values[1:]]), label=_desired_label(result), **_ACTUAL)
         axes.axvline(period, color="0.5", linewidth=0.8, linestyle=":", label="one period")
         _label(
             axes,
-            "time t modulo the period (s)" if k == len(names) - 1 else "",
+            "time t in two periods (s)" if k == len(names) - 1 else "",
             _labelled(result, name),
             _span(t),
         )
@@ -107,20 +108,21 @@ def steady_state(result: Result) -> Figure:
 def active_cells(result: Result) -> Figure:
     """Which cell plant, observer and generator are in, over time."""
     trace, loop = result.response.trace, result.loop
-    cells = result.spec.plant.cell_names
+    names = result.spec.plant.cell_names
+    stays = trace.stays()
+    visited = sorted({cell for mode, _, _ in stays for cell in mode})
     figure, panels = _canvas(
         result.spec.name,
-        f"Active cells: {len(trace.events)} changes, {len(trace.visited())} joint modes",
+        f"Active cells ({len(visited)} of {len(names)} visited): {len(trace.events)} changes",
         [[0], [1], [2]],
-        height=1.4 + 3 * max(0.9, 0.22 * len(cells)),
+        height=1.4 + 3 * max(0.9, 0.22 * len(visited)),
     )
-    stays = trace.stays()
     for k, (axes, part) in enumerate(zip(panels, loop.flow.parts, strict=True)):
-        for cell in range(len(cells)):
+        for row, cell in enumerate(visited):
             bars = [(start, end - start) for mode, start, end in stays if mode[k] == cell]
-            axes.broken_barh(bars, (cell - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0)
-        axes.set_yticks(range(len(cells)), [_plain(cell) for cell in cells], fontsize=8)
-        axes.set_ylim(len(cells) - 0.4, -0.6)
+            axes.broken_barh(bars, (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0)
+        axes.set_yticks(range(len(visited)), [_plain(names[cell]) for cell in visited], fontsize=8)
+        axes.set_ylim(len(visited) - 0.4, -0.6)
         _label(axes, "time t (s)" if k == 2 else "", part.name, _span(trace.t))
     return figure
 
@@ -164,13 +166,20 @@ def _pairs(
         for label, values, style in zip(labels, (actual, desired), (_ACTUAL, _DESIRED), strict=True):
             axes.plot(t[shown], values[shown, column], label=label, **style)
         _label(axes, "time t (s)", _labelled(result, names[column]), (first, last))
+        _widen(axes, float(np.abs(actual[:, column]).max()))
     _legend(panels[0])
     return figure
 
 
+def _desired_label(result: Result) -> str:
+    return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
+
+
 def _column(result: Result, title: str, count: int) -> tuple[Figure, list[Axes]]:
     """Return panels below each other."""
-    return _canvas(result.spec.name, title, [[k] for k in range(count)], height=1.2 + 1.7 * count)
+    return _canvas(
+        result.spec.name, title, [[k] for k in range(count)], height=1.2 + (1.7 if count <= 6 else 1.1) * count
+    )
 
 
 def _canvas(name: str, title: str, mosaic: Any, *, height: float) -> tuple[Figure, list[Axes]]:
@@ -189,6 +198,15 @@ def _label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:
     axes.tick_params(labelsize=8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def _widen(axes: Axes, size: float) -> None:
+    """Keep an axis from magnifying rounding: it spans at least a hundredth of the size of the curve."""
+    low, high = axes.get_ylim()
+    if high - low < 0.01 * size:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - 0.005 * size, middle + 0.005 * size)
+    axes.ticklabel_format(axis="y", useOffset=False)
 
 
 def _legend(axes: Axes) -> None:

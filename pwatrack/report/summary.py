@@ -111,6 +111,7 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
     """Say how the simulation went and where the files are."""
     figures = measures(result)
     unit = f" {error_unit(result)}".rstrip()
+    kind = "|y − y_d|" if result.controller.generator is not None else "‖x − x_d‖"
     table = _titled(None)
     table.add_row(
         "simulated",
@@ -118,7 +119,7 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
     )
     table.add_row(
         "tracking error",
-        f"at most {figures['final_tracking_error']:.2e}{unit} in the last tenth of the time "
+        f"{kind} at most {figures['final_tracking_error']:.2e}{unit} in the last tenth of the time "
         f"({figures['largest_tracking_error']:.2e} at worst)",
     )
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
@@ -126,6 +127,8 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
         "largest input",
         f"{figures['largest_input']:.4g} {result.spec.units.get(result.spec.plant.inputs[0], '')}",
     )
+    for remark in result.remarks:
+        table.add_row("remark", remark)
     console.print(table)
     print_files(console, folder)
 

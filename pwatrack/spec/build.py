@@ -74,8 +74,7 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     )
     if kind == "state":
         return StateReference(courses)
-    start = section.start
-    return InputReference(courses, None if start is None or start == "periodic" else readonly(start))
+    return InputReference(courses, readonly(section.start) if section.start else None)
 
 
 def _refuse_other_B(system: SystemSection) -> None:
@@ -179,7 +178,7 @@ def _step(step: StepSection, horizon: float) -> Profile:
     from scipy.interpolate import PPoly
 
     margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
-    corners = PPoly(np.array([[step.before, step.after]]), [-margin, step.at, margin + step.at])
+    corners = PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
     return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
 
 
@@ -217,15 +216,33 @@ def _table(section: TableSection, folder: Path, subject: Subject) -> Table:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file, skipinitialspace=True))
-        columns = list(rows[0]) if rows else []
-        column = section.column or next((name for name in columns if name != "t"), "y")
-        values = np.array([[float(row["t"]), float(row[column])] for row in rows])
-    except OSError as error:
-        raise InvalidSpec(Problem(message=f"cannot read {path}: {error.strerror or error}", subject=subject)) from None
-    except (KeyError, TypeError, ValueError) as error:
-        message = f"{path} is no table with a header 't, {section.column or 'y'}' and numbers: {error}"
+    except (OSError, UnicodeDecodeError) as error:
+        message = f"cannot read {path}: {getattr(error, 'strerror', None) or error}"
         raise InvalidSpec(Problem(message=message, subject=subject)) from None
-    if len(values) < 4 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any() or values[0, 0] > 0:
-        message = f"{path}: at least 4 rows of finite numbers are needed, t increasing from 0 or before"
+    columns = list(rows[0]) if rows else []
+    column = section.column or next((name for name in columns if name != "t"), "y")
+    missing = [name for name in ("t", column) if name not in columns]
+    if missing:
+        message = f"{path}: the header has no column '{missing[0]}'; it has {', '.join(map(str, columns)) or 'none'}"
         raise InvalidSpec(Problem(message=message, subject=subject))
+    values = np.empty((len(rows), 2))
+    for k, row in enumerate(rows):
+        try:
+            values[k] = float(row["t"]), float(row[column])
+        except (TypeError, ValueError):
+            message = f"{path}, row {k + 2}: '{row['t']}', '{row[column]}' are no two numbers"
+            raise InvalidSpec(Problem(message=message, subject=subject)) from None
+    fault = _table_fault(values)
+    if fault:
+        raise InvalidSpec(Problem(message=f"{path}: {fault}", subject=subject))
     return Table(values[:, 0], values[:, 1])
+
+
+def _table_fault(values: Array) -> str:
+    if len(values) < 4:
+        return f"{len(values)} rows, at least 4 are needed"
+    if not np.isfinite(values).all():
+        return f"row {int(np.argmin(np.isfinite(values).all(axis=1))) + 2} is not finite"
+    if (np.diff(values[:, 0]) <= 0).any():
+        return f"t does not increase at row {int(np.argmax(np.diff(values[:, 0]) <= 0)) + 3}"
+    return f"t starts at {values[0, 0]:g} s, after 0" if values[0, 0] > 0 else ""

@@ -182,6 +182,12 @@ def _parse(text: str) -> ast.expr:
         raise ExpressionError(f"'{text}' is not a number or an expression") from None
 
 
+_ALLOWED = {
+    "t": "allowed are sums and products of powers of t and of sin, cos, exp of a*t + b",
+    "the states": "a nonlinearity is written under system.nonlinearities",
+}
+
+
 class _Reader:
     """Turns an expression tree into a float, or into what its names make of it."""
 
@@ -254,7 +260,9 @@ class _Reader:
         method = getattr(arguments[0], name, None) if len(arguments) == 1 else None
         if method is None:
             what = "the states" if any(isinstance(a, LinearForm) for a in arguments) else "t"
-            raise ExpressionError(f"{self._quote(node)}: {name} of a function of {what} is not supported")
+            raise ExpressionError(
+                f"{self._quote(node)}: {name} of a function of {what} is not supported; {_ALLOWED[what]}"
+            )
         return self.combine(node, method)
 
     def _quote(self, node: ast.AST) -> str:

@@ -23,6 +23,7 @@ from pwatrack.spec.schema import (
     SimulationSection,
     SpecFile,
     SystemSection,
+    flat_matrices,
     known_keys,
     path_text,
     shape_problems,
@@ -209,7 +210,10 @@ def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dic
         except ExpressionError as error:
             values[name] = None
             outside = name in overrides
-            message = f"parameter '{name}': {error}" + (" (set from outside the file)" if outside else "")
+            below = [other for other in texts if other not in values and f"unknown name '{other}'" in str(error)]
+            message = f"parameter '{name}': {error}"
+            message += "; it is declared below: a parameter may use those above it" if below and below != [name] else ""
+            message += " (set from outside the file)" if outside else ""
             problems.append(Problem(message=message, subject=None if outside else ("parameters", name)))
     return values, problems
 
@@ -220,19 +224,27 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
     return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()
 
 
+_EXPECTED = {"list_type": "a list", "dict_type": "a mapping", "model_type": "a mapping", "string_type": "a text"}
+
+
 def _validation_problems(error: ValidationError, data: Any) -> list[Problem]:
     problems = []
+    flat = flat_matrices(data)
     for item in error.errors(include_url=False):
         cause = item.get("ctx", {}).get("error")
         if isinstance(cause, BrokenParameter):
             continue
         subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
+        if any(subject[: len(matrix)] == matrix for matrix in flat):
+            continue  # said once for the whole matrix
         where = path_text(subject)
         if item["type"] == "missing":
             message, subject = f"{where} is missing", subject[:-1]
         elif item["type"] == "extra_forbidden":
             close = difflib.get_close_matches(str(subject[-1]), known_keys(), n=1)
             message = f"{where}: unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
+        elif item["type"] in _EXPECTED:
+            message = f"{where}: {_EXPECTED[item['type']]} is expected"
         elif item["type"] == "union_tag_invalid":
             message = f"{where}: kind '{item['ctx']['tag']}' is none of {item['ctx']['expected_tags']}"
         elif item["type"] == "union_tag_not_found":
@@ -277,7 +289,7 @@ def _name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     units = system.get("units")
     problems += [
         Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
-        for name in (units if isinstance(units, dict) else {})
+        for name in (units if isinstance(units, dict) and context.states else {})
         if name not in signals
     ]
     seen: list[str] = []
@@ -327,7 +339,8 @@ def _plant_problems(system: SystemSection) -> list[Problem]:
             subject: Subject = ("system", "cells", k)
             if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
                 count = len(system.hyperplanes or [])
-                problems.append((f"cell '{cell.name}' needs signs, one for each of the {count} hyperplanes", subject))
+                found = "none" if cell.signs is None else str(len(cell.signs))
+                problems.append((f"cell '{cell.name}': {found} signs, expected {count}, one per hyperplane", subject))
             if wanted == "where" and cell.signs is not None:
                 problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
     for k, element in enumerate(system.nonlinearities or []):

@@ -74,7 +74,17 @@ def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
     return formula(value, info.context.parameters)
 
 
+def _start(value: Any, info: ValidationInfo[Context]) -> list[float]:
+    if value == "periodic":
+        return []
+    if not isinstance(value, list) or not value:
+        raise ValueError("a list of numbers, one for each state, or 'periodic' is expected")
+    return [_number(entry, info) for entry in value]
+
+
 def _as_course(value: Any) -> Any:
+    if value == {}:
+        raise ValueError("nothing is given: write a formula in t, or entries such as constant, sine, step, table")
     return {"formula": value} if isinstance(value, str) else value
 
 
@@ -273,10 +283,9 @@ class SineSection(Section):
 
 
 class StepSection(Section):
-    """From one value to another at a time (s), rounded over `smooth` (s)."""
+    """A change by `size` at a time (s), rounded over `smooth` (s); added to everything else."""
 
-    before: Number = 0.0
-    after: Number
+    size: Number
     at: Number
     smooth: Positive | None = None
 
@@ -330,7 +339,8 @@ class ReferenceSection(Section):
     output: Signal | None = None
     state: list[Signal] | None = None
     input: list[Signal] | None = None
-    start: Vector | Literal["periodic"] | None = None
+    start: Annotated[list[float] | None, PlainValidator(_start)] = None
+    """x_d(0); an empty list where it is the periodic steady state."""
     setpoint: dict[str, Number] | None = None
 
 
@@ -396,6 +406,30 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
 
     It is done on the raw tree so that an error inside a matrix hides none of its shape.
     """
+    flat = flat_matrices(data)
+    problems = [
+        Problem(
+            message=f"{path_text(subject)}: a list of rows is expected, each in its own brackets",
+            subject=subject,
+            hint="write [[1, 0], [0, 1]] for two rows, [[1, 0]] for one",
+        )
+        for subject in flat
+    ]
+    for subject, axes in _shapes(data).items():
+        if subject in flat:
+            continue
+        for where, entries, axis in _axes(_at(data, subject), subject, axes):
+            wanted = len(getattr(context, axis))
+            if wanted and len(entries) != wanted:
+                kind = "row" if where == subject and len(axes) == 2 else "entry"
+                found = f"{len(entries)} {kind if len(entries) == 1 else _PLURAL[kind]}"
+                message = f"{path_text(where)}: {found}, expected {wanted}, one for each of the {axis}"
+                problems.append(Problem(message=message, subject=where))
+    return problems
+
+
+def _shapes(data: Mapping[str, Any]) -> dict[Subject, tuple[str, ...]]:
+    """Return which names each axis of each matrix and vector in the tree goes with."""
     shapes = dict(_SHAPES)
     cells = _at(data, ("system", "cells"))
     for k in range(len(cells) if isinstance(cells, list) else 0):
@@ -405,16 +439,7 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     hyperplanes = _at(data, ("system", "hyperplanes"))
     for k in range(len(hyperplanes) if isinstance(hyperplanes, list) else 0):
         shapes["system", "hyperplanes", k, "H"] = ("states",)
-    problems = []
-    for subject, axes in shapes.items():
-        for where, entries, axis in _axes(_at(data, subject), subject, axes):
-            wanted = len(getattr(context, axis))
-            if wanted and len(entries) != wanted:
-                kind = "row" if where == subject and len(axes) == 2 else "entry"
-                found = f"{len(entries)} {kind if len(entries) == 1 else _PLURAL[kind]}"
-                message = f"{path_text(where)}: {found}, expected {wanted}, one for each of the {axis}"
-                problems.append(Problem(message=message, subject=where))
-    return problems
+    return shapes
 
 
 _PLURAL = {"row": "rows", "entry": "entries"}
@@ -427,6 +452,15 @@ def _axes(value: Any, subject: Subject, axes: tuple[str, ...]) -> list[tuple[Sub
     for k, row in enumerate(value if len(axes) > 1 else []):
         found += _axes(row, (*subject, k), axes[1:])
     return found
+
+
+def flat_matrices(data: Mapping[str, Any]) -> list[Subject]:
+    """Return the matrices that are written as a list of numbers instead of a list of rows."""
+    return [
+        subject
+        for subject, axes in _shapes(data).items()
+        if len(axes) == 2 and isinstance(value := _at(data, subject), list) and any(isinstance(v, str) for v in value)
+    ]
 
 
 def _at(data: Any, subject: Subject) -> Any:
