@@ -107,6 +107,21 @@ def batch(
         raise SystemExit(max(outcome.code for outcome in outcomes))
 
 
+@app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
+def verify(
+    path: Annotated[
+        Path, typer.Argument(metavar="DIR|FILE", help="A run folder or a certificate.json.", show_default=False)
+    ],
+    spec: Annotated[Path | None, typer.Option("--spec", metavar="SPEC", help="The spec it should belong to.")] = None,
+) -> None:
+    """Prove a certificate again from its file, with whole numbers only."""
+    with refusals():
+        from pwatrack.report.verify import verify
+
+        for sentence in verify(path, spec):
+            typer.echo(sentence)
+
+
 def _run(
     spec_path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
 ) -> None:

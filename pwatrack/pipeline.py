@@ -7,6 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
+from pwatrack.control.proof import prove_design
 from pwatrack.control.state_tracking import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
@@ -83,7 +84,10 @@ def design(spec: Spec) -> Controller:
     with spec.located():
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
         gains = synthesize(spec.plant, K=spec.K, L=spec.L, solver=spec.solver)  # (8), (9)
-        return Controller(plant=spec.plant, design=gains, trajectory=trajectory, generator=generator)  # (18), (19)
+        proofs = prove_design(spec.plant, gains, generator)
+        return Controller(
+            plant=spec.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs
+        )  # (18), (19)
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:

@@ -174,3 +174,59 @@ def test_an_input_that_never_reaches_the_output_has_no_relative_degree() -> None
     )
     with pytest.raises(OutsideTheory, match="no relative degree"):
         normal_form(plant)
+
+
+@pytest.mark.parametrize("other", [0.3333333, 1 / 3 + 1e-11, 1 / 3 + 1e-7, 1 / 3 - 1e-8])
+def test_a_border_written_with_different_numbers_hides_no_jump(other: float) -> None:
+    cells = Partition.create(H=[[1, 0], [1, 0]], h=[-1 / 3, -other], signs=[[-1, 0], [0, 1]], names=["low", "high"])
+    with pytest.raises(OutsideTheory, match=r"overlap|do not cover|b jumps by 5"):
+        PWASystem.create(partition=cells, A=[[[0, 1], [-1, -1]]] * 2, b=[[0, 0], [0, -5]], B=[[0], [1]], C=[[1, 0]])
+
+
+@pytest.mark.parametrize("width", [1e-5, 1e-7, 1e-8])
+def test_a_thin_cell_stays(width: float) -> None:
+    cells = Partition.create(
+        H=[[1, 0], [1, 0]], h=[-1, -1 - width], signs=[[-1, -1], [1, -1], [1, 1]], names=["low", "thin", "high"]
+    )
+    slope = 1 / width
+    plant = PWASystem.create(
+        partition=cells,
+        A=[[[0, 1], [0, -1]], [[0, 1], [-slope, -1]], [[0, 1], [0, -1]]],
+        b=[[0, 0], [0, slope], [0, -1.0]],
+        B=[[0], [1]],
+        C=[[1, 0]],
+        tolerance=1e-6,
+    )
+    assert plant.cell_names == ("low", "thin", "high")
+    assert len(plant.partition.facets) == 2
+
+
+@given(seeds, st.integers(2, 4))
+@settings(deadline=None, max_examples=25)
+def test_scaling_states_by_a_million_loses_no_cell(seed: int, k: int) -> None:
+    random = np.random.default_rng(seed)
+    n = 4
+    g, h, c = random.normal(size=(k, n)), random.normal(size=(k, n)), random.normal(size=k)
+    d = 10.0 ** random.uniform(-6, 6, size=n)
+    A, B, C = random.normal(size=(n, n)), random.normal(size=(n, 1)), random.normal(size=(1, n))
+    plant = springs(A, np.zeros(n), B, C, g, h, c)
+    other = springs(A / d[:, None] * d, np.zeros(n), B / d[:, None], C * d, g / d, h * d, c)
+    assert len(other.cell_names) == len(plant.cell_names) == 2**k
+    assert len(other.partition.facets) == len(plant.partition.facets)
+
+
+@given(seeds, st.integers(1, 4))
+@settings(deadline=None, max_examples=25)
+def test_the_relative_degree_does_not_depend_on_the_scale_of_the_states(seed: int, r: int) -> None:
+    plant = random_plant(seed, n=4, k=2, r=r)
+    d = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, size=4)
+    other = PWASystem.create(
+        partition=Partition.create(
+            H=plant.partition.H * d, h=plant.partition.h, signs=plant.partition.signs, names=plant.cell_names
+        ),
+        A=plant.A / d[:, None] * d,
+        b=plant.b / d,
+        B=plant.B / d[:, None],
+        C=plant.C * d,
+    )
+    assert normal_form(other).r == r

@@ -22,7 +22,7 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
     gains = synthesize(plant, K=K, L=L)
-    return closed_loop(Controller(plant=plant, design=gains, trajectory=trajectory, generator=generator))
+    return closed_loop(Controller(plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=()))
 
 
 def run(loop: ClosedLoop, x0: Array, duration: float, sample_time: float) -> Response:

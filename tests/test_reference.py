@@ -68,7 +68,7 @@ def test_a_reference_that_grows_is_refused_and_the_interval_named(text: str, ter
     check_bounded(Signal((0.0,), (formula(text, {}),), end=5.0), name="y_d", subject=())
 
 
-@pytest.mark.parametrize("text", ["sin(t) - sin(t) + 1", "t - t", "exp(-t)*t**2"])
+@pytest.mark.parametrize("text", ["sin(t) - sin(t) + 1", "t - t", "exp(-t)*t**2", "(0.1*t + 0.2*t) - 0.3*t"])
 def test_a_bounded_formula_is_accepted(text: str) -> None:
     check_bounded(Signal.of(formula(text, {})), name="y_d", subject=())
 

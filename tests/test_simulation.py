@@ -21,7 +21,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.propagate import StateReset, simulate_flow
 from pwatrack.simulation.steady_state import periodic_state
 from pwatrack.spec.expression import formula
 from tests.plants import random_plant
@@ -141,7 +141,9 @@ def test_an_ill_posed_field_that_chatters_is_reported() -> None:
 def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
-    return closed_loop(Controller(plant=plant, design=synthesize(plant), trajectory=trajectory, generator=generator))
+    return closed_loop(
+        Controller(plant=plant, design=synthesize(plant), trajectory=trajectory, generator=generator, proofs=())
+    )
 
 
 def random_loop(seed: int) -> ClosedLoop:
@@ -237,3 +239,18 @@ def test_a_generator_start_of_the_wrong_length_is_refused_with_its_place(paper_s
     with pytest.raises(PwatrackError, match=r"simulation.initial.generator: 3 entries, expected 2") as refusal:
         simulate(replace(paper_spec, eta_hat0=np.zeros(3)), design(paper_spec))
     assert refusal.value.problems[0].place is not None
+
+
+@pytest.mark.parametrize("t", [0.0, 0.1, 0.3, 0.55, 0.7])
+def test_resets_of_one_instant_are_carried_out_together(t: float) -> None:
+    """Two entries jump at once; between them the state would be on the other side of the guard."""
+    flow = switched(np.zeros((3, 3)), [[1.0, -1.0, 0.0]], [[-1], [1]], [np.zeros((3, 3))] * 2)
+    both = [
+        StateReset(t=t, where=slice(0, 1), value=np.array([5.0])),
+        StateReset(t=t, where=slice(1, 2), value=np.array([4.0])),
+    ]
+    trace = simulate_flow(flow, np.array([2.0, 1.0, 1.0]), duration=1.0, sample_time=0.1, resets=both)
+    assert trace.events == ()
+    assert trace.z[-1].tolist() == [5.0, 4.0, 1.0]
+    if t == 0.0:
+        assert trace.z[0].tolist() == [5.0, 4.0, 1.0]

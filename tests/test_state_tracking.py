@@ -5,8 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pwatrack import OutsideTheory, load_spec, simulate
+from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
+from pwatrack.control.state_tracking import set_point, state_trajectory
 from pwatrack.errors import InvalidSpec
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import Signal
+from pwatrack.spec.expression import formula
 
 PLANT = """
 name: two carts
@@ -114,3 +118,68 @@ def test_a_set_point_that_the_plant_cannot_rest_at_is_refused(tmp_path: Path) ->
 def test_a_reference_that_does_not_fit_is_refused(tmp_path: Path, reference: str, message: str) -> None:
     with pytest.raises((InvalidSpec, OutsideTheory), match=message):
         simulate(load_spec(write(tmp_path, reference)))
+
+
+SMALL = """
+name: small
+system:
+  states: [p, v]
+  inputs: [u]
+  outputs: [y]
+  A: %s
+  B: [[0], [1]]
+  C: [[1, 0]]
+design: {tracking: state}
+reference: %s
+simulation: {duration: 5, sample_time: 0.1}
+"""
+
+
+def test_a_periodic_start_at_resonance_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(SMALL % ("[[0, 1], [-1, 0]]", '{input: ["sin(t)"], start: periodic}'))
+    with pytest.raises(OutsideTheory, match="no periodic solution"):
+        simulate(load_spec(path))
+
+
+def test_a_given_start_needs_no_periodic_solution(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(SMALL % ("[[0, 1], [0, -1]]", '{input: ["sin(t)"], start: [0, 0]}'))
+    assert simulate(load_spec(path)).steady_state is None
+
+
+def plant_of(A: list[list[float]], b: list[float], B: list[list[float]], C: list[list[float]]) -> PWASystem:
+    n = len(A)
+    everywhere = Partition.create(H=np.zeros((0, n)), h=[], signs=np.zeros((1, 0)), names=["everywhere"])
+    return PWASystem.create(partition=everywhere, A=[A], b=[b], B=B, C=C)
+
+
+def test_realisability_is_judged_per_state_equation() -> None:
+    plant = plant_of([[0, 1, 0], [0, -1, 0], [0, 0, -1e7]], [0, 0, 0], [[0, 0], [1, 0], [0, 1e7]], [[1, 0, 0]])
+    x_d = exosystem([Signal.of(formula(text, {})) for text in ("sin(t)", "1.001*cos(t)", "sin(t)")])
+    with pytest.raises(OutsideTheory, match="state 'x1'"):
+        state_trajectory(plant, x_d, horizon=10.0)
+
+
+@pytest.mark.parametrize("f", [1e-8, 1e-6, 1.0, 1e6, 1e8])
+def test_a_set_point_does_not_depend_on_units(f: float) -> None:
+    d = np.array([f, 1.0, 1 / f])
+    A = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -2, -3]])
+    plant = plant_of((A / d[:, None] * d).tolist(), [0, 0, 0], [[0], [0], [1 / d[2]]], [[d[0], 0, 0]])
+    trajectory = set_point(plant, np.array([0.5]))
+    np.testing.assert_allclose(trajectory.x_d[:, 0] * d, [0.5, 0, 0], atol=1e-9)
+
+
+def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() -> None:
+    h, g = np.array([1.0, -1.0]), np.array([5.0, -5.0])
+    plant = PWASystem.create(
+        partition=Partition.create(H=[h], h=[0.0], signs=[[-1], [1]], names=["neg", "pos"]),
+        A=[-np.eye(2), -np.eye(2) + np.outer(g, h)],
+        b=[[4, -4]] * 2,
+        B=np.eye(2),
+        C=[[1, 1]],
+    )
+    trajectory = set_point(plant, np.array([1.0]))
+    x, u = trajectory.x_d[:, 0], trajectory.u_ff[0, :, 0]
+    np.testing.assert_allclose(plant.field(x, u), 0.0, atol=1e-9)
+    assert x.sum() == pytest.approx(1.0)

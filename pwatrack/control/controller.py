@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.lmi.exact import Proof
 from pwatrack.model.pwa import PWASystem
 
 
@@ -19,9 +20,11 @@ class Controller:
         design: The gains with their proofs.
         trajectory: Where x_d and u_ff come from.
         generator: The trajectory generator (15), for output tracking only.
+        proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
     """
 
     plant: PWASystem
     design: Design
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
+    proofs: tuple[Proof, ...]

@@ -7,6 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.errors import Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate, prove, refutes
+from pwatrack.lmi.exact import decimals, is_hurwitz
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.presolve import Scaling, distinct
 
@@ -73,9 +74,11 @@ def prove_convergence(
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     figures = eigenvalue_text(abscissa, cells)
-    error = 1e3 * np.finfo(np.float64).eps * np.linalg.norm(M, axis=(1, 2))
-    if (abscissa > error).any():
-        raise Infeasible(Problem(message=f"{claim} is infeasible: {figures}", subject=subject, hint=hint))
+    unstable = [name for name, M_i, a in zip(cells, M, abscissa, strict=True) if not _hurwitz(M_i, float(a))]
+    if unstable:
+        names = ", ".join(f"'{name}'" for name in unstable)
+        message = f"{claim} is infeasible: {names} not stable; {figures}"
+        raise Infeasible(Problem(message=message, subject=subject, hint=hint))
     best = best_certificate(M, solver=solver)
     if best is not None:
         return best
@@ -89,14 +92,21 @@ def prove_convergence(
             )
         )
     guilty = ", ".join(f"'{name}'" for name, share in zip(cells, weight, strict=True) if share > 0.01)
-    apart = ", though each is stable by itself" if (abscissa < -error).all() else ""
     raise Infeasible(
         Problem(
-            message=f"{claim} is infeasible: no common P exists for cells {guilty}{apart}; {figures}",
+            message=f"{claim} is infeasible: no common P exists for cells {guilty}, "
+            f"though each is stable by itself; {figures}",
             subject=subject,
-            hint="the cells differ too much for one quadratic Lyapunov function" if apart else hint,
+            hint="the cells differ too much for one quadratic Lyapunov function: bring them closer, or damp them more",
         )
     )
+
+
+def _hurwitz(M: Array, abscissa: float) -> bool:
+    """Decide exactly whether a matrix is stable, where its computed eigenvalues leave a doubt."""
+    if abscissa < -1e-3 * float(np.linalg.norm(M)):
+        return True
+    return is_hurwitz(decimals(M))
 
 
 def _conflict(M: Array, solver: Solver) -> Array | None:

@@ -1,6 +1,7 @@
 """Assumption 1: a desired state trajectory x_d(t) and a feedforward u_ff(t) that satisfy (3)."""
 
 import numpy as np
+from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -28,7 +29,9 @@ def state_trajectory(plant: PWASystem, x_d: Exosystem, *, horizon: float, subjec
     s = len(x_d.w0)
     Q, Q_rate = x_d.derivative_rows(1)
     needed = np.concatenate([Q_rate - plant.A @ Q, -plant.b[:, :, None]], axis=2)  # B u_ff, on (w, 1)
-    pseudo = np.linalg.pinv(plant.B)
+    rows = 1.0 / np.maximum(np.abs(plant.B).max(axis=1), np.finfo(np.float64).tiny)
+    rows[~plant.B.any(axis=1)] = 0.0
+    pseudo = np.linalg.pinv(rows[:, None] * plant.B) * rows
     trajectory = DesiredTrajectory(
         exosystem=x_d,
         names=(),
@@ -44,9 +47,9 @@ def state_trajectory(plant: PWASystem, x_d: Exosystem, *, horizon: float, subjec
     cell = np.array([plant.partition.locate(x) for x in w[:, :-1] @ Q.T])
     residual = np.einsum("tij,tj->ti", unreached[cell], w)
     scale = np.einsum("tij,tj->ti", np.abs(Q_rate)[None] + np.abs(plant.A[cell]) @ np.abs(Q), np.abs(w[:, :-1]))
-    scale = scale.max() + np.abs(plant.b).max()
-    worst = np.unravel_index(np.argmax(np.abs(residual)), residual.shape)
-    if np.abs(residual[worst]) > _REALISABLE * scale:
+    scale = np.maximum(scale.max(axis=0) + np.abs(plant.b).max(axis=0), np.finfo(np.float64).tiny)
+    worst = np.unravel_index(np.argmax(np.abs(residual) / scale), residual.shape)
+    if np.abs(residual[worst]) > _REALISABLE * scale[worst[1]]:
         raise OutsideTheory(
             Problem(
                 message=f"x_d is not realisable: at t = {times[worst[0]]:.6g} s no input satisfies the equation of "
@@ -85,22 +88,13 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
     Raises:
         OutsideTheory: If no cell holds such an equilibrium.
     """
-    n, m, q = plant.A.shape[1], plant.B.shape[1], plant.C.shape[0]
     misses = []
     for i, name in enumerate(plant.cell_names):
-        left = np.block([[plant.A[i], plant.B], [plant.C, np.zeros((q, m))]])
-        right = np.concatenate([-plant.b[i], y])
-        solution = np.linalg.lstsq(left, right, rcond=1e-12)[0]
-        x_d, u_ff = solution[:n], solution[n:]
-        scale = np.abs(left) @ np.abs(solution) + np.abs(right)
-        if (np.abs(left @ solution - right) > 1e-9 * scale.max()).any():
-            misses.append(f"none at all in cell '{name}'")
-            continue
-        inside = plant.partition.signs[i] * (plant.partition.H @ x_d + plant.partition.h)
-        size = np.abs(plant.partition.H) @ np.abs(x_d) + np.abs(plant.partition.h)
-        if (inside >= -1e-12 * size).all():
-            return _constant(plant, x_d, u_ff)
-        misses.append(f"that of cell '{name}' lies outside it by {-inside.min():.4g}")
+        point = _equilibrium(plant, y, i)
+        if isinstance(point, str):
+            misses.append(point.format(name))
+        else:
+            return _constant(plant, *point)
     raise OutsideTheory(
         Problem(
             message="no equilibrium has the wanted outputs: " + "; ".join(misses),
@@ -108,6 +102,45 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
             hint="choose a set-point that the plant can rest at",
         )
     )
+
+
+def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | str:
+    """Return (x_d, u_ff) with A_i x_d + b_i + B u_ff = 0 and C x_d = y deepest in cell i, or why there is none.
+
+    A linear program in (x, u, margin), with rows and columns scaled to size 1.
+    """
+    n, m, q = plant.A.shape[1], plant.B.shape[1], plant.C.shape[0]
+    equal = np.block([[plant.A[i], plant.B, -plant.b[i][:, None]], [plant.C, np.zeros((q, m)), y[:, None]]])
+    inner = plant.partition.signs[i][:, None] * np.column_stack([plant.partition.H, plant.partition.h])
+    inner = inner[inner.any(axis=1)]
+    d = np.ones(n + m)
+    for _ in range(8):
+        equal = equal / np.maximum(np.abs(equal[:, :-1]).max(axis=1, initial=0.0), 1e-300)[:, None]
+        size = np.abs(equal[:, :-1]).max(axis=0)
+        factor = np.where(size > 0, 2.0 ** -np.round(np.log2(np.where(size > 0, size, 1.0))), 1.0)
+        equal[:, :-1] *= factor
+        d *= factor
+    unit = max(float(np.abs(equal[:, -1]).max()), 1e-300)  # the solution is of the size of the right-hand side
+    sides = np.column_stack([inner[:, :-1] * d[:n], np.zeros((len(inner), m))])
+    length = np.maximum(np.linalg.norm(sides, axis=1), 1e-300)
+    solution = linprog(
+        np.append(np.zeros(n + m), -1.0),
+        A_eq=np.column_stack([equal[:, :-1], np.zeros(n + q)]),
+        b_eq=equal[:, -1] / unit,
+        A_ub=np.column_stack([-sides / length[:, None], np.ones(len(sides))]) if len(sides) else None,
+        b_ub=inner[:, -1] / length / unit if len(sides) else None,
+        bounds=[(None, None)] * (n + m) + [(None, 1.0)],
+        method="highs",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if solution.x is None or solution.status != 0:
+        return "none at all in cell '{}'"
+    if solution.x[-1] < -1e-9:
+        return f"that of cell '{{}}' lies outside it, by {-solution.x[-1] * unit:.4g} in scaled units"
+    point = np.asarray(solution.x[:-1]) * unit
+    gap = equal[:, -1] - equal[:, :-1] @ point
+    point = (point + np.linalg.lstsq(equal[:, :-1], gap, rcond=None)[0]) * d  # one step of refinement
+    return point[:n], point[n:]
 
 
 def _constant(plant: PWASystem, x_d: Array, u_ff: Array) -> DesiredTrajectory:

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_continuous_are
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.control.convergence import best_certificate, prove_convergence
-from pwatrack.errors import Problem, Subject, Undecided
+from pwatrack.errors import Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.exact import decimals, is_hurwitz, unreachable_part
 from pwatrack.lmi.inequality import Solver, quadratic_cost
 from pwatrack.lmi.presolve import Scaling, distinct
 from pwatrack.model.pwa import PWASystem
@@ -87,7 +89,9 @@ def stabilising_gain(
     The weights are those of balanced units: states scaled to balance A, inputs
     and time scaled so that A and B have size 1. There the weights on states and
     inputs are one; if no proof is found for that gain, cheaper states are tried,
-    which make a gentler gain. So no weight has to be chosen.
+    which make a gentler gain. So no weight has to be chosen. (States that do not act on
+    each other both ways, as in a chain of integrators, have no balanced units: there the
+    weights are one in the units given.)
 
     Args:
         A: (l, n, n).
@@ -101,14 +105,15 @@ def stabilising_gain(
         K (m, n) and its certificate.
 
     Raises:
-        Undecided: If no gain with a proof is found.
+        Infeasible: If a mode that does not decay is out of reach.
+        Undecided: If no gain with a proof is found otherwise.
 
     Example: a double integrator.
 
         >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
         >>> K, certificate = stabilising_gain(A, B, claim="(8)", cells=["all"])
-        >>> K.round(4).tolist(), certificate.rate > 0.8
-        ([[-1.0, -1.7321]], True)
+        >>> K.round(3).tolist(), certificate.rate > 0.8
+        ([[-1.0, -1.732]], True)
     """
     from pwatrack.lmi.picos_model import least_cost
 
@@ -116,32 +121,59 @@ def stabilising_gain(
     matrices, _ = distinct(scaling.system(A))
     B_scaled = scaling.input(B)
     for weight in _STATE_WEIGHTS:
-        Q_root, R_root = np.sqrt(weight) * np.eye(A.shape[1]), np.eye(B.shape[1])
-        candidate = least_cost(quadratic_cost(matrices, B_scaled, Q_root, R_root), solver)
+        W, W_inverse = _riccati_coordinates(matrices.mean(axis=0), B_scaled, weight)
+        Q_root, R_root = np.sqrt(weight) * W_inverse, np.eye(B.shape[1])
+        inequality = quadratic_cost(W @ matrices @ W_inverse, W @ B_scaled, Q_root, R_root)
+        candidate = least_cost(inequality, solver)
         if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
             continue
-        K = scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64))
+        K = _short(scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W))
         closed = A + B @ K
         stable = np.isfinite(closed).all() and np.linalg.eigvals(closed).real.max() < 0
         certificate = best_certificate(closed, solver=solver) if stable else None
         if certificate is not None:
             return K, certificate
+    _refuse_unreachable(A, B, claim, cells, subject)
     raise Undecided(
         Problem(
-            message=f"{claim} is undecided: no gain with a proof was found{_uncontrollable(A, B, cells)}",
+            message=f"{claim} is undecided: no gain with a proof was found, and no proof that there is none",
             subject=subject,
-            hint="the plant may need another actuator, or another measured output",
+            hint="another actuator or measured output may help, or the other solver: --solver cvxopt",
         )
     )
 
 
-def _uncontrollable(A: Array, B: Array, cells: Sequence[str]) -> str:
-    """Name the modes that B cannot reach and that do not decay: the rank test of Popov, Belevitch, Hautus."""
+def _riccati_coordinates(A: Array, B: Array, weight: float) -> tuple[Array, Array]:
+    """Return W (n, n) and its inverse such that in z = W x the cost of the mean cell's LQR is |z|².
+
+    There the optimal P of (8) is near I, which is where a solver is most exact.
+    """
+    try:
+        X = solve_continuous_are(A, B, weight * np.eye(len(A)), np.eye(B.shape[1]))
+        W = cholesky((X + X.T) / 2)
+        return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
+    except (np.linalg.LinAlgError, ValueError):
+        return np.eye(len(A)), np.eye(len(A))
+
+
+def _refuse_unreachable(A: Array, B: Array, claim: str, cells: Sequence[str], subject: Subject) -> None:
+    """Refuse cells with a mode that does not decay and that B cannot reach, which is decided exactly."""
     found = []
     for name, A_i in zip(cells, A, strict=True):
-        size = np.linalg.norm(A_i, 2)
-        for value in np.linalg.eigvals(A_i):
-            pencil = np.hstack([A_i - value * np.eye(len(A_i)), B])
-            if value.imag >= 0 and value.real > -1e-9 * size and np.linalg.svd(pencil)[1][-1] < 1e-9 * size:
-                found.append(f"{value:.4g} in cell '{name}'")
-    return "; out of its reach, within rounding: eigenvalue " + ", ".join(found) if found else ""
+        stuck = unreachable_part(decimals(A_i), decimals(B))
+        if stuck and not is_hurwitz(stuck):
+            values = np.linalg.eigvals(np.array([[float(v) for v in row] for row in stuck]))
+            found.append(f"{values[np.argmax(values.real)]:.4g} in cell '{name}'")
+    if found:
+        raise Infeasible(
+            Problem(
+                message=f"{claim} is infeasible: no gain moves the eigenvalue " + ", ".join(found),
+                subject=subject,
+                hint="another actuator, or another measured output, must reach this mode",
+            )
+        )
+
+
+def _short(K: Array) -> Array:
+    """Return the gain with nine significant digits: what is printed is what is proved and used."""
+    return np.array([[float(f"{v:.8e}") for v in row] for row in K])

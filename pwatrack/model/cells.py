@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from pwatrack.arrays import Array, IntArray, readonly
 from pwatrack.errors import OutsideTheory, Problem
 
-_INTERIOR = 1e-6  # least inner radius of a full-dimensional set, in units of the least |h_j|
+_INTERIOR = 1e-9  # least inner radius of a set with an interior, in units of the least distance of a plane from 0
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,13 @@ class Partition:
                     found.append(Facet(i, j, k))
         return tuple(found)
 
+    @cached_property
+    def _empty(self) -> tuple[int, ...]:
+        return tuple(i for i in range(len(self.names)) if self.interior_point(self.signs[i]) is None)
+
     def empty_cells(self) -> list[int]:
         """Return the cells whose inequalities leave them no interior; nothing is lost without them."""
-        return [i for i in range(len(self.names)) if self.interior_point(self.signs[i]) is None]
+        return list(self._empty)
 
     def without(self, cells: Sequence[int]) -> "Partition":
         """Return the partition without some of its cells."""
@@ -133,8 +137,31 @@ class Partition:
                         hint="every state must belong to a cell (Section II)",
                     )
                 )
+        if not problems:
+            problems += self._lonely()
         if problems:
             raise OutsideTheory(*problems)
+
+    def _lonely(self) -> list[Problem]:
+        """Cover and disjointness imply that facets connect all cells; where they do not, rounding hid one."""
+        full = [i for i in range(len(self.names)) if i not in self.empty_cells()]
+        reached, frontier = set(full[:1]), full[:1]
+        while frontier:
+            i = frontier.pop()
+            for facet in self.facets:
+                for one, other in ((facet.i, facet.j), (facet.j, facet.i)):
+                    if one == i and other in full and other not in reached:
+                        reached.add(other)
+                        frontier.append(other)
+        return [
+            Problem(
+                message=f"cell '{self.names[i]}' shares no facet with the others: its borders do not match theirs",
+                subject=("system", "cells", i),
+                hint="write the border between two cells with the same numbers in both",
+            )
+            for i in full
+            if i not in reached
+        ]
 
     def _hole(self, region: IntArray, cells: list[int]) -> Array | None:
         """Return a point inside `region` (a sign vector) that is in none of `cells`."""
@@ -163,45 +190,58 @@ class Partition:
         """
         rows = np.flatnonzero(signs)
         rows = rows[rows != on] if on is not None else rows
-        unit = self._unit
+        H, h, d = self._scaled
+        n = H.shape[1]
         if not len(rows):
-            centre: Array = np.zeros(self.H.shape[1]) if on is None else -self.h[on] * self.H[on]
-            return centre / (1.0 if on is None else float(self.H[on] @ self.H[on]))
-        n = self.H.shape[1]
-        norm = np.linalg.norm(self.H, axis=1)
-        H, h = self.H / norm[:, None], self.h / (norm * unit)
-        upper = np.column_stack([-signs[rows, None] * H[rows], np.ones(len(rows))])
-        equal = None if on is None else np.append(H[on], 0.0)[None]
+            return np.zeros(n) if on is None else -h[on] * H[on] * d
         solution = linprog(
             np.append(np.zeros(n), -1.0),
-            A_ub=upper,
+            A_ub=np.column_stack([-signs[rows, None] * H[rows], np.ones(len(rows))]),
             b_ub=signs[rows] * h[rows],
-            A_eq=equal,
+            A_eq=None if on is None else np.append(H[on], 0.0)[None],
             b_eq=None if on is None else [-h[on]],
             bounds=[(None, None)] * n + [(None, 1.0)],
             method="highs",
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
         )
-        if solution.x is None or solution.status != 0 or solution.x[-1] < _INTERIOR:
+        if solution.x is None or solution.status != 0:
             return None
-        return unit * np.asarray(solution.x[:-1], dtype=np.float64)
+        return d * np.asarray(solution.x[:-1], dtype=np.float64) if solution.x[-1] >= _INTERIOR else None
 
     @cached_property
-    def _unit(self) -> float:
-        distance = np.abs(self.h) / np.linalg.norm(self.H, axis=1)
-        return float(distance[distance > 0].min(initial=np.inf)) if (distance > 0).any() else 1.0
+    def _scaled(self) -> tuple[Array, Array, Array]:
+        """Return H' (k, n) with unit rows, h' (k,) and d (n,) with H x + h ∝ H' z + h', x = d z, and |h'| ≥ 1 or 0."""
+        return _equilibrated(self.H, self.h)
 
 
 def _join(one: IntArray, other: IntArray) -> IntArray:
     return np.where(one != 0, one, other)
 
 
+def _equilibrated(H: Array, h: Array) -> tuple[Array, Array, Array]:
+    d = np.ones(H.shape[1])
+    rows = H.copy()
+    for _ in range(4):
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        size = np.abs(rows).max(axis=0, initial=0.0)
+        factor = np.where(size > 0, 2.0 ** -np.round(np.log2(np.where(size > 0, size, 1.0))), 1.0)
+        rows, d = rows * factor, d * factor
+    norm = np.linalg.norm(H * d, axis=1)
+    distance = h / norm
+    unit = float(np.abs(distance)[distance != 0].min(initial=np.inf))
+    unit = unit if np.isfinite(unit) else 1.0
+    return H * d / norm[:, None], distance / unit, d * unit
+
+
 def _merge(H: Array, h: Array, signs: IntArray) -> tuple[Array, Array, IntArray]:
     """Merge hyperplanes that are equal as sets, except where a cell claims both sides of one."""
     kept: list[int] = []
     table = np.zeros_like(signs)
+    unit_H, unit_h, _ = _equilibrated(H, h)
+    unit = np.column_stack([unit_H, unit_h])
     for k in range(len(h)):
         for position, other in enumerate(kept):
-            side = _ratio(np.append(H[k], h[k]), np.append(H[other], h[other])) * signs[:, k]
+            side = _same(unit[k], unit[other]) * signs[:, k]
             if side.any() and (table[:, position] * side >= 0).all():
                 table[:, position] = np.where(side != 0, side, table[:, position])
                 break
@@ -211,13 +251,11 @@ def _merge(H: Array, h: Array, signs: IntArray) -> tuple[Array, Array, IntArray]
     return readonly(H[kept]), readonly(h[kept]), table[:, : len(kept)].copy()
 
 
-def _ratio(one: Array, other: Array) -> int:
-    """Return ±1 if the two rows are multiples of each other (sign of the factor), else 0."""
-    pivot = int(np.argmax(np.abs(other)))
-    factor = one[pivot] / other[pivot]
-    if factor == 0 or np.abs(one - factor * other).max() > 1e-12 * np.abs(one).max():
-        return 0
-    return 1 if factor > 0 else -1
+def _same(one: Array, other: Array) -> int:
+    """Return ±1 if two scaled rows (unit normal, offset) are one hyperplane to `_INTERIOR`, else 0."""
+    sign = 1 if one[:-1] @ other[:-1] > 0 else -1
+    near = np.abs(one - sign * other) <= 0.5 * _INTERIOR * np.append(np.ones(len(one) - 1), max(1.0, abs(one[-1])))
+    return sign if near.all() else 0
 
 
 def _point(x: Array) -> str:

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array, balancing, readonly
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 
 _STATE_TRACKING = "state tracking (Theorem 2, 'tracking: state') needs no form (11), only (8) and (9)"
+_CLEAR = 1e3  # times its rounding error that δ must exceed
 _FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
@@ -68,7 +69,7 @@ def normal_form(plant: PWASystem) -> NormalForm:
         )
     rows, offsets, delta = _output_derivatives(plant)
     r, n = len(rows), plant.A.shape[1]
-    N = _complement(rows, plant.B[:, 0], delta)
+    N = _complement(plant, rows, delta)
     T = np.vstack([rows, N]) if len(N) else rows
     offset = np.concatenate([offsets, np.zeros(n - r)])
     T_inverse = np.linalg.inv(T)
@@ -95,13 +96,27 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
     """Return rows c_k and offsets o_k with y⁽ᵏ⁾ = c_k x + o_k for k < r, and δ = c_{r−1} B."""
     c, o = plant.C[0], 0.0
     rows, offsets = [c], [o]
-    for _ in range(plant.A.shape[1]):
-        delta = float(c @ plant.B[:, 0])
-        if abs(delta) > _ROUNDING * float(np.abs(c) @ np.abs(plant.B[:, 0])):
+    size_A, n = np.abs(plant.A).max(axis=0), plant.A.shape[1]
+    rounding = 4 * n * np.finfo(np.float64).eps
+    error = np.zeros(n)  # bounds how far rounding may have moved the entries of c
+    for _ in range(n):
+        B = plant.B[:, 0]
+        delta = float(c @ B)
+        doubt = float((error + rounding * np.abs(c)) @ np.abs(B))
+        if abs(delta) > _CLEAR * doubt and abs(delta) > 0:
             return np.array(rows), np.array(offsets), delta
+        if abs(delta) > doubt:
+            raise OutsideTheory(
+                Problem(
+                    message=f"the relative degree is not sure: C A^{len(rows) - 1} B = {delta:.3g} is within "
+                    f"{_CLEAR:g} times its rounding error {doubt:.3g}",
+                    subject=("system", "B"),
+                    hint="write the plant in states of similar size that act on each other directly",
+                )
+            )
         following, constants = c @ plant.A, plant.b @ c
-        size = np.abs(c) @ np.abs(plant.A).max(axis=0)
-        differs = np.abs(following - following[0]) > _ROUNDING * size
+        error = error @ size_A + rounding * (np.abs(c) @ size_A)
+        differs = np.abs(following - following[0]) > np.maximum(_ROUNDING * (np.abs(c) @ size_A), 2 * error)
         if differs.any():
             cell, column = np.argwhere(differs)[0]
             one, other = plant.cell_names[0], plant.cell_names[cell]
@@ -115,7 +130,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
                 )
             )
         c, o = following[0], float(constants[0])
-        if not np.abs(c).max() > _ROUNDING * size.max():
+        if not (np.abs(c) > 2 * error).any():
             break
         rows.append(c)
         offsets.append(o)
@@ -129,23 +144,31 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
     )
 
 
-def _complement(rows: Array, B: Array, delta: float) -> Array:
+def _complement(plant: PWASystem, rows: Array, delta: float) -> Array:
     """Return N (n − r, n) with N B = 0 and [rows; N] invertible, made of original states where possible.
 
     State j itself qualifies if B_j = 0; otherwise x_j − (B_j / δ) c_{r−1} x does.
     """
-    n = rows.shape[1]
+    n, B = rows.shape[1], plant.B[:, 0]
+    if len(rows) == n:
+        return np.zeros((0, n))
+    d = balancing(plant.A)
     unit = np.eye(n)
     candidates = [unit[j] for j in range(n) if B[j] == 0]
     candidates += [unit[j] - B[j] / delta * rows[-1] for j in range(n) if B[j] != 0]
     candidates = [v for v in candidates if v.any()]
-    basis, _ = np.linalg.qr((rows / np.linalg.norm(rows, axis=1)[:, None]).T)
+    directions = np.array(candidates) * d
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scaled = rows * d
+    basis, _ = np.linalg.qr((scaled / np.linalg.norm(scaled, axis=1, keepdims=True)).T)
     chosen: list[Array] = []
     while len(rows) + len(chosen) < n:
-        rest = [v - basis @ (basis.T @ v) for v in candidates]
-        fresh = np.linalg.norm(rest, axis=1) / np.linalg.norm(candidates, axis=1)
+        rest = directions
+        for _ in range(2):  # the second pass removes what rounding left
+            rest = rest - (rest @ basis) @ basis.T
+        fresh = np.linalg.norm(rest, axis=1)
         good = np.flatnonzero(fresh > _FRESH)
         best = int(good[0]) if len(good) else int(np.argmax(fresh))
         chosen.append(candidates[best])
-        basis = np.column_stack([basis, rest[best] / np.linalg.norm(rest[best])])
+        basis = np.column_stack([basis, rest[best] / fresh[best]])
     return np.array(chosen).reshape(n - len(rows), n)

@@ -11,6 +11,7 @@ from scipy.interpolate import PPoly
 from pwatrack.arrays import Array
 
 ComplexArray = NDArray[np.complex128]
+_EPS = float(np.finfo(np.float64).eps)
 _SAME = 1e-12  # relative distance below which two exponents λ are one
 
 
@@ -178,7 +179,10 @@ def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArr
             break
     before = terms.get(rate, np.zeros(0, dtype=np.complex128))
     length = max(len(before), len(c))
-    terms[rate] = np.pad(before, (0, length - len(before))) + np.pad(c, (0, length - len(c)))
+    one, two = np.pad(before, (0, length - len(before))), np.pad(c, (0, length - len(c)))
+    total = one + two
+    total[np.abs(total) <= 8 * _EPS * (np.abs(one) + np.abs(two))] = 0.0  # what cancelled is gone
+    terms[rate] = total
 
 
 @dataclass(frozen=True)
@@ -239,7 +243,8 @@ class Signal:
                 before, after = before.derivative(), after.derivative()
             span = self.starts[k] - self.starts[k - 1]
             left, right = before(span), after(0.0)
-            scale = max(scale, abs(left), abs(right), abs(before(span / 2)))
+            size = max(abs(left), abs(right), abs(before(span / 2)))
+            scale = max(scale, size * (1 + 1e9 * _EPS * self.starts[k] / span))  # the break itself is rounded
             if abs(right - left) > worst:
                 worst, where = abs(right - left), self.starts[k]
         return (where, worst) if worst > 1e-9 * scale else None

@@ -14,7 +14,8 @@ from pwatrack import __version__
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.audit import FORMAT
+from pwatrack.lmi.exact import Proof
 from pwatrack.pipeline import Result
 from pwatrack.report.run_folder import INDEX, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import PARTS
@@ -80,40 +81,45 @@ def _gain_figures(controller: Controller) -> dict[str, float]:
     return {
         "norm_K": float(np.linalg.norm(controller.design.K, 2)),
         "norm_L": float(np.linalg.norm(controller.design.L, 2)),
-        **{f"{name.split()[0]}_rate": c.rate for name, c in certificates(controller).items()},
+        **{f"{proof.of}_rate": proof.rate for proof in controller.proofs},
     }
 
 
-def certificates(controller: Controller) -> dict[str, Certificate]:
-    """Return the proofs of a design by what they prove."""
-    found = {"controller (8)": controller.design.controller, "observer (9)": controller.design.observer}
-    generator = controller.generator
-    if generator is not None and generator.A_eta.shape[1]:
-        found["generator (17)"] = generator.certificate
-    return found
-
-
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
-    design = controller.design
-    run.json(
-        "gains.json",
-        {
-            "convention": "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)",
-            "K": design.K.tolist(),
-            "L": design.L.tolist(),
-        },
-    )
+    design, generator = controller.design, controller.generator
+    convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
+    run.json("gains.json", {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()})
     run.json(
         "certificate.json",
         {
-            "claim": "M_i P + P M_i^T + 2 rate P < 0 and P > 0 for every i",
+            "format": FORMAT,
+            "claim": "P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i, exactly, for these decimals; "
+            "P_jk = integers_jk 2^(exponents_j + exponents_k); controller: M_i = A_i + B K; "
+            "observer: M_i = (A_i + L C)^T; generator: M_i = A_eta_i^T",
             "spec_sha256": spec.sha256,
+            "parameters": dict(spec.parameters),
             "cells": list(spec.plant.cell_names),
-            **{name: _certificate(c) for name, c in certificates(controller).items()},
+            "A": spec.plant.A.tolist(),
+            "B": spec.plant.B.tolist(),
+            "C": spec.plant.C.tolist(),
+            "K": design.K.tolist(),
+            "L": design.L.tolist(),
+            "A_eta": [] if generator is None else generator.A_eta.tolist(),
+            "proofs": [_proof(proof) for proof in controller.proofs],
         },
     )
-    if controller.generator is not None:
-        run.json("generator.json", _generator(controller.generator))
+    if generator is not None:
+        run.json("generator.json", _generator(generator))
+
+
+def _proof(proof: Proof) -> dict[str, Any]:
+    return {
+        "of": proof.of,
+        "rate": proof.rate,
+        "margin": proof.margin,
+        "radius": proof.radius,
+        "P": {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)},
+    }
 
 
 def _generator(generator: TrajectoryGenerator) -> dict[str, Any]:
@@ -132,15 +138,6 @@ def _generator(generator: TrajectoryGenerator) -> dict[str, Any]:
         "gamma": form.gamma.tolist(),
         "delta": form.delta,
         "shift": None if generator.shift is None else generator.shift.tolist(),
-    }
-
-
-def _certificate(certificate: Certificate) -> dict[str, Any]:
-    return {
-        "rate": certificate.rate,
-        "margin": certificate.margin,
-        "P": certificate.P.tolist(),
-        "M": certificate.M.tolist(),
     }
 
 
@@ -193,7 +190,7 @@ def _index(run: RunFolder, spec: Spec, seconds: Mapping[str, float] | None, figu
             "versions": {
                 "pwatrack": __version__,
                 "python": platform.python_version(),
-                **{name: version(name) for name in ("numpy", "scipy", "picos", "clarabel", "cvxopt")},
+                **{name: version(name) for name in ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")},
             },
             "files": run.names,
         },

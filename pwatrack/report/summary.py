@@ -12,6 +12,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.lmi.exact import Proof
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import measures
@@ -76,11 +77,13 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     """Say what was proved and the gains."""
     design, generator = controller.design, controller.generator
     table = _titled(spec.name)
-    for claim, letter, gain, given, certificate in (
-        ("(8) controller", "K", design.K, spec.K is not None, design.controller),
-        ("(9) observer", "Lᵀ", design.L.T, spec.L is not None, design.observer),
+    proofs = {proof.of: proof for proof in controller.proofs}
+    for claim, letter, gain, given in (
+        ("(8) controller", "K", design.K, spec.K is not None),
+        ("(9) observer", "Lᵀ", design.L.T, spec.L is not None),
     ):
-        table.add_row(claim, f"proved for all {len(certificate.M)} cells, rate {certificate.rate:.4g} 1/s")
+        proof = proofs[claim.split()[1]]
+        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, rate {proof.rate:.4g} 1/s")
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {'given' if given else 'designed'}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
     if generator is None:
@@ -89,16 +92,15 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         condition = ", as long as x_d stays bounded (not proved for a response from a given start)" if given else ""
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
-        _generator_rows(table, generator)
+        _generator_rows(table, generator, proofs.get("generator"))
     console.print(table)
 
 
-def _generator_rows(table: Table, generator: TrajectoryGenerator) -> None:
-    if not generator.A_eta.shape[1]:
+def _generator_rows(table: Table, generator: TrajectoryGenerator, proof: Proof | None) -> None:
+    if proof is None:
         table.add_row("(17) generator", "none needed: relative degree = number of states")
     else:
-        rate = generator.certificate.rate
-        table.add_row("(17) generator", f"proved, rate {rate:.4g} 1/s; η = {', '.join(generator.form.eta_names)}")
+        table.add_row("(17) generator", f"proved, rate {proof.rate:.4g} 1/s; η = {', '.join(generator.form.eta_names)}")
         if generator.shift is not None:
             table.add_row("Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}")
         else:

@@ -67,7 +67,7 @@ def simulate_flow(
     halvings = _halvings(balanced.size(), sample_time)
     samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
     h = sample_time / 2**halvings
-    scaled = [_GridReset(r.t / h, r.where, r.value / d[r.where]) for r in resets if r.t > 0]
+    scaled = [_GridReset(_snapped(r.t / h), r.where, r.value / d[r.where]) for r in resets]
     walk = _Walk(balanced, z0 / d, h, scaled)
     z = np.empty((samples, len(z0)))
     modes = np.empty((samples, len(flow.parts)), dtype=np.int64)
@@ -105,6 +105,8 @@ class _Walk:
         self.events: list[Event] = []
         self.z = z0
         self.k = 0
+        if self.resets and self.resets[-1].step <= 0:
+            self._reset()
         self.mode = self._settle(None, set())
 
     def forward(self, steps: int) -> Array:
@@ -137,12 +139,17 @@ class _Walk:
         """Advance by one step in which guards may be crossed and resets may fall."""
         done = 0.0
         while self.resets and self.resets[-1].step < self.k + 1:
-            reset = self.resets.pop()
-            done = self._part(done, max(done, reset.step - self.k))
-            self.z = self.z.copy()
-            self.z[reset.where] = reset.value
+            done = self._part(done, max(done, self.resets[-1].step - self.k))
+            self._reset()
             self._change_mode(self._settle(self.mode, set()), done)
         self._part(done, 1.0)
+
+    def _reset(self) -> None:
+        """Carry out all resets that fall on the same instant."""
+        self.z, step = self.z.copy(), self.resets[-1].step
+        while self.resets and self.resets[-1].step <= step:
+            reset = self.resets.pop()
+            self.z[reset.where] = reset.value
 
     def _part(self, done: float, end: float) -> float:
         """Advance from `done` to `end`, in steps from k, and return `end`."""
@@ -272,6 +279,11 @@ class _Table:
 def _halvings(size: Array, sample_time: float) -> int:
     norm = float(np.linalg.norm(size, 2)) * sample_time
     return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
+
+
+def _snapped(step: float) -> float:
+    """Return a time in steps, on the grid if it is there but for rounding."""
+    return float(round(step)) if abs(step - round(step)) < 1e-9 else step
 
 
 def _horner(terms: Array, tau: float) -> Array:

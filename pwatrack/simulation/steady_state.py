@@ -3,14 +3,15 @@
 import numpy as np
 from scipy.linalg import expm
 
-from pwatrack.arrays import Array
-from pwatrack.errors import CheckFailed
+from pwatrack.arrays import Array, balancing
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.trace import Trace
 
 _TOLERANCE = 1e-11  # of the largest state, after one period
 _MOST_STEPS = 50
+_SINGULAR = 1e-10  # relative distance from 1 at which a multiplier of the period map counts as 1
 
 
 def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: int = 400) -> Trace:
@@ -29,7 +30,7 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         samples: Samples in the period.
 
     Raises:
-        CheckFailed: If Newton's method does not settle.
+        OutsideTheory: If Newton's method does not settle, or 1 is a multiplier of the period map.
     """
     z = z0.copy()
     for _ in range(_MOST_STEPS):
@@ -40,8 +41,17 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         monodromy = np.eye(len(z))
         for mode, start, end in trace.stays():
             monodromy = expm(flow.matrix(mode) * (end - start)) @ monodromy
-        z[:free] += np.linalg.solve(np.eye(free) - monodromy[:free, :free], residual)
-    raise CheckFailed(
-        f"no periodic steady state was found in {_MOST_STEPS} steps: the state still moves by "
-        f"{np.abs(residual).max():.2g} in one period"
+        gap = np.eye(free) - monodromy[:free, :free]
+        d = balancing(monodromy[None, :free, :free])
+        least = float(np.linalg.svd(gap / d[:, None] * d, compute_uv=False)[-1])
+        if least < _SINGULAR * max(1.0, float(np.linalg.norm(monodromy[:free, :free] / d[:, None] * d))):
+            break
+        z[:free] += np.linalg.solve(gap, residual)
+    raise OutsideTheory(
+        Problem(
+            message=f"no periodic solution of period {period:.6g} s was found: the state still moves by "
+            f"{np.abs(residual).max():.2g} in one period",
+            subject=("reference", "start"),
+            hint="the plant may not converge by itself, or be in resonance: give x_d(0) as start instead",
+        )
     )
