@@ -1,9 +1,6 @@
 """The command line: parse, call, print."""
 
 import json
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +11,6 @@ from pwatrack.report.terminal import console, refusals
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
-    from pwatrack.spec.load import Spec
 
 app = typer.Typer(
     help="Output tracking control of continuous piecewise affine systems, with proofs.",
@@ -61,8 +57,9 @@ def check(
     with refusals():
         from pwatrack.control.applicability import applicability
         from pwatrack.report import summary
+        from pwatrack.spec.load import assignments, load_spec
 
-        spec = _load(spec_path, parameters, None)
+        spec = load_spec(spec_path, assignments(parameters or []))
         report = applicability(spec.plant)
         if as_json:
             typer.echo(json.dumps(summary.plant_json(spec.name, report), indent=2))
@@ -123,47 +120,9 @@ def verify(
 
 
 def _run(
-    spec_path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
+    path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
 ) -> None:
     with refusals():
-        from pwatrack import pipeline
-        from pwatrack.report import files, summary
+        from pwatrack.report.session import run
 
-        screen, progress = console(), console(stderr=True)
-        folder = out or Path("runs") / spec_path.stem
-        seconds: dict[str, float] = {}
-        with progress.status("Reading the spec") as status:
-            with _timed(seconds, "load"):
-                spec = _load(spec_path, parameters, solver)
-            status.update("Solving the matrix inequalities")
-            with _timed(seconds, "design"):
-                controller = pipeline.design(spec)
-            if simulated:
-                status.update("Simulating the closed loop")
-                with _timed(seconds, "simulate"):
-                    result = pipeline.simulate(spec, controller)
-                status.update("Writing traces and plots")
-                files.write_result(result, folder, seconds=seconds)
-            else:
-                files.write_design(spec, controller, folder, seconds=seconds)
-        summary.print_design(screen, spec, controller)
-        if simulated:
-            summary.print_result(screen, result, folder)
-        else:
-            summary.print_files(screen, folder)
-
-
-def _load(path: Path, texts: list[str] | None, solver: "Solver | None") -> "Spec":
-    from dataclasses import replace
-
-    from pwatrack.spec.load import assignments, load_spec
-
-    spec = load_spec(path, assignments(texts or []))
-    return replace(spec, solver=solver) if solver else spec
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    seconds[step] = round(time.perf_counter() - start, 4)
+        run(path, out or Path("runs") / path.stem, parameters or [], solver, simulated=simulated)

@@ -1,10 +1,10 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_continuous_are
+from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.control.convergence import best_certificate, prove_convergence
@@ -120,9 +120,10 @@ def stabilising_gain(
     scaling = Scaling.of(A, B)
     matrices, _ = distinct(scaling.system(A))
     B_scaled = scaling.input(B)
-    for weight in _STATE_WEIGHTS:
-        W, W_inverse = _riccati_coordinates(matrices.mean(axis=0), B_scaled, weight)
-        Q_root, R_root = np.sqrt(weight) * W_inverse, np.eye(B.shape[1])
+    mean, R_root = matrices.mean(axis=0), np.eye(B.shape[1])
+    for Q in _state_weights(mean, B_scaled):
+        W, W_inverse = _riccati_coordinates(mean, B_scaled, Q)
+        Q_root = cholesky(Q) @ W_inverse
         inequality = quadratic_cost(W @ matrices @ W_inverse, W @ B_scaled, Q_root, R_root)
         candidate = least_cost(inequality, solver)
         if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
@@ -143,13 +144,30 @@ def stabilising_gain(
     )
 
 
-def _riccati_coordinates(A: Array, B: Array, weight: float) -> tuple[Array, Array]:
+def _state_weights(A: Array, B: Array) -> Iterator[Array]:
+    """Yield the weights Q of the quadratic cost, in the order in which they are tried.
+
+    First multiples of I. Then multiples of the inverse of the controllability
+    Gramian of the damped mean cell, which do not depend on the choice of states:
+    x' Q x is the effort it takes to get to x.
+    """
+    eye = np.eye(len(A))
+    yield from (weight * eye for weight in _STATE_WEIGHTS)
+    damping = 2.0 * max(float(np.abs(np.linalg.eigvals(A)).max()), 1e-2)
+    gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
+    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    if values[-1] > 0:
+        inverse = (vectors / np.maximum(values, 1e-12 * values[-1])) @ vectors.T
+        yield from (weight * damping * (inverse + inverse.T) / 2 for weight in _STATE_WEIGHTS)
+
+
+def _riccati_coordinates(A: Array, B: Array, Q: Array) -> tuple[Array, Array]:
     """Return W (n, n) and its inverse such that in z = W x the cost of the mean cell's LQR is |z|².
 
     There the optimal P of (8) is near I, which is where a solver is most exact.
     """
     try:
-        X = solve_continuous_are(A, B, weight * np.eye(len(A)), np.eye(B.shape[1]))
+        X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]))
         W = cholesky((X + X.T) / 2)
         return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError):

@@ -1,18 +1,14 @@
 """Check a pwatrack certificate from the bytes of its file, with whole numbers only.
 
-This file needs nothing but Python's standard library and no other file of pwatrack:
+This file runs alone, on Python's standard library: python audit.py certificate.json
 
-    python audit.py certificate.json
+Every number is read as the decimal it is. With P_jk = integers_jk * 2**(exponents_j + exponents_k)
+it is checked, by fraction-free elimination in whole numbers, that for every i
 
-Every number in the file is read as the decimal it is. For each proof, the matrices
-M_i are formed exactly; with P from `integers` and `exponents`,
-P_jk = integers_jk * 2**(exponents_j + exponents_k), it is checked that
+    P > 0   and   -(M_i P + P M_i^T) - 2 rate P - margin I > 0   (positive definite).
 
-    P > 0   and   -(M_i P + P M_i^T) - 2 rate P - margin I > 0   for every i,
-
-where > 0 means positive definite: all pivots of fraction-free elimination are
-positive. It follows that every x' = A(t) x with A(t) in the convex hull of the M_i
-(or of their transposes) decays at least as fast as exp(-rate t).
+So every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes,
+decays at least as fast as exp(-rate t).
 """
 
 import json
@@ -85,8 +81,7 @@ def positive_definite(X: Matrix) -> bool:
     rows = [[int(v * scale) for v in row] for row in X]
     previous = 1
     for k, pivot_row in enumerate(rows):
-        pivot = pivot_row[k]
-        if pivot <= 0:
+        if (pivot := pivot_row[k]) <= 0:
             return False
         for row in rows[k + 1 :]:
             factor = row[k]

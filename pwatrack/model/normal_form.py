@@ -9,7 +9,7 @@ from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 
 _STATE_TRACKING = "state tracking (Theorem 2, 'tracking: state') needs no form (11), only (8) and (9)"
-_CLEAR = 1e3  # times its rounding error that δ must exceed
+_ZERO = 0.25  # of the worst rounding error, below which δ counts as 0
 _FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
@@ -103,13 +103,13 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
         B = plant.B[:, 0]
         delta = float(c @ B)
         doubt = float((error + rounding * np.abs(c)) @ np.abs(B))
-        if abs(delta) > _CLEAR * doubt and abs(delta) > 0:
-            return np.array(rows), np.array(offsets), delta
         if abs(delta) > doubt:
+            return np.array(rows), np.array(offsets), delta
+        if abs(delta) > _ZERO * doubt:
             raise OutsideTheory(
                 Problem(
-                    message=f"the relative degree is not sure: C A^{len(rows) - 1} B = {delta:.3g} is within "
-                    f"{_CLEAR:g} times its rounding error {doubt:.3g}",
+                    message=f"the relative degree is not sure: C A^{len(rows) - 1} B = {delta:.3g} may be rounding, "
+                    f"which can reach {doubt:.3g}",
                     subject=("system", "B"),
                     hint="write the plant in states of similar size that act on each other directly",
                 )

@@ -109,8 +109,8 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proof: Proof |
     table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
 
 
-def print_result(console: Console, result: Result, folder: Path) -> None:
-    """Say how the simulation went and where the files are."""
+def print_result(console: Console, result: Result) -> None:
+    """Say how the simulation went."""
     figures = measures(result)
     unit = f" {error_unit(result)}".rstrip()
     kind = "|y − y_d|" if result.controller.generator is not None else "‖x − x_d‖"
@@ -132,7 +132,6 @@ def print_result(console: Console, result: Result, folder: Path) -> None:
     for remark in result.remarks:
         table.add_row("remark", remark)
     console.print(table)
-    print_files(console, folder)
 
 
 def error_unit(result: Result) -> str:

@@ -1,0 +1,55 @@
+"""One run of one spec as the command line does it: progress, files, summary."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from pwatrack import pipeline
+from pwatrack.lmi.inequality import Solver
+from pwatrack.report import files, summary
+from pwatrack.report.terminal import console
+from pwatrack.spec.load import assignments, load_spec
+
+
+def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | None, *, simulated: bool) -> None:
+    """Design, simulate if asked, write the files, and print what came out.
+
+    Args:
+        path: The spec file.
+        folder: Where the files go.
+        parameters: Replacements as NAME=VALUE.
+        solver: Which interior-point solver to ask, instead of the one in the spec.
+        simulated: Whether to simulate.
+
+    Raises:
+        PwatrackError: Whatever loading, design, simulation or writing refuses.
+    """
+    screen, seconds = console(), dict[str, float]()
+    with console(stderr=True).status("Reading the spec") as status:
+        with _timed(seconds, "load"):
+            spec = load_spec(path, assignments(parameters))
+            spec = replace(spec, solver=solver) if solver else spec
+        status.update("Solving the matrix inequalities")
+        with _timed(seconds, "design"):
+            controller = pipeline.design(spec)
+        if not simulated:
+            files.write_design(spec, controller, folder, seconds=seconds)
+        else:
+            status.update("Simulating the closed loop")
+            with _timed(seconds, "simulate"):
+                result = pipeline.simulate(spec, controller)
+            status.update("Writing traces and plots")
+            files.write_result(result, folder, seconds=seconds)
+    summary.print_design(screen, spec, controller)
+    if simulated:
+        summary.print_result(screen, result)
+    summary.print_files(screen, folder)
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[step] = round(time.perf_counter() - start, 4)
