@@ -395,3 +395,21 @@ def test_the_module_passes_its_exit_code_to_the_shell(specs: Path) -> None:
     )
     assert (run.returncode, run.stdout) == (3, b"")
     assert b"Traceback" not in run.stderr
+
+
+def test_check_speaks_json_for_machines(spec: Path) -> None:
+    run = call("check", spec, "--json")
+    assert run.exit_code == 0
+    content = json.loads(run.stdout)
+    assert content["cells"] == ["upper spring", "gap", "lower spring"]
+    assert content["relative_degree"] == 2
+    assert content["form_11"] is True
+    assert len(content["facets"]) == 2
+    assert content["zero_dynamics"]["gap"][0] == pytest.approx([-0.15, 0.98869], abs=1e-4)
+    assert content["theorems"]["Theorem 2"] == "applies if (8) and (9) are feasible"
+
+
+def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
+    run = call("check", specs / "gallery" / "two_driven_carts.yaml")
+    assert run.exit_code == 0
+    assert "Theorem 3  does not apply" in run.stdout

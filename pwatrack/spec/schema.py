@@ -166,9 +166,9 @@ class ElementSection(Section):
 
 
 class DeadZoneSection(ElementSection):
-    """φ = 0 in [lower, upper], lines outside."""
+    """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
-    kind: Literal["dead_zone"]
+    kind: Literal["dead_zone", "stop"]
     lower: Number
     upper: Number
     slope: Number = 1.0
