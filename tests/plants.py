@@ -48,7 +48,8 @@ def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2, strength: float 
     C = np.eye(n)[:1]
     T = np.linalg.qr(random.normal(size=(n, n)))[0] * random.uniform(0.5, 2.0, size=n)
     inverse = np.linalg.inv(T)
-    offset = random.normal(size=n) * 0.1
+    c = random.normal(size=n)[:k] * 0.1
     b = random.normal(size=n) * 0.1
     b[: r - 1] = 0.0
-    return springs(T @ A @ inverse, T @ b, T @ B, C @ inverse, g @ T.T, h @ inverse, offset[:k])
+    o = np.append(0.0, random.normal(size=n - 1) * 0.1)  # x = T (z + o), with y as before: offsets in ξ
+    return springs(T @ A @ inverse, T @ (b - A @ o), T @ B, C @ inverse, g @ T.T, h @ inverse, c - h @ o)

@@ -150,3 +150,10 @@ def test_a_certificate_of_another_spec_is_refused(run: Path, specs: Path) -> Non
 )
 def test_what_is_no_certificate_is_refused(text: str) -> None:
     assert auditor.audit(text) != []
+
+
+def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequality_holds() -> None:
+    """For M = 1 and P = −1 the inequality reads 2 + 2 rate − margin > 0: only P ≻ 0 stands against it."""
+    claim = {"rate": 1, "margin": Fraction(1, 2), "radius": 0, "P": {"integers": [[-1]], "exponents": [0]}}
+    assert auditor.check([[[Fraction(1)]]], claim) == ["P is not positive definite"]
+    assert prove_exactly("generator", [decimals(np.array([[1.0]]))], np.array([[1.0]]), 0.5) is None

@@ -64,8 +64,6 @@ def first_crossing(power: Array, tolerance: float) -> Crossing | None:
         return None
     start = int(np.argmax(significant))
     rest = power[start:]
-    if rest[0] < 0:
-        return Crossing(0.0)
     if rest[0] >= np.abs(rest[1:]).sum() + tolerance:
         return None
     touched: Crossing | None = None
