@@ -162,11 +162,12 @@ def test_an_output_path_that_depends_on_the_cell_is_refused_with_row_and_cells()
         normal_form(plant)
 
 
-def test_an_input_that_never_reaches_the_output_has_no_relative_degree() -> None:
+@pytest.mark.parametrize("force", [1.0, 0.0])
+def test_an_input_that_never_reaches_the_output_has_no_relative_degree(force: float) -> None:
     plant = springs(
         A=np.diag([-1.0, -2.0]),
         b=np.zeros(2),
-        B=np.array([[0.0], [1]]),
+        B=np.array([[0.0], [force]]),
         C=np.array([[1.0, 0]]),
         g=np.zeros((0, 2)),
         h=np.zeros((0, 2)),

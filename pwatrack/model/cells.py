@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, IntArray, readonly
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory, Problem, Undecided
 
 _INTERIOR = 1e-9  # least inner radius of a set with an interior, in units of the least distance of a plane from 0
 
@@ -70,10 +70,6 @@ class Partition:
         inside = (self.signs * (self.H @ x + self.h)).min(axis=1, initial=0.0)
         return int(np.argmax(inside))
 
-    def substitute(self, T: Array, offset: Array) -> tuple[Array, Array]:
-        """Return (H, h) in the coordinates z with x = T z + offset."""
-        return self.H @ T, self.H @ offset + self.h
-
     def between(self, i: int, j: int) -> list[int]:
         """Return the hyperplanes that cells i and j are on opposite sides of."""
         return [int(k) for k in np.flatnonzero(self.signs[i] * self.signs[j] < 0)]
@@ -96,12 +92,9 @@ class Partition:
         return tuple(found)
 
     @cached_property
-    def _empty(self) -> tuple[int, ...]:
+    def empty_cells(self) -> tuple[int, ...]:
+        """The cells whose inequalities leave them no interior; nothing is lost without them."""
         return tuple(i for i in range(len(self.names)) if self.interior_point(self.signs[i]) is None)
-
-    def empty_cells(self) -> list[int]:
-        """Return the cells whose inequalities leave them no interior; nothing is lost without them."""
-        return list(self._empty)
 
     def without(self, cells: Sequence[int]) -> "Partition":
         """Return the partition without some of its cells."""
@@ -144,7 +137,7 @@ class Partition:
 
     def _lonely(self) -> list[Problem]:
         """Cover and disjointness imply that facets connect all cells; where they do not, rounding hid one."""
-        full = [i for i in range(len(self.names)) if i not in self.empty_cells()]
+        full = [i for i in range(len(self.names)) if i not in self.empty_cells]
         reached, frontier = set(full[:1]), full[:1]
         while frontier:
             i = frontier.pop()
@@ -187,6 +180,9 @@ class Partition:
         """Return an inner point (n,) of the polyhedron of a sign vector (k,), or None if it has no interior.
 
         With `on`, the interior is meant relative to that hyperplane.
+
+        Raises:
+            Undecided: If the linear program is not solved.
         """
         rows = np.flatnonzero(signs)
         rows = rows[rows != on] if on is not None else rows
@@ -204,8 +200,10 @@ class Partition:
             method="highs",
             options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
         )
-        if solution.x is None or solution.status != 0:
+        if solution.status == 2 or solution.x is None:
             return None
+        if solution.status != 0:
+            raise Undecided(f"a linear program on the cells was not solved: {solution.message}")
         return d * np.asarray(solution.x[:-1], dtype=np.float64) if solution.x[-1] >= _INTERIOR else None
 
     @cached_property

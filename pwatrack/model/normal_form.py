@@ -116,6 +116,8 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
             )
         following, constants = c @ plant.A, plant.b @ c
         error = error @ size_A + rounding * (np.abs(c) @ size_A)
+        if not B.any():
+            break
         differs = np.abs(following - following[0]) > np.maximum(_ROUNDING * (np.abs(c) @ size_A), 2 * error)
         if differs.any():
             cell, column = np.argwhere(differs)[0]

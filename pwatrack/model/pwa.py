@@ -84,7 +84,7 @@ class PWASystem:
             outputs=tuple(outputs) or _numbered("y", C_.shape[0]),
         )
         system._check_continuity(tolerance)
-        return system._without(partition.empty_cells())
+        return system._without(partition.empty_cells)
 
     @property
     def cell_names(self) -> tuple[str, ...]:

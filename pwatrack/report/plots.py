@@ -45,8 +45,9 @@ def tracking_error(result: Result) -> Figure:
     error = result.response.tracking_error
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
     units = {result.spec.units.get(name, "") for name in names}
-    title = f"Tracking error: at most {result.final_error:.1e} in the last tenth of the time"
-    return _error(result, curves, np.linalg.norm(error, axis=1), units.pop() if len(units) == 1 else "", title)
+    unit = units.pop() if len(units) == 1 else ""
+    title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
+    return _error(result, curves, np.linalg.norm(error, axis=1), unit, title)
 
 
 def observer_error(result: Result) -> Figure:

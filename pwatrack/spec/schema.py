@@ -94,6 +94,12 @@ def _positive(value: float) -> float:
     return value
 
 
+def _not_all_zero(values: list[float]) -> list[float]:
+    if not any(values):
+        raise ValueError("all entries are 0: this is no hyperplane")
+    return values
+
+
 def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
     if not isinstance(value, str):
         raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
@@ -153,7 +159,7 @@ class CellSection(Section):
 class HyperplaneSection(Section):
     """The set H x + h = 0."""
 
-    H: Vector
+    H: Annotated[Vector, AfterValidator(_not_all_zero)]
     h: Number = 0.0
 
 
