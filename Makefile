@@ -39,6 +39,10 @@ test: $(READY) ## run the tests
 batch: $(READY) ## design and simulate every spec in specs/
 	@$(BIN)/pwatrack batch specs --jobs 2
 
+.PHONY: bench
+bench: $(READY) ## time our simulation against scipy's integrators
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
+
 .PHONY: lint
 lint: $(READY) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
