@@ -1,6 +1,5 @@
 """A spec file -> `Spec`, or every error in the file at once with line and column."""
 
-import difflib
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,20 +16,16 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
 from pwatrack.spec.build import build_plant, build_reference
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
-from pwatrack.spec.schema import (
-    Context,
-    ExpectSection,
-    SimulationSection,
-    SpecFile,
-    SystemSection,
-    flat_matrices,
-    known_keys,
-    path_text,
+from pwatrack.spec.problems import (
+    name_problems,
+    plant_problems,
+    reference_problems,
+    sampling_problems,
     shape_problems,
+    validation_problems,
 )
+from pwatrack.spec.schema import Context, ExpectSection, SpecFile
 from pwatrack.spec.yaml_tree import Document, parse_yaml
-
-_MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,15 +104,15 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         *document.problems,
         *problems,
         *shape_problems(document.data, context),
-        *_name_problems(document.data, context),
-        *_sampling_problems(document.data, context),
+        *name_problems(document.data, context),
+        *sampling_problems(document.data, context),
     ]
     try:
         file = SpecFile.model_validate(document.data, context=context)
     except ValidationError as error:
-        problems += _validation_problems(error, document.data)
+        problems += validation_problems(error, document.data)
     if not problems:
-        problems += _plant_problems(file.system) + _reference_problems(file)
+        problems += plant_problems(file.system) + reference_problems(file)
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
@@ -222,154 +217,6 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
     system = data.get("system")
     names = system.get(name) if isinstance(system, dict) else None
     return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()
-
-
-_EXPECTED = {"list_type": "a list", "dict_type": "a mapping", "model_type": "a mapping", "string_type": "a text"}
-
-
-def _validation_problems(error: ValidationError, data: Any) -> list[Problem]:
-    problems = []
-    flat = flat_matrices(data)
-    for item in error.errors(include_url=False):
-        cause = item.get("ctx", {}).get("error")
-        if isinstance(cause, BrokenParameter):
-            continue
-        subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
-        if any(subject[: len(matrix)] == matrix for matrix in flat):
-            continue  # said once for the whole matrix
-        where = path_text(subject)
-        if item["type"] == "missing":
-            message, subject = f"{where} is missing", subject[:-1]
-        elif item["type"] == "extra_forbidden":
-            close = difflib.get_close_matches(str(subject[-1]), known_keys(), n=1)
-            message = f"{where}: unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
-        elif item["type"] in _EXPECTED:
-            message = f"{where}: {_EXPECTED[item['type']]} is expected"
-        elif item["type"] == "union_tag_invalid":
-            message = f"{where}: kind '{item['ctx']['tag']}' is none of {item['ctx']['expected_tags']}"
-        elif item["type"] == "union_tag_not_found":
-            message = f"{where}: kind is missing"
-        else:
-            reason = str(cause) if cause else item["msg"][0].lower() + item["msg"][1:]
-            message = f"{where}: {reason}"
-        problems.append(Problem(message=message, subject=subject))
-    return problems
-
-
-def _in_tree(loc: Sequence[str | int], data: Any, *, missing: bool) -> Subject:
-    """Return a path of pydantic without the parts that name a variant instead of an entry of the file."""
-    subject: list[str | int] = []
-    for k, part in enumerate(loc):
-        there = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
-        if there:
-            data = data[part]
-        if there or (missing and k == len(loc) - 1):
-            subject.append(part)
-    return tuple(subject)
-
-
-def _name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check on the raw tree that every name stands for one thing."""
-    problems = []
-    taken: dict[str, str] = {}
-    for kind in ("parameters", "states", "inputs", "outputs"):
-        for name in context.parameters if kind == "parameters" else getattr(context, kind):
-            if taken.get(name, kind) != kind:
-                message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                problems.append(Problem(message=message, subject=("system", kind)))
-            taken[name] = kind
-    signals = [*context.states, *context.inputs, *context.outputs]
-    for name in signals:
-        for suffix in ("_hat", "_d", "_ff"):
-            if name + suffix in signals:
-                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
-                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
-    system = data.get("system")
-    system = system if isinstance(system, dict) else {}
-    units = system.get("units")
-    problems += [
-        Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
-        for name in (units if isinstance(units, dict) and context.states else {})
-        if name not in signals
-    ]
-    seen: list[str] = []
-    cells = system.get("cells")
-    for k, cell in enumerate(cells if isinstance(cells, list) else []):
-        name = cell.get("name") if isinstance(cell, dict) else None
-        if isinstance(name, str) and name in seen:
-            subject: Subject = ("system", "cells", k, "name")
-            problems.append(Problem(message=f"a second cell is named '{name}'", subject=subject))
-        seen.append(str(name))
-    return problems
-
-
-def _sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check that the samples are neither too many nor too few, where both numbers can be read."""
-    try:
-        section = SimulationSection.model_validate(data.get("simulation"), context=context)
-    except ValidationError:
-        return []
-    duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
-    if step > duration:
-        message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
-        return [Problem(message=message, subject=subject)]
-    if duration / step > _MOST_SAMPLES:
-        message = f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken"
-        hint = "events are exact at any sample time; a longer one only draws fewer points"
-        return [Problem(message=message, subject=subject, hint=hint)]
-    return []
-
-
-def _plant_problems(system: SystemSection) -> list[Problem]:
-    """Check that the plant is written in exactly one of the three ways."""
-    problems: list[tuple[str, Subject]] = []
-    if system.cells is None:
-        if system.A is None:
-            problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
-        if system.hyperplanes is not None:
-            problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
-    else:
-        problems += [
-            (f"system.{name} does not go with cells: give one or the other", ("system", name))
-            for name in ("A", "b", "nonlinearities")
-            if getattr(system, name) is not None
-        ]
-        wanted = "where" if system.hyperplanes is None else "signs"
-        for k, cell in enumerate(system.cells):
-            subject: Subject = ("system", "cells", k)
-            if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
-                count = len(system.hyperplanes or [])
-                found = "none" if cell.signs is None else str(len(cell.signs))
-                problems.append((f"cell '{cell.name}': {found} signs, expected {count}, one per hyperplane", subject))
-            if wanted == "where" and cell.signs is not None:
-                problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
-    for k, element in enumerate(system.nonlinearities or []):
-        for state in element.into:
-            if state not in system.states:
-                subject = ("system", "nonlinearities", k, "into", state)
-                problems.append((f"nonlinearity '{element.name}': '{state}' is no state", subject))
-    return [Problem(message=message, subject=subject) for message, subject in problems]
-
-
-def _reference_problems(file: SpecFile) -> list[Problem]:
-    """Check that there is one reference, of the kind that is tracked."""
-    reference, tracking = file.reference, file.design.tracking
-    given = [kind for kind in ("output", "state", "input", "setpoint") if getattr(reference, kind) is not None]
-    fitting = ["output"] if tracking == "output" else ["state", "input", "setpoint"]
-    problems = []
-    if len(given) != 1 or given[0] not in fitting:
-        found = " and ".join(given) or "nothing"
-        message = f"{tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
-        problems.append(Problem(message=message, subject=("reference",)))
-    if reference.start is not None and reference.input is None:
-        problems.append(Problem(message="start goes with a reference 'input' only", subject=("reference", "start")))
-    if reference.input is not None and reference.start is None:
-        message = "reference.start is missing: x_d(0), or 'periodic'"
-        problems.append(Problem(message=message, subject=("reference",)))
-    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.outputs):
-        message = f"setpoint must give every output: {', '.join(file.system.outputs)}"
-        problems.append(Problem(message=message, subject=("reference", "setpoint")))
-    return problems
 
 
 def _optional(values: Any) -> Array | None:

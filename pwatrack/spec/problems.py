@@ -1,0 +1,266 @@
+"""Everything that can be wrong with the tree of a spec, each thing said once, with its path."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from pwatrack.errors import Problem, Subject
+from pwatrack.spec.expression import BrokenParameter
+from pwatrack.spec.schema import Context, ElementSection, Section, SimulationSection, SpecFile, SystemSection
+
+_MOST_SAMPLES = 10_000_000
+
+_SHAPES: dict[Subject, tuple[str, ...]] = {
+    ("system", "B"): ("states", "inputs"),
+    ("system", "C"): ("outputs", "states"),
+    ("system", "A"): ("states", "states"),
+    ("system", "b"): ("states",),
+    ("reference", "state"): ("states",),
+    ("reference", "input"): ("inputs",),
+    ("reference", "start"): ("states",),
+    ("design", "controller", "K"): ("inputs", "states"),
+    ("design", "observer", "L"): ("states", "outputs"),
+    ("simulation", "initial", "plant"): ("states",),
+    ("simulation", "initial", "observer"): ("states",),
+}
+
+
+def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Compare the shape of every matrix and vector in the raw tree with the declared names.
+
+    It is done on the raw tree so that an error inside a matrix hides none of its shape.
+    """
+    flat = flat_matrices(data)
+    problems = [
+        Problem(
+            message=f"{path_text(subject)}: a list of rows is expected, each in its own brackets",
+            subject=subject,
+            hint="write [[1, 0], [0, 1]] for two rows, [[1, 0]] for one",
+        )
+        for subject in flat
+    ]
+    for subject, axes in _shapes(data).items():
+        if subject in flat:
+            continue
+        for where, entries, axis in _axes(_at(data, subject), subject, axes):
+            wanted = len(getattr(context, axis))
+            if wanted and len(entries) != wanted:
+                kind = "row" if where == subject and len(axes) == 2 else "entry"
+                found = f"{len(entries)} {kind if len(entries) == 1 else _PLURAL[kind]}"
+                message = f"{path_text(where)}: {found}, expected {wanted}, one for each of the {axis}"
+                problems.append(Problem(message=message, subject=where))
+    return problems
+
+
+def _shapes(data: Mapping[str, Any]) -> dict[Subject, tuple[str, ...]]:
+    """Return which names each axis of each matrix and vector in the tree goes with."""
+    shapes = dict(_SHAPES)
+    cells = _at(data, ("system", "cells"))
+    for k in range(len(cells) if isinstance(cells, list) else 0):
+        shapes["system", "cells", k, "A"] = ("states", "states")
+        shapes["system", "cells", k, "b"] = ("states",)
+        shapes["system", "cells", k, "B"] = ("states", "inputs")
+    hyperplanes = _at(data, ("system", "hyperplanes"))
+    for k in range(len(hyperplanes) if isinstance(hyperplanes, list) else 0):
+        shapes["system", "hyperplanes", k, "H"] = ("states",)
+    return shapes
+
+
+_PLURAL = {"row": "rows", "entry": "entries"}
+
+
+def _axes(value: Any, subject: Subject, axes: tuple[str, ...]) -> list[tuple[Subject, list[Any], str]]:
+    if not isinstance(value, list):
+        return []
+    found: list[tuple[Subject, list[Any], str]] = [(subject, value, axes[0])]
+    for k, row in enumerate(value if len(axes) > 1 else []):
+        found += _axes(row, (*subject, k), axes[1:])
+    return found
+
+
+def flat_matrices(data: Mapping[str, Any]) -> list[Subject]:
+    """Return the matrices that are written as a list of numbers instead of a list of rows."""
+    return [
+        subject
+        for subject, axes in _shapes(data).items()
+        if len(axes) == 2 and isinstance(value := _at(data, subject), list) and any(isinstance(v, str) for v in value)
+    ]
+
+
+def _at(data: Any, subject: Subject) -> Any:
+    for part in subject:
+        if isinstance(data, dict):
+            data = data.get(str(part))
+        else:
+            data = data[part] if isinstance(data, list) and isinstance(part, int) else None
+    return data
+
+
+def known_keys() -> list[str]:
+    """Return every key that some section has."""
+    sections: list[type[Section]] = [SpecFile, *Section.__subclasses__(), *ElementSection.__subclasses__()]
+    return sorted({name for section in sections for name in section.model_fields})
+
+
+def path_text(subject: Subject) -> str:
+    """Return a path as an engineer reads it, counted from 1.
+
+    Example:
+        >>> path_text(("system", "cells", 1, "A", 0))
+        'system.cells[2].A[1]'
+    """
+    text = ""
+    for part in subject:
+        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else part)
+    return text or "the file"
+
+
+_EXPECTED = {"list_type": "a list", "dict_type": "a mapping", "model_type": "a mapping", "string_type": "a text"}
+
+
+def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
+    """Say what pydantic found wrong with a tree, in the words and paths of the file."""
+    problems = []
+    flat = flat_matrices(data)
+    for item in error.errors(include_url=False):
+        cause = item.get("ctx", {}).get("error")
+        if isinstance(cause, BrokenParameter):
+            continue
+        subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
+        if any(subject[: len(matrix)] == matrix for matrix in flat):
+            continue  # said once for the whole matrix
+        where = path_text(subject)
+        if item["type"] == "missing":
+            message, subject = f"{where} is missing", subject[:-1]
+        elif item["type"] == "extra_forbidden":
+            close = difflib.get_close_matches(str(subject[-1]), known_keys(), n=1)
+            message = f"{where}: unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
+        elif item["type"] in _EXPECTED:
+            message = f"{where}: {_EXPECTED[item['type']]} is expected"
+        elif item["type"] == "union_tag_invalid":
+            message = f"{where}: kind '{item['ctx']['tag']}' is none of {item['ctx']['expected_tags']}"
+        elif item["type"] == "union_tag_not_found":
+            message = f"{where}: kind is missing"
+        else:
+            reason = str(cause) if cause else item["msg"][0].lower() + item["msg"][1:]
+            message = f"{where}: {reason}"
+        problems.append(Problem(message=message, subject=subject))
+    return problems
+
+
+def _in_tree(loc: Sequence[str | int], data: Any, *, missing: bool) -> Subject:
+    """Return a path of pydantic without the parts that name a variant instead of an entry of the file."""
+    subject: list[str | int] = []
+    for k, part in enumerate(loc):
+        there = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if there:
+            data = data[part]
+        if there or (missing and k == len(loc) - 1):
+            subject.append(part)
+    return tuple(subject)
+
+
+def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that every name stands for one thing."""
+    problems = []
+    taken: dict[str, str] = {}
+    for kind in ("parameters", "states", "inputs", "outputs"):
+        for name in context.parameters if kind == "parameters" else getattr(context, kind):
+            if taken.get(name, kind) != kind:
+                message = f"'{name}' is declared under {taken[name]} and under {kind}"
+                problems.append(Problem(message=message, subject=("system", kind)))
+            taken[name] = kind
+    signals = [*context.states, *context.inputs, *context.outputs]
+    for name in signals:
+        for suffix in ("_hat", "_d", "_ff"):
+            if name + suffix in signals:
+                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
+                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
+    system = data.get("system")
+    system = system if isinstance(system, dict) else {}
+    units = system.get("units")
+    problems += [
+        Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
+        for name in (units if isinstance(units, dict) and context.states else {})
+        if name not in signals
+    ]
+    seen: list[str] = []
+    cells = system.get("cells")
+    for k, cell in enumerate(cells if isinstance(cells, list) else []):
+        name = cell.get("name") if isinstance(cell, dict) else None
+        if isinstance(name, str) and name in seen:
+            subject: Subject = ("system", "cells", k, "name")
+            problems.append(Problem(message=f"a second cell is named '{name}'", subject=subject))
+        seen.append(str(name))
+    return problems
+
+
+def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check that the samples are neither too many nor too few, where both numbers can be read."""
+    try:
+        section = SimulationSection.model_validate(data.get("simulation"), context=context)
+    except ValidationError:
+        return []
+    duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
+    if step > duration:
+        message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
+        return [Problem(message=message, subject=subject)]
+    if duration / step > _MOST_SAMPLES:
+        message = f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken"
+        hint = "events are exact at any sample time; a longer one only draws fewer points"
+        return [Problem(message=message, subject=subject, hint=hint)]
+    return []
+
+
+def plant_problems(system: SystemSection) -> list[Problem]:
+    """Check that the plant is written in exactly one of the three ways."""
+    problems: list[tuple[str, Subject]] = []
+    if system.cells is None:
+        if system.A is None:
+            problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
+        if system.hyperplanes is not None:
+            problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
+    else:
+        problems += [
+            (f"system.{name} does not go with cells: give one or the other", ("system", name))
+            for name in ("A", "b", "nonlinearities")
+            if getattr(system, name) is not None
+        ]
+        wanted = "where" if system.hyperplanes is None else "signs"
+        for k, cell in enumerate(system.cells):
+            subject: Subject = ("system", "cells", k)
+            if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
+                count = len(system.hyperplanes or [])
+                found = "none" if cell.signs is None else str(len(cell.signs))
+                problems.append((f"cell '{cell.name}': {found} signs, expected {count}, one per hyperplane", subject))
+            if wanted == "where" and cell.signs is not None:
+                problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
+    for k, element in enumerate(system.nonlinearities or []):
+        for state in element.into:
+            if state not in system.states:
+                subject = ("system", "nonlinearities", k, "into", state)
+                problems.append((f"nonlinearity '{element.name}': '{state}' is no state", subject))
+    return [Problem(message=message, subject=subject) for message, subject in problems]
+
+
+def reference_problems(file: SpecFile) -> list[Problem]:
+    """Check that there is one reference, of the kind that is tracked."""
+    reference, tracking = file.reference, file.design.tracking
+    given = [kind for kind in ("output", "state", "input", "setpoint") if getattr(reference, kind) is not None]
+    fitting = ["output"] if tracking == "output" else ["state", "input", "setpoint"]
+    problems = []
+    if len(given) != 1 or given[0] not in fitting:
+        found = " and ".join(given) or "nothing"
+        message = f"{tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
+        problems.append(Problem(message=message, subject=("reference",)))
+    if reference.start is not None and reference.input is None:
+        problems.append(Problem(message="start goes with a reference 'input' only", subject=("reference", "start")))
+    if reference.input is not None and reference.start is None:
+        message = "reference.start is missing: x_d(0), or 'periodic'"
+        problems.append(Problem(message=message, subject=("reference",)))
+    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.outputs):
+        message = f"setpoint must give every output: {', '.join(file.system.outputs)}"
+        problems.append(Problem(message=message, subject=("reference", "setpoint")))
+    return problems
