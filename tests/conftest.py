@@ -1,8 +1,14 @@
+import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from pwatrack import Result, Spec, load_spec, simulate
+
+settings.register_profile("ci", derandomize=True)  # the same examples every time; fresh ones elsewhere
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 SPECS = Path(__file__).parent.parent / "specs"
 
