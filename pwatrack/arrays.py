@@ -61,3 +61,13 @@ def balancing(A: Array) -> Array:
     size = np.abs(A).sum(axis=0)
     _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     return np.asarray(scale, dtype=np.float64)
+
+
+def complex_text(value: complex) -> str:
+    """Return a number as text, without an imaginary part of 0.
+
+    Example:
+        >>> complex_text(1.5 + 0j), complex_text(-0.15 - 1.174j)
+        ('1.5', '-0.15-1.174j')
+    """
+    return f"{value.real:.4g}{value.imag:+.4g}j" if value.imag else f"{value.real:.4g}"

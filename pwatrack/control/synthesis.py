@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array, complex_text, readonly
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate
@@ -181,7 +181,7 @@ def _refuse_unreachable(A: Array, B: Array, claim: str, cells: Sequence[str], su
         stuck = unreachable_part(decimals(A_i), decimals(B))
         if stuck and not is_hurwitz(stuck):
             values = np.linalg.eigvals(np.array([[float(v) for v in row] for row in stuck]))
-            found.append(f"{values[np.argmax(values.real)]:.4g} in cell '{name}'")
+            found.append(f"{complex_text(values[np.argmax(values.real)])} in cell '{name}'")
     if found:
         raise Infeasible(
             Problem(

@@ -1,6 +1,5 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, complex_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
@@ -27,7 +26,9 @@ def print_plant(console: Console, name: str, report: Applicability) -> None:
     table.add_row("plant (1)", f"{sizes}; continuous across all {len(content['facets'])} facets")
     for cell in content["cells"]:
         eigenvalues = content["zero_dynamics"].get(cell)
-        shown = ": zero dynamics " + _eigenvalues([complex(*pair) for pair in eigenvalues]) if eigenvalues else ""
+        shown = (
+            ": zero dynamics " + ", ".join(complex_text(complex(*pair)) for pair in eigenvalues) if eigenvalues else ""
+        )
         table.add_row("cell", cell + shown)
     for facet in content["facets"]:
         table.add_row("facet", f"{facet['cells'][0]} | {facet['cells'][1]}, on {facet['hyperplane']}")
@@ -168,7 +169,3 @@ def _titled(title: str | None) -> Table:
 def _matrix(X: Array) -> str:
     rows = [" ".join(f"{v:.5g}" for v in row) for row in X]
     return "[" + "; ".join(rows) + "]"
-
-
-def _eigenvalues(values: Sequence[complex]) -> str:
-    return ", ".join(f"{v.real:.4g}{v.imag:+.4g}j" if v.imag else f"{v.real:.4g}" for v in values)
