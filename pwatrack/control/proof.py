@@ -1,16 +1,15 @@
 """The exact proofs of a design, for the gains and matrices as they are printed."""
 
-from collections.abc import Sequence
-from fractions import Fraction
+import numpy as np
+from numpy.typing import NDArray
 
+from pwatrack.arrays import Array
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact import Proof, decimals, prove_exactly
 from pwatrack.model.pwa import PWASystem
-
-Exact = list[list[Fraction]]
 
 
 def prove_design(plant: PWASystem, design: Design, generator: TrajectoryGenerator | None) -> tuple[Proof, ...]:
@@ -24,20 +23,18 @@ def prove_design(plant: PWASystem, design: Design, generator: TrajectoryGenerato
         >>> [proof.of for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
         ['controller', 'observer', 'generator']
     """
-    A, B, C = [decimals(A_i) for A_i in plant.A], decimals(plant.B), decimals(plant.C)
-    BK, LC = _product(B, decimals(design.K)), _product(decimals(design.L), C)
+    A, B, C, K, L = (_exact(X) for X in (plant.A, plant.B, plant.C, design.K, design.L))
     proofs = [
-        _prove("controller", [_sum(A_i, BK) for A_i in A], design.controller),
-        _prove("observer", [_transposed(_sum(A_i, LC)) for A_i in A], design.observer),
+        _prove("controller", A + B @ K, design.controller),
+        _prove("observer", (A + L @ C).swapaxes(1, 2), design.observer),
     ]
     if generator is not None and generator.A_eta.shape[1]:
-        A_eta = [_transposed(decimals(A_i)) for A_i in generator.A_eta]
-        proofs.append(_prove("generator", A_eta, generator.certificate))
+        proofs.append(_prove("generator", _exact(generator.A_eta).swapaxes(1, 2), generator.certificate))
     return tuple(proofs)
 
 
-def _prove(of: str, M: Sequence[Exact], certificate: Certificate) -> Proof:
-    proof = prove_exactly(of, M, certificate.P, certificate.rate)
+def _prove(of: str, M: NDArray[np.object_], certificate: Certificate) -> Proof:
+    proof = prove_exactly(of, M.tolist(), certificate.P, certificate.rate)
     if proof is None:
         raise Undecided(
             Problem(
@@ -49,13 +46,7 @@ def _prove(of: str, M: Sequence[Exact], certificate: Certificate) -> Proof:
     return proof
 
 
-def _product(X: Exact, Y: Exact) -> Exact:
-    return [[sum((a * b for a, b in zip(row, c, strict=True)), Fraction(0)) for c in _transposed(Y)] for row in X]
-
-
-def _sum(X: Exact, Y: Exact) -> Exact:
-    return [[a + b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
-
-
-def _transposed(X: Exact) -> Exact:
-    return [list(column) for column in zip(*X, strict=True)]
+def _exact(X: Array) -> NDArray[np.object_]:
+    """Return a matrix or a stack of them as the decimals it is printed as, for exact sums and products."""
+    rows = decimals(X.reshape(-1, X.shape[-1]))
+    return np.array(rows, dtype=object).reshape(X.shape)

@@ -43,7 +43,7 @@ def state_trajectory(plant: PWASystem, x_d: Exosystem, *, horizon: float, subjec
     )
     unreached = needed - plant.B @ trajectory.u_ff
     times = np.linspace(0.0, horizon, _CHECKS + 1)
-    w = _states(x_d, times)
+    w = np.hstack([x_d.states(times), np.ones((len(times), 1))])
     cell = np.array([plant.partition.locate(x) for x in w[:, :-1] @ Q.T])
     residual = np.einsum("tij,tj->ti", unreached[cell], w)
     scale = np.einsum("tij,tj->ti", np.abs(Q_rate)[None] + np.abs(plant.A[cell]) @ np.abs(Q), np.abs(w[:, :-1]))
@@ -154,22 +154,3 @@ def _constant(plant: PWASystem, x_d: Array, u_ff: Array) -> DesiredTrajectory:
         x_d=readonly(x_d[:, None]),
         u_ff=np.broadcast_to(u_ff[:, None], (cells, len(u_ff), 1)),
     )
-
-
-def _states(system: Exosystem, times: Array) -> Array:
-    """Return (w, 1) at evenly spaced times, (T, p + 1)."""
-    from scipy.linalg import expm
-
-    step, now, pending = expm(system.S * (times[1] - times[0])), 0.0, list(system.resets)
-    w = system.w0.copy()
-    rows = []
-    for t in times:
-        while pending and pending[0].t <= t:
-            reset = pending.pop(0)
-            w = expm(system.S * (reset.t - now)) @ w
-            w[reset.where], now = reset.w, reset.t
-        if t > now:
-            w = (step if np.isclose(t - now, times[1], rtol=1e-12) else expm(system.S * (t - now))) @ w
-            now = t
-        rows.append(np.append(w, 1.0))
-    return np.array(rows)

@@ -113,14 +113,25 @@ class Exosystem:
 
     def __call__(self, t: float, derivative: int = 0) -> Array:
         """Return the derivative of the given order of all signals at time t in s, (q,)."""
-        w, now = self.w0.copy(), 0.0
-        for reset in self.resets:
-            if reset.t > t:
-                break
-            w, now = expm(self.S * (reset.t - now)) @ w, reset.t
-            w[reset.where] = reset.w
-        result: Array = self.derivative_rows(derivative)[-1] @ expm(self.S * (t - now)) @ w
+        result: Array = self.derivative_rows(derivative)[-1] @ self.states(np.array([t]))[0]
         return result
+
+    def states(self, times: Array) -> Array:
+        """Return w at increasing times in s, (T, p), after any reset at that time."""
+        gap = float(times[1] - times[0]) if len(times) > 1 else 0.0
+        step = expm(self.S * gap)  # the times are mostly evenly spaced
+        w, now, pending = self.w0.copy(), 0.0, list(self.resets)
+        rows = []
+        for t in times:
+            while pending and pending[0].t <= t:
+                reset = pending.pop(0)
+                w = expm(self.S * (reset.t - now)) @ w
+                w[reset.where], now = reset.w, reset.t
+            if t > now:
+                even = np.isclose(t - now, gap, rtol=1e-12, atol=0.0)
+                w, now = (step if even else expm(self.S * (t - now))) @ w, t
+            rows.append(w)
+        return np.array(rows)
 
 
 def exosystem(signals: Sequence[Signal]) -> Exosystem:
