@@ -52,21 +52,23 @@ class Problem:
 
 
 class PwatrackError(Exception):
-    """A refusal with its reasons; `code` is the exit code of the command line."""
+    """A refusal with its reasons; `code` is its exit code, `evidence` its proof where there is one."""
 
     code = ExitCode.BUG
 
-    def __init__(self, *problems: Problem | str, hint: str = "") -> None:
+    def __init__(self, *problems: Problem | str, hint: str = "", evidence: object = None) -> None:
+        self.evidence = evidence
         self.problems = tuple(p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems)
         super().__init__("\n".join(str(p) for p in self.problems))
 
     def sorted(self) -> "PwatrackError":
         """Return the same refusal with its problems in the order of the file."""
-        return type(self)(*sorted(self.problems, key=lambda p: (p.place.line, p.place.column) if p.place else (0, 0)))
+        order = sorted(self.problems, key=lambda p: (p.place.line, p.place.column) if p.place else (0, 0))
+        return type(self)(*order, evidence=self.evidence)
 
     def located(self, places: Mapping[Subject, Place]) -> "PwatrackError":
         """Return the same refusal with the place of the nearest known subject filled in."""
-        return type(self)(*(_locate(p, places) for p in self.problems))
+        return type(self)(*(_locate(p, places) for p in self.problems), evidence=self.evidence)
 
 
 class InvalidSpec(PwatrackError):
@@ -82,7 +84,7 @@ class OutsideTheory(PwatrackError):
 
 
 class Infeasible(PwatrackError):
-    """A matrix inequality is proved to have no solution."""
+    """A matrix inequality is proved to have no solution; `evidence` is the proof."""
 
     code = ExitCode.INFEASIBLE
 

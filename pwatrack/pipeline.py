@@ -83,7 +83,9 @@ def design(spec: Spec) -> Controller:
     """
     with spec.located():
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
-        gains = synthesize(spec.plant, K=spec.K, L=spec.L, solver=spec.solver)  # (8), (9)
+        gains = synthesize(  # (8), (9)
+            spec.plant, controller=spec.controller, observer=spec.observer, solver=spec.solver
+        )
         proofs = prove_design(spec.plant, gains, generator)
         return Controller(
             plant=spec.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs

@@ -163,7 +163,8 @@ def test_what_is_proved_infeasible_ends_with_4_and_its_place(
 ) -> None:
     message = refused(call(command, specs / "refused" / name, "--out", tmp_path / "out"), 4)
     assert re.match(rf"error: .*{name}:\d+:\d+: ", message)
-    assert not (tmp_path / "out").exists()
+    assert contents(tmp_path / "out").keys() == {"refusal.json"}
+    assert call("verify", tmp_path / "out").exit_code == 0
 
 
 def test_an_initial_state_of_the_generator_of_a_wrong_length_ends_with_2(specs: Path, tmp_path: Path) -> None:
@@ -238,7 +239,11 @@ def test_a_refusal_leaves_the_results_of_an_earlier_run_as_they_were(spec: Path,
     before = contents(out)
     refused(call("design", spec, "--out", out, *STIFF), 4)
     refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
-    assert contents(out) == before
+    assert contents(out).pop("refusal.json")
+    assert {name: content for name, content in contents(out).items() if name != "refusal.json"} == before
+    assert call("verify", out / "refusal.json", "--spec", spec).exit_code == 0
+    assert call("design", spec, "--out", out).exit_code == 0
+    assert "refusal.json" not in contents(out)
 
 
 def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(

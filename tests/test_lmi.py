@@ -9,12 +9,15 @@ from scipy.linalg import solve_continuous_are
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.control import convergence, synthesis
+from pwatrack.control.synthesis import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model
-from pwatrack.lmi.certificate import prove, refutes
+from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback
+from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.lmi.rational import decimals
 
 seeds = st.integers(0, 10_000)
 CELLS = ("a", "b", "c", "d")
@@ -101,7 +104,7 @@ def test_with_one_cell_the_least_cost_gain_is_the_lqr_gain(seed: int, n: int, m:
     A, B = random.normal(size=(n, n)) - 0.5 * np.eye(n), random.normal(size=(n, m))
     if np.linalg.norm(solve_continuous_are(A, B, np.eye(n), np.eye(m)), 2) > 20:
         return  # nearly unreachable
-    candidate = picos_model.least_cost(quadratic_cost(A[None], B, np.eye(n), np.eye(m)))
+    candidate = picos_model.least_cost(quadratic_cost(A[None], B, np.eye(n), np.eye(m)), np.eye(n))
     assert candidate is not None
     K = np.linalg.solve(candidate.P, candidate.Y.T).T
     K_lqr = -B.T @ solve_continuous_are(A, B, np.eye(n), np.eye(m))
@@ -171,44 +174,48 @@ def test_a_marginal_case_is_not_feasible(A: Array, solver: str) -> None:
 
 
 def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    def liar(inequality: object, solver: object = None) -> picos_model.Candidate:
+    def liar(*_: object, **__: object) -> picos_model.Candidate:
         return picos_model.Candidate(P=np.eye(2), Y=np.zeros((1, 2)))
 
-    monkeypatch.setattr(picos_model, "largest_margin", liar)
-    monkeypatch.setattr(picos_model, "least_cost", liar)
-    monkeypatch.setattr(picos_model, "alternative", lambda M, *_: np.array([np.eye(2)] * len(M)))
+    for name in ("largest_margin", "least_cost", "smallest_gain"):
+        monkeypatch.setattr(picos_model, name, liar)
+    monkeypatch.setattr(picos_model, "multipliers", lambda _, bases, *__, **___: [np.eye(Q.shape[1]) for Q in bases])
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
     with pytest.raises(Undecided):
         synthesis.stabilising_gain(
-            np.array([[[0.0, 1.0], [1.0, 0.0]]]), np.array([[0.0], [1.0]]), claim="(8)", cells="a"
+            Task(A=np.array([[[0.0, 1.0], [1.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells="a"),
         )
 
 
 def test_two_cells_that_are_stable_apart_can_be_proved_to_have_no_common_P() -> None:
     A = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
-    with pytest.raises(Infeasible, match=r"\(7\) is infeasible: no common P exists for cells 'a', 'b'"):
+    with pytest.raises(Infeasible, match=r"\(7\) is infeasible: cells 'a' and 'b' conflict, no common P"):
         convergence.prove_convergence(A, claim="(7)", cells=("a", "b"))
 
 
 def test_a_refutation_holds_only_for_what_it_speaks_of() -> None:
-    Z = np.eye(1)[None]
-    assert refutes(np.array([[[1.0]]]), Z) is not None
-    assert refutes(np.array([[[-1.0]]]), Z) is None
-    assert refutes(np.array([[[0.0]]]), Z) is None
-    assert refutes(np.array([[[1.0]]]), -Z) is None
+    nothing = decimals(np.zeros((1, 0)))
+    one, two = decimals(np.eye(1)), decimals(2 * np.eye(1))
+    assert refutes([one], nothing, {0: one})
+    assert refutes([0 * one], nothing, {0: one})  # a pure integrator: margin exactly 0
+    assert not refutes([-one], nothing, {0: one})
+    assert not refutes([one], nothing, {0: -one})
+    assert not refutes([one], one, {0: one})  # with an input it can be stabilised
+    assert refutes([one, -two], nothing, {0: two, 1: one})
+    assert not refutes([one, -two], nothing, {0: 0 * one, 1: 0 * one})
+    assert not refutes([one, -two], nothing, {0: one, 1: -one})
 
 
 @given(seeds)
 @settings(deadline=None, max_examples=20)
-def test_a_proof_and_a_refutation_never_both_exist(seed: int) -> None:
+def test_either_a_proof_or_a_refutation_exists(seed: int) -> None:
+    """Random matrices are not marginal."""
     A = random_stack(seed, n=3, cells=2) - 1.5 * np.eye(3)
-    candidate, Z = picos_model.largest_margin(lyapunov(A)), picos_model.alternative(A)
+    candidate = picos_model.largest_margin(lyapunov(A))
     assert candidate is not None
-    assert Z is not None
-    proved, refuted = prove(A, candidate.P) is not None, refutes(A, Z) is not None
-    assert proved != refuted  # random matrices are not marginal, so one of them exists
+    assert (prove(A, candidate.P) is not None) != (refute(A, np.zeros((3, 0))) is not None)
 
 
 @given(seeds, st.lists(st.integers(-20, 20), min_size=3, max_size=3))
@@ -227,17 +234,15 @@ def test_a_design_exists_in_any_units(length: float, time: float, force: float) 
     A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
     B = np.array([[0.0], [1.0]])
     d, s = np.array([length, length / time]), time
-    K, _ = synthesis.stabilising_gain(A, B, claim="(8)", cells=CELLS[:2])
-    other, _ = synthesis.stabilising_gain(
-        s * A * d[:, None] / d, s * B * d[:, None] / force, claim="(8)", cells=CELLS[:2]
-    )
+    K, _ = synthesis.stabilising_gain(Task(A=A, B=B, cells=CELLS[:2]))
+    other, _ = synthesis.stabilising_gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
     assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=1.0)
 
 
 def test_an_unreachable_unstable_mode_is_named() -> None:
     A = np.diag([1.5, -1.0])[None]
     with pytest.raises(Infeasible, match=r"no gain moves the eigenvalue 1\.5 in cell 'only'"):
-        synthesis.stabilising_gain(A, np.array([[0.0], [1.0]]), claim="(8)", cells=["only"])
+        synthesis.stabilising_gain(Task(A=A, B=np.array([[0.0], [1.0]]), cells=["only"]))
 
 
 def test_equal_cells_are_solved_once() -> None:

@@ -9,6 +9,7 @@ from scipy.linalg import sqrtm
 from pwatrack import Controller, Partition, PWASystem
 from pwatrack.arrays import Array, IntArray, readonly
 from pwatrack.control.generator import trajectory_generator
+from pwatrack.control.goal import Goal
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import Infeasible
@@ -24,7 +25,7 @@ from tests.plants import random_plant
 def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = None) -> ClosedLoop:
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
-    gains = synthesize(plant, K=K, L=L)
+    gains = synthesize(plant, controller=Goal(given=K), observer=Goal(given=None if L is None else L.T))
     return closed_loop(Controller(plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=()))
 
 

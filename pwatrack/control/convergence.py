@@ -2,15 +2,16 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
 from pwatrack.errors import Infeasible, Problem, Subject, Undecided
-from pwatrack.lmi.certificate import Certificate, prove, refutes
-from pwatrack.lmi.exact import decimals, is_hurwitz
+from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, lyapunov
+from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, distinct
 
 _STEPS = 12  # at most so many bisections of the rate
@@ -70,6 +71,7 @@ def prove_convergence(
     *,
     claim: str,
     cells: Sequence[str],
+    of: str = "plant",
     subject: Subject = (),
     solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
@@ -80,6 +82,7 @@ def prove_convergence(
         M: (l, n, n).
         claim: What is to be proved, for messages: `"(17)"`.
         cells: Names of the l cells.
+        of: What it is a property of, for the evidence: see `Impossibility`.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
         hint: What to do where a cell is unstable by itself.
@@ -97,16 +100,14 @@ def prove_convergence(
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     figures = eigenvalue_text(abscissa, cells)
-    unstable = [name for name, M_i, a in zip(cells, M, abscissa, strict=True) if not _hurwitz(M_i, float(a))]
-    if unstable:
-        names = ", ".join(f"'{name}'" for name in unstable)
-        message = f"{claim} is infeasible: {names} not stable; {figures}"
-        raise Infeasible(Problem(message=message, subject=subject, hint=hint))
-    best = best_certificate(M, solver=solver)
-    if best is not None:
-        return best
-    weight = _conflict(M, solver)
-    if weight is None:
+    doubtful = (abscissa > -1e-3 * np.linalg.norm(M, axis=(1, 2))).any()
+    refutation = refute(M, np.zeros((M.shape[1], 0)), solver=solver) if doubtful else None
+    if refutation is None or not refutation.eigenvalues:
+        best = best_certificate(M, solver=solver)
+        if best is not None:
+            return best
+        refutation = refutation or refute(M, np.zeros((M.shape[1], 0)), solver=solver)
+    if refutation is None:
         raise Undecided(
             Problem(
                 message=f"{claim} is undecided: found neither a common P nor a proof that none exists; {figures}",
@@ -114,32 +115,45 @@ def prove_convergence(
                 hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
             )
         )
-    guilty = ", ".join(f"'{name}'" for name, share in zip(cells, weight, strict=True) if share > 0.01)
-    raise Infeasible(
-        Problem(
-            message=f"{claim} is infeasible: no common P exists for cells {guilty}, "
-            f"though each is stable by itself; {figures}",
-            subject=subject,
-            hint="the cells differ too much for one quadratic Lyapunov function: bring them closer, or damp them more",
+    if refutation.eigenvalues:
+        names = ", ".join(f"'{cells[i]}'" for i in refutation.eigenvalues)
+        message = f"{claim} is infeasible: {names} not stable; {figures}"
+    else:
+        message = (
+            f"{claim} is infeasible: {conflict_text(refutation, cells)}, no common P exists for them, "
+            f"though each is stable by itself; {figures}"
         )
+        hint = "they differ too much for one quadratic Lyapunov function: bring them closer, or damp them more"
+    raise Infeasible(
+        Problem(message=message, subject=subject, hint=hint),
+        evidence=Impossibility(of=of, rate=0.0, refutation=refutation),
     )
 
 
-def _hurwitz(M: Array, abscissa: float) -> bool:
-    """Decide exactly whether a matrix is stable, where its computed eigenvalues leave a doubt."""
-    if abscissa < -1e-3 * float(np.linalg.norm(M)):
-        return True
-    return is_hurwitz(decimals(M))
+@dataclass(frozen=True, kw_only=True)
+class Impossibility:
+    """What a refusal proves: the evidence of `Infeasible`.
+
+    Attributes:
+        of: "plant" for (7), "controller" for (8), "observer" for (9), "generator" for (17).
+        rate: Decay rate that is out of reach, in 1/s.
+        refutation: The proof.
+    """
+
+    of: str
+    rate: float
+    refutation: Refutation
 
 
-def _conflict(M: Array, solver: Solver) -> Array | None:
-    """Return the weight of each cell in a proof that no common P exists, or None if no such proof is found."""
-    from pwatrack.lmi.picos_model import alternative
+def conflict_text(refutation: Refutation, cells: Sequence[str]) -> str:
+    """Name the cells in conflict.
 
-    matrices, place = distinct(Scaling.of(M, np.zeros((M.shape[1], 0))).system(M))
-    Z = alternative(matrices, solver)
-    weight = None if Z is None else refutes(matrices, Z)
-    return None if weight is None else weight[place]
+    Example:
+        >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
+        "cells 'gap' and 'upper' conflict"
+    """
+    names = [f"'{cells[i]}'" for i in refutation.Z]
+    return f"cells {', '.join(names[:-1])} and {names[-1]} conflict"
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str]) -> str:

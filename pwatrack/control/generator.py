@@ -61,6 +61,7 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
         np.swapaxes(A_eta, 1, 2),
         claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
+        of="generator",
         subject=("system", "cells"),
         solver=solver,
         hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "

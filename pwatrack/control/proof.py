@@ -1,14 +1,13 @@
 """The exact proofs of a design, for the gains and matrices as they are printed."""
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
-from pwatrack.arrays import Array
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.certificate import Certificate
-from pwatrack.lmi.exact import Proof, decimals, prove_exactly
+from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.rational import Rational, decimals
 from pwatrack.model.pwa import PWASystem
 
 
@@ -23,18 +22,19 @@ def prove_design(plant: PWASystem, design: Design, generator: TrajectoryGenerato
         >>> [proof.of for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
         ['controller', 'observer', 'generator']
     """
-    A, B, C, K, L = (_exact(X) for X in (plant.A, plant.B, plant.C, design.K, design.L))
+    B, C, K, L = (decimals(X) for X in (plant.B, plant.C, design.K, design.L))
+    A = [decimals(A_i) for A_i in plant.A]
     proofs = [
-        _prove("controller", A + B @ K, design.controller),
-        _prove("observer", (A + L @ C).swapaxes(1, 2), design.observer),
+        _prove("controller", [A_i + B * K for A_i in A], design.controller),
+        _prove("observer", [(A_i + L * C).transpose() for A_i in A], design.observer),
     ]
     if generator is not None and generator.A_eta.shape[1]:
-        proofs.append(_prove("generator", _exact(generator.A_eta).swapaxes(1, 2), generator.certificate))
+        proofs.append(_prove("generator", [decimals(A_i.T) for A_i in generator.A_eta], generator.certificate))
     return tuple(proofs)
 
 
-def _prove(of: str, M: NDArray[np.object_], certificate: Certificate) -> Proof:
-    proof = prove_exactly(of, M.tolist(), certificate.P, certificate.rate)
+def _prove(of: str, M: Sequence[Rational], certificate: Certificate) -> Proof:
+    proof = prove_exactly(of, M, certificate.P, certificate.rate)
     if proof is None:
         raise Undecided(
             Problem(
@@ -44,9 +44,3 @@ def _prove(of: str, M: NDArray[np.object_], certificate: Certificate) -> Proof:
             )
         )
     return proof
-
-
-def _exact(X: Array) -> NDArray[np.object_]:
-    """Return a matrix or a stack of them as the decimals it is printed as, for exact sums and products."""
-    rows = decimals(X.reshape(-1, X.shape[-1]))
-    return np.array(rows, dtype=object).reshape(X.shape)

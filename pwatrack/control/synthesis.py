@@ -2,20 +2,26 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, complex_text, readonly
-from pwatrack.control.convergence import best_certificate, prove_convergence
-from pwatrack.errors import Infeasible, Problem, Subject, Undecided
+from pwatrack.control.convergence import Impossibility, best_certificate, conflict_text, prove_convergence
+from pwatrack.control.goal import DEFAULT, Goal
+from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate
-from pwatrack.lmi.exact import decimals, is_hurwitz, unreachable_part
-from pwatrack.lmi.inequality import Solver, quadratic_cost
+from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
+from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.presolve import Scaling, distinct
 from pwatrack.model.pwa import PWASystem
 
+if TYPE_CHECKING:
+    from pwatrack.lmi.picos_model import Candidate
+
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
+_MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,110 +42,281 @@ class Design:
 
 
 def synthesize(
-    plant: PWASystem, *, K: Array | None = None, L: Array | None = None, solver: Solver = "clarabel"
+    plant: PWASystem, *, controller: Goal = DEFAULT, observer: Goal = DEFAULT, solver: Solver = "clarabel"
 ) -> Design:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
     Args:
         plant: The system (1).
-        K, L: Given gains, (m, n) and (n, q), in the sign convention of (10).
+        controller: What K is to achieve, in the sign convention of (10).
+        observer: What Lᵀ is to achieve.
         solver: Which interior-point solver to ask.
 
     Raises:
         Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
-        Undecided: If neither is proved.
+        Undecided: If neither is proved, or no gain within the bound was found.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> plant = load_spec("specs/two_mass_backlash.yaml").plant
+        >>> design = synthesize(plant, controller=Goal(rate=0.1, gain="smallest"))
+        >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
+        (True, True)
     """
-    A_transposed = np.swapaxes(plant.A, 1, 2)
-    K, controller = _gain(plant, plant.A, plant.B, K, ("(8)", "controller", "K", "B"), solver)
-    L_transposed, observer = _gain(
-        plant, A_transposed, plant.C.T, None if L is None else L.T, ("(9)", "observer", "L", "C"), solver
-    )
-    return Design(K=readonly(K), L=readonly(L_transposed.T), controller=controller, observer=observer)
+    K, P_c = _gain(_controller_task(plant, solver), controller)
+    L_transposed, P_o = _gain(_observer_task(plant, solver), observer)
+    return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
-def _gain(
-    plant: PWASystem, A: Array, B: Array, given: Array | None, words: tuple[str, str, str, str], solver: Solver
-) -> tuple[Array, Certificate]:
-    """Return a gain for (8), found or given, with its proof; (9) is (8) transposed."""
-    claim, part, letter, matrix = words
-    if given is None:
-        return stabilising_gain(A, B, claim=claim, cells=plant.cell_names, subject=("system", matrix), solver=solver)
-    certificate = prove_convergence(
-        A + B @ given,
-        claim=f"{claim} for the given gain {letter}",
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed.
+
+    Attributes:
+        A: (l, n, n).
+        B: (n, m).
+        of: "controller" or "observer".
+        claim: For messages: `"(8)"`.
+        cells: Names of the l cells.
+        subject: What in the description a refusal is about.
+        solver: Which interior-point solver to ask.
+    """
+
+    A: Array
+    B: Array
+    of: str = "controller"
+    claim: str = "(8)"
+    cells: Sequence[str]
+    subject: Subject = ()
+    solver: Solver = "clarabel"
+
+
+def _controller_task(plant: PWASystem, solver: Solver) -> Task:
+    return Task(A=plant.A, B=plant.B, cells=plant.cell_names, subject=("system", "B"), solver=solver)
+
+
+def _observer_task(plant: PWASystem, solver: Solver) -> Task:
+    return Task(
+        A=np.swapaxes(plant.A, 1, 2),
+        B=plant.C.T,
+        of="observer",
+        claim="(9)",
         cells=plant.cell_names,
-        subject=("design", part, letter),
+        subject=("system", "C"),
         solver=solver,
+    )
+
+
+def _gain(task: Task, goal: Goal) -> tuple[Array, Certificate]:
+    """Return a gain for (8), found or given, with its proof; (9) is (8) transposed."""
+    if goal.given is None:
+        return stabilising_gain(task, goal)
+    letter = "K" if task.of == "controller" else "L"
+    certificate = prove_convergence(
+        task.A + task.B @ goal.given,
+        claim=f"{task.claim} for the given gain {letter}",
+        cells=task.cells,
+        of=task.of,
+        subject=("design", task.of, letter),
+        solver=task.solver,
         hint=f"mind the signs: u = K (x̂ − x_d) + u_ff, + L (ŷ − y); or leave {letter} out to have it designed",
     )
-    return given, certificate
+    return goal.given, certificate
 
 
-def stabilising_gain(
-    A: Array,
-    B: Array,
-    *,
-    claim: str,
-    cells: Sequence[str],
-    subject: Subject = (),
-    solver: Solver = "clarabel",
-) -> tuple[Array, Certificate]:
-    """Return the gain K = Y P⁻¹ of (8) that minimises a quadratic cost, with the proof of its best rate.
+def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certificate]:
+    """Return the gain K = Y P⁻¹ of (8) that meets a goal, with the proof of its best rate.
 
-    The weights are those of balanced units: states scaled to balance A, inputs
+    Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
+    added to A). The weights are those of balanced units: states scaled to balance A, inputs
     and time scaled so that A and B have size 1. There the weights on states and
     inputs are one; if no proof is found for that gain, cheaper states are tried,
     which make a gentler gain. So no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.)
+    weights are one in the units given.) If a gain of less than an eighth of its norm
+    reaches the same rate, that is taken.
 
     Args:
-        A: (l, n, n).
-        B: (n, m).
-        claim: What is to be solved, for messages: `"(8)"`.
-        cells: Names of the l cells.
-        subject: What in the description a refusal is about.
-        solver: Which interior-point solver to ask.
+        task: The inequality.
+        goal: What is asked; `goal.given` is not looked at.
 
     Returns:
         K (m, n) and its certificate.
 
     Raises:
-        Infeasible: If a mode that does not decay is out of reach.
+        Infeasible: If no gain exists, proved.
+        InvalidSpec: If the largest rate is asked where every rate can be reached.
         Undecided: If no gain with a proof is found otherwise.
 
     Example: a double integrator.
 
         >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> K, certificate = stabilising_gain(A, B, claim="(8)", cells=["all"])
+        >>> K, certificate = stabilising_gain(Task(A=A, B=B, cells=["all"]))
         >>> K.round(3).tolist(), certificate.rate > 0.8
         ([[-1.0, -1.732]], True)
     """
-    from pwatrack.lmi.picos_model import least_cost
+    search = Search(task)
+    if goal.Q is not None and goal.R is not None:
+        found = search.least_cost(goal.Q, goal.R)
+    elif goal.fastest:
+        found = search.largest_rate(goal.bound)
+    elif goal.gain == "smallest":
+        found = search.smallest_gain(goal.least_rate)
+    else:
+        found = search.balanced(goal.least_rate)
+        if found is not None and _norm(found[0]) > goal.bound:
+            found = search.smallest_gain(goal.least_rate)
+    if found is None:
+        raise _refusal(task, goal.least_rate)
+    if _norm(found[0]) > goal.bound:
+        raise _too_large(task, goal, _norm(found[0]))
+    return found
 
-    scaling = Scaling.of(A, B)
-    matrices, _ = distinct(scaling.system(A))
-    B_scaled = scaling.input(B)
-    mean, R_root = matrices.mean(axis=0), np.eye(B.shape[1])
-    for Q in _state_weights(mean, B_scaled):
-        W, W_inverse = _riccati_coordinates(mean, B_scaled, Q)
-        Q_root = cholesky(Q) @ W_inverse
-        inequality = quadratic_cost(W @ matrices @ W_inverse, W @ B_scaled, Q_root, R_root)
-        candidate = least_cost(inequality, solver)
-        if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
-            continue
-        K = _short(scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W))
-        closed = A + B @ K
-        stable = np.isfinite(closed).all() and np.linalg.eigvals(closed).real.max() < 0
-        certificate = best_certificate(closed, solver=solver) if stable else None
-        if certificate is not None:
+
+class Search:
+    """Ways to look for a gain, in balanced units; each returns it with its proof, or None."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.scaling = Scaling.of(task.A, task.B)
+        self.A, _ = distinct(self.scaling.system(task.A))
+        self.B = self.scaling.input(task.B)
+        self.mean = self.A.mean(axis=0)
+
+    def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
+        """Minimise the cost with unit weights; rate in 1/s."""
+        shift = rate / self.scaling.speed * np.eye(len(self.mean))
+        for Q in _state_weights(self.mean + shift, self.B):
+            K = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)))
+            found = None if K is None else self._proved(K, rate)
+            if found is not None:
+                return self._gentler(*found)
+        return None
+
+    def least_cost(self, Q: Array, R: Array) -> tuple[Array, Certificate] | None:
+        """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
+        d, e = self.scaling.d, self.scaling.e
+        K = self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d))
+        return None if K is None else self._proved(K, 0.0)
+
+    def smallest_gain(self, rate: float, *, balanced: bool = False) -> tuple[Array, Certificate] | None:
+        """Minimise a bound on the norm of the gain, in the units given or in balanced ones."""
+        d, e = (np.ones(len(self.mean)), np.ones(self.B.shape[1])) if balanced else (self.scaling.d, self.scaling.e)
+        for more in (1e-4, 0.0):  # a little faster than asked, so that a margin is left for the proof
+            K = self._smallest(rate * (1 + more) / self.scaling.speed, d, e)
+            found = None if K is None else self._proved(K, rate)
+            if found is not None:
+                return found
+        return None
+
+    def largest_rate(self, bound: float) -> tuple[Array, Certificate] | None:
+        """Bisect the rate for the fastest decay that a gain within the bound gives.
+
+        Raises:
+            InvalidSpec: If there is no bound, and no largest rate.
+        """
+        best = self.balanced(0.0)
+        if best is None or _norm(best[0]) > bound:
+            best = self.smallest_gain(0.0)
+        if best is None or _norm(best[0]) > bound:
+            return best
+        slow, fast, ceiling = best[1].rate, np.inf, 8 * self.scaling.speed
+        while fast - slow > 1e-3 * slow:
+            trial = min(2 * slow, ceiling) if np.isinf(fast) else (slow + fast) / 2
+            found = self.smallest_gain(trial)
+            if found is None or _norm(found[0]) > bound:
+                fast = trial
+                continue
+            best, slow = found, max(found[1].rate, trial)
+            if np.isinf(bound) and slow >= ceiling:
+                raise _no_largest_rate(self.task, slow)
+        return best
+
+    def _gentler(self, K: Array, certificate: Certificate) -> tuple[Array, Certificate]:
+        """Return the gain, or the smallest one of the same rate where that is much smaller."""
+        small = self.smallest_gain(certificate.rate * (1 - 1e-6), balanced=True)
+        if small is None or self._size(K) <= _MODEST * self._size(small[0]):
             return K, certificate
-    _refuse_unreachable(A, B, claim, cells, subject)
-    raise Undecided(
+        nothing = self._proved(np.zeros_like(K), small[1].rate * (1 - 1e-3))
+        return small if nothing is None else nothing
+
+    def _size(self, K: Array) -> float:
+        return _norm(K / self.scaling.e[:, None] * self.scaling.d)
+
+    def _smallest(self, rate: float, d: Array, e: Array) -> Array | None:
+        from pwatrack.lmi.picos_model import smallest_gain
+
+        shifted = self.mean + rate * np.eye(len(d))
+        W, W_inverse = _riccati_coordinates(shifted, self.B, np.eye(len(d)))
+        inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate)
+        candidate = smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), self.task.solver)
+        return self._gain_of(candidate, W)
+
+    def _cost_gain(self, shift: Array, Q: Array, R: Array, weight: Array) -> Array | None:
+        from pwatrack.lmi.picos_model import least_cost
+
+        W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
+        inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, _root(R))
+        return self._gain_of(least_cost(inequality, weight @ W.T, self.task.solver), W)
+
+    def _gain_of(self, candidate: "Candidate | None", W: Array) -> Array | None:
+        """Return Y P⁻¹ in the units given."""
+        if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
+            return None
+        return self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
+
+    def _proved(self, K: Array, rate: float) -> tuple[Array, Certificate] | None:
+        K = _short(K)
+        closed = self.task.A + self.task.B @ K
+        if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < 0:
+            return None
+        certificate = best_certificate(closed, solver=self.task.solver)
+        return (K, certificate) if certificate is not None and certificate.rate >= rate else None
+
+
+def _refusal(task: Task, rate: float) -> PwatrackError:
+    """Return the proof that no gain reaches the rate, or say that there is neither gain nor proof."""
+    refutation = refute(task.A, task.B, rate=rate, solver=task.solver)
+    goal = f" at a rate of {rate:g} 1/s" if rate else ""
+    if refutation is None:
+        message = f"{task.claim}{goal} is undecided: no gain with a proof was found, and no proof that there is none"
+        hint = "another actuator or measured output may help, or the other solver: --solver cvxopt"
+        return Undecided(Problem(message=message, subject=task.subject, hint=hint))
+    slower = ", or a slower rate" if rate else ""
+    if refutation.eigenvalues:
+        modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in refutation.eigenvalues.items()]
+        message = f"{task.claim}{goal} is infeasible: no gain moves the eigenvalue " + ", ".join(modes)
+        hint = f"another actuator, or another measured output, must reach this mode{slower}"
+    else:
+        message = (
+            f"{task.claim}{goal} is infeasible: {conflict_text(refutation, task.cells)}, no gain with a common P "
+            "exists for them, though each can be stabilised by itself"
+        )
+        hint = f"another actuator or another measured output may help, cells that differ less{slower}"
+    return Infeasible(
+        Problem(message=message, subject=task.subject, hint=hint),
+        evidence=Impossibility(of=task.of, rate=rate, refutation=refutation),
+    )
+
+
+def _too_large(task: Task, goal: Goal, norm: float) -> Undecided:
+    goal_text = f" at a rate of {goal.least_rate:g} 1/s" if goal.least_rate else ""
+    return Undecided(
         Problem(
-            message=f"{claim} is undecided: no gain with a proof was found, and no proof that there is none",
-            subject=subject,
-            hint="another actuator or measured output may help, or the other solver: --solver cvxopt",
+            message=f"{task.claim}{goal_text}: no gain with a norm of at most {goal.bound:g} was found; "
+            f"the smallest that was found has {norm:.4g}",
+            subject=("design", task.of, "gain"),
+            hint="allow a larger gain or a slower rate",
+        )
+    )
+
+
+def _no_largest_rate(task: Task, rate: float) -> InvalidSpec:
+    return InvalidSpec(
+        Problem(
+            message=f"{task.claim} has no largest rate: even {rate:.4g} 1/s can be reached, with ever larger gains",
+            subject=("design", task.of, "rate"),
+            hint="give a bound beside it, for example gain: 100, or the rate that is wanted",
         )
     )
 
@@ -161,35 +338,27 @@ def _state_weights(A: Array, B: Array) -> Iterator[Array]:
         yield from (weight * damping * (inverse + inverse.T) / 2 for weight in _STATE_WEIGHTS)
 
 
-def _riccati_coordinates(A: Array, B: Array, Q: Array) -> tuple[Array, Array]:
+def _riccati_coordinates(A: Array, B: Array, Q: Array, R: Array | None = None) -> tuple[Array, Array]:
     """Return W (n, n) and its inverse such that in z = W x the cost of the mean cell's LQR is |z|².
 
     There the optimal P of (8) is near I, which is where a solver is most exact.
     """
     try:
-        X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]))
+        X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]) if R is None else R)
         W = cholesky((X + X.T) / 2)
         return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError):
         return np.eye(len(A)), np.eye(len(A))
 
 
-def _refuse_unreachable(A: Array, B: Array, claim: str, cells: Sequence[str], subject: Subject) -> None:
-    """Refuse cells with a mode that does not decay and that B cannot reach, which is decided exactly."""
-    found = []
-    for name, A_i in zip(cells, A, strict=True):
-        stuck = unreachable_part(decimals(A_i), decimals(B))
-        if stuck and not is_hurwitz(stuck):
-            values = np.linalg.eigvals(np.array([[float(v) for v in row] for row in stuck]))
-            found.append(f"{complex_text(values[np.argmax(values.real)])} in cell '{name}'")
-    if found:
-        raise Infeasible(
-            Problem(
-                message=f"{claim} is infeasible: no gain moves the eigenvalue " + ", ".join(found),
-                subject=subject,
-                hint="another actuator, or another measured output, must reach this mode",
-            )
-        )
+def _root(Q: Array) -> Array:
+    """Return X with Xᵀ X = Q ⪰ 0."""
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, dtype=np.float64)
+
+
+def _norm(K: Array) -> float:
+    return float(np.linalg.norm(K, 2))
 
 
 def _short(K: Array) -> Array:

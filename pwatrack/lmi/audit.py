@@ -1,14 +1,10 @@
-"""Check a pwatrack certificate from the bytes of its file, with whole numbers only.
+"""Check a pwatrack certificate with whole numbers only; runs alone: python audit.py certificate.json .
 
-This file runs alone, on Python's standard library: python audit.py certificate.json
-
-Every number is read as the decimal it is. With P_jk = integers_jk * 2**(exponents_j + exponents_k)
-it is checked, by fraction-free elimination in whole numbers, that for every i
-
-    P > 0   and   -(M_i P + P M_i^T) - 2 rate P - margin I > 0   (positive definite).
-
-So every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes,
-decays at least as fast as exp(-rate t).
+Every number is read as the decimal it is. A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and
+-(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i,
+or of their transposes, decays at least as fast as exp(-rate t). An impossibility has Z_i with sum Z_i B = 0 and
+sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not all are 0, or there is one alone and it is not <= 0:
+so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P < 0 for all i.
 """
 
 import json
@@ -17,79 +13,87 @@ from fractions import Fraction
 from math import lcm
 from typing import Any
 
-FORMAT = "pwatrack certificate 1"
+FORMAT = "pwatrack certificate 2"
 Matrix = list[list[Fraction]]
 
 
 def audit(text: str) -> list[str]:
     """Return what is wrong with a certificate, in sentences; nothing if it proves what it says."""
     try:
-        content = json.loads(text, parse_float=Fraction, parse_int=Fraction, parse_constant=_no_number)
+        content = json.loads(text, parse_float=Fraction, parse_int=Fraction, parse_constant=Fraction)
         if content["format"] != FORMAT:
             return [f"the format is not '{FORMAT}'"]
         faults = []
         for proof in content["proofs"]:
-            matrices = closed_loops(content, proof["of"])
-            faults += [f"{proof['of']}: {fault}" for fault in check(matrices, proof)]
+            decide = refuted if "Z" in proof else check
+            faults += [f"{proof['of']}: {fault}" for fault in decide(*problem(content, proof["of"]), proof)]
         return faults if content["proofs"] else ["there is no proof in it"]
     except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
         return [f"not a certificate: {type(error).__name__}: {error}"]
 
 
-def closed_loops(content: Any, of: str) -> list[Matrix]:
-    """Return the matrices M_i that a proof speaks of."""
-    if of == "generator":
-        return [transposed(A) for A in content["A_eta"]]
-    if of == "controller":
-        BK = product(content["B"], content["K"])
-        return [added(A, BK) for A in content["A"]]
-    if of == "observer":
-        LC = product(content["L"], content["C"])
-        return [transposed(added(A, LC)) for A in content["A"]]
-    raise ValueError(f"unknown proof '{of}'")
+def problem(content: Any, of: str) -> tuple[list[Matrix], Matrix]:
+    """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
+    if of in ("generator", "plant"):
+        return [transposed(A) for A in content["A_eta" if of == "generator" else "A"]], []
+    dual = [transposed(A) for A in content["A"]], transposed(content["C"]), transposed(content["L"] or [])
+    A, B, K = {"controller": (content["A"], content["B"], content["K"]), "observer": dual}[of]
+    return ([added(M, product(B, K)) for M in A], []) if K else (A, B)
 
 
-def check(matrices: list[Matrix], proof: Any) -> list[str]:
-    """Return what is wrong with one proof."""
+def check(matrices: list[Matrix], _: Matrix, proof: Any) -> list[str]:
+    """Return what is wrong with one proof of a design."""
     rate, margin, radius = (Fraction(proof[name]) for name in ("rate", "margin", "radius"))
-    powers = [int(e) for e in proof["P"]["exponents"]]
-    P = [
-        [Fraction(v) * Fraction(2) ** (powers[j] + powers[k]) for k, v in enumerate(row)]
-        for j, row in enumerate(proof["P"]["integers"])
-    ]
-    n = len(powers)
-    if transposed(P) != P or len(P) != n or not matrices or any(len(M) != n for M in matrices):
-        return ["P is not symmetric of the order of the matrices"]
+    powers = [Fraction(2) ** int(e) for e in proof["P"]["exponents"]]
+    rows = zip(proof["P"]["integers"], powers, strict=True)
+    P = [[v * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
+    if transposed(P) != P or not definite(P) or not matrices or any(len(M) != len(P) for M in matrices):
+        return ["P is not symmetric and positive definite, of the order of the matrices"]
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
-    if not positive_definite(P):
-        faults.append("P is not positive definite")
     for i, M in enumerate(matrices):
-        MP = product(M, P)
-        S = [
-            [-MP[j][k] - MP[k][j] - 2 * rate * P[j][k] - (margin if j == k else 0) for k in range(n)] for j in range(n)
-        ]
-        if not positive_definite(S):
+        half = product(added(M, identity(len(P), rate)), P)
+        if not definite(added(product(identity(len(P), -1), added(half, transposed(half))), identity(len(P), -margin))):
             faults.append(f"the inequality fails in cell {i + 1}")
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
     return faults
 
 
-def positive_definite(X: Matrix) -> bool:
-    """Decide whether a symmetric rational matrix is positive definite, by Bareiss' elimination in integers."""
+def refuted(matrices: list[Matrix], B: Matrix, proof: Any) -> list[str]:
+    """Return what is wrong with one proof of impossibility."""
+    n, Z = len(matrices[0]), {int(i): Z_i for i, Z_i in proof["Z"].items()}
+    total = S = identity(n, 0)
+    for i, Z_i in Z.items():
+        if len(Z_i) != n or transposed(Z_i) != Z_i or i < 0:
+            return ["Z is not symmetric of the order of the matrices"]
+        half = product(Z_i, added(matrices[i], identity(n, proof["rate"])))
+        total, S = added(total, Z_i), added(S, added(half, transposed(half)))
+    alone = len(Z) == 1 and not definite(product(identity(n, -1), total), semi=True)
+    right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z.values()))
+    faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
+    if B and any(map(any, product(total, B))):
+        faults.append("the sum of Z B is not 0")
+    return faults if definite(S, semi=True) else [*faults, "the sum of Z M + M^T Z is not positive semidefinite"]
+
+
+def definite(X: Matrix, *, semi: bool = False) -> bool:
+    """Decide whether a symmetric rational matrix is positive (semi)definite, by Bareiss' elimination in integers."""
     scale = lcm(*(v.denominator for row in X for v in row))
-    rows = [[int(v * scale) for v in row] for row in X]
-    previous = 1
+    rows, previous = [[int(v * scale) for v in row] for row in X], 1
     for k, pivot_row in enumerate(rows):
-        if (pivot := pivot_row[k]) <= 0:
+        pivot = pivot_row[k]
+        if pivot < 0 or (pivot == 0 and (not semi or any(pivot_row[k + 1 :]))):
             return False
-        for row in rows[k + 1 :]:
-            factor = row[k]
-            row[k + 1 :] = [
-                (v * pivot - factor * p) // previous for v, p in zip(row[k + 1 :], pivot_row[k + 1 :], strict=True)
-            ]
-        previous = pivot
+        for row in rows[k + 1 :] if pivot else []:
+            factor, pairs = row[k], zip(row[k + 1 :], pivot_row[k + 1 :], strict=True)
+            row[k + 1 :] = [(v * pivot - factor * p) // previous for v, p in pairs]
+        previous = pivot or previous
     return True
+
+
+def identity(n: int, factor: Any) -> Matrix:
+    """Return factor I."""
+    return [[Fraction(factor) * (j == k) for k in range(n)] for j in range(n)]
 
 
 def product(X: Matrix, Y: Matrix) -> Matrix:
@@ -106,10 +110,6 @@ def added(X: Matrix, Y: Matrix) -> Matrix:
 def transposed(X: Matrix) -> Matrix:
     """Return the transpose."""
     return [list(column) for column in zip(*X, strict=True)]
-
-
-def _no_number(name: str) -> Fraction:
-    raise ValueError(f"'{name}' is no number")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""What a solver proposes, decided: proof that a P works, proof that none exists.
+"""What a solver proposes, decided: proof that a P works.
 
-Both proofs are made in NumPy with a bound on every rounding error: an
+The proof is made in NumPy with a bound on every rounding error: an
 eigenvalue counts as positive only where it exceeds that bound.
 """
 
@@ -63,29 +63,6 @@ def prove(M: Array, P: Array) -> Certificate | None:
         if shrunk > 0 and margin > 0:
             return Certificate(M=readonly(M), P=readonly(symmetric_part(P) / 2), rate=shrunk, margin=margin)
     return None
-
-
-def refutes(M: Array, Z: Array) -> Array | None:
-    """Return the weight of each cell in a proof that no P ≻ 0 has M_i P + P M_iᵀ ≺ 0 for all i.
-
-    The proof is Z_i ⪰ 0, not all 0, with Σ sym(Z_i M_i) ≻ 0.
-
-    Args:
-        M: (l, n, n).
-        Z: Candidates (l, n, n).
-
-    Returns:
-        Weights (l,) with sum 1, or None if Z proves nothing.
-    """
-    values, vectors = np.linalg.eigh(symmetric_part(Z) / 2)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    Z = root @ np.swapaxes(root, 1, 2)
-    total = symmetric_part(Z @ M).sum(axis=0)
-    if not np.isfinite(total).all() or not _definite(total, (np.abs(Z) @ np.abs(M)).sum(axis=0) * len(M)):
-        return None
-    weight: Array = np.trace(Z, axis1=1, axis2=2)
-    weight /= weight.sum()
-    return weight
 
 
 def _definite(X: Array, size: Array) -> bool:

@@ -4,6 +4,7 @@ What comes back is a candidate. It proves nothing before `certificate` has
 looked at it, whatever the solver says of it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,44 +39,93 @@ def largest_margin(inequality: Inequality, solver: Solver = "clarabel") -> Candi
     return _solve(problem, P, Y, solver)
 
 
-def least_cost(inequality: Inequality, solver: Solver = "clarabel") -> Candidate | None:
-    """Minimise tr P⁻¹ subject to F_i(P, Y) ⪯ 0 for all cells, as min tr W with [W I; I P] ⪰ 0.
+def least_cost(inequality: Inequality, weight: Array, solver: Solver = "clarabel") -> Candidate | None:
+    """Minimise tr V P⁻¹ Vᵀ subject to F_i(P, Y) ⪯ 0 for all cells, as min tr W with [W V; Vᵀ P] ⪰ 0.
+
+    Args:
+        inequality: From `quadratic_cost`.
+        weight: V (n, n): its rows are the initial states whose costs are added up.
+        solver: Which interior-point solver to ask.
 
     Returns:
         The minimiser, or None if the solver gave nothing.
     """
     problem, P, Y = _problem(inequality)
-    eye = np.eye(inequality.n)
+    V = weight / np.linalg.norm(weight, 2)
     W = picos.SymmetricVariable("W", inequality.n)
     problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
-    problem.add_constraint(((W & eye) // (eye & P)) >> 0)
+    problem.add_constraint(((W & V) // (V.T & P)) >> 0)
     problem.set_objective("min", picos.trace(W))
     return _solve(problem, P, Y, solver)
 
 
-def alternative(M: Array, solver: Solver = "clarabel") -> Array | None:
-    """Look for Z_i ⪰ 0, Σ tr Z_i = 1, that make the smallest eigenvalue of Σ sym(Z_i M_i) largest.
+def smallest_gain(
+    inequality: Inequality, metric: Array, input_root: Array, solver: Solver = "clarabel"
+) -> Candidate | None:
+    """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
 
-    If it is positive, no P ≻ 0 has M_i P + P M_iᵀ ≺ 0 for all i, because the
-    sum over i of tr Z_i (M_i P + P M_iᵀ) would be both negative and tr P Σ sym(Z_i M_i) > 0.
+    Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
 
     Args:
-        M: (l, n, n).
+        inequality: From `state_feedback`.
+        metric: G ≻ 0, (n, n).
+        input_root: E (m, m).
+        solver: Which interior-point solver to ask.
 
     Returns:
-        Z (l, n, n), or None if the solver gave nothing.
+        The minimiser, or None if the solver gave nothing.
     """
-    n = M.shape[1]
+    problem, P, Y = _problem(inequality)
+    size = float(np.linalg.norm(metric, 2))
+    bound = picos.RealVariable("bound")
+    EY = input_root * Y
+    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
+    problem.add_constraint(P >> metric / size)
+    problem.add_constraint(((bound * np.eye(inequality.m) & EY) // (EY.T & P)) >> 0)
+    problem.set_objective("min", bound)
+    return _solve(problem, P, Y, solver)
+
+
+def multipliers(
+    A: Array,
+    bases: Sequence[Array],
+    blind: Array,
+    *,
+    interior: bool,
+    solver: Solver = "clarabel",
+) -> list[Array] | None:
+    """Look for multipliers Z_i = Q_i U_i Q_iᵀ ⪰ 0 that refute (8): see `infeasibility`.
+
+    With S = Σ (Z_i A_i + A_iᵀ Z_i), it makes the smallest eigenvalue of S on the complement of R largest,
+    subject to S R = 0 and Σ tr U_i = 1.
+
+    Args:
+        A: (l, n, n).
+        bases: Q_i (n, k_i), orthonormal.
+        blind: R (n, ρ), directions that S must not see.
+        interior: Keep every U_i away from singular too, so that it can be rounded.
+        solver: Which interior-point solver to ask.
+
+    Returns:
+        The U_i, or None if the solver gave nothing.
+    """
     problem = picos.Problem()
-    Z = [picos.SymmetricVariable(f"Z{i}", n) for i in range(len(M))]
+    U = [picos.SymmetricVariable(f"U{i}", Q.shape[1]) for i, Q in enumerate(bases)]
     t = picos.RealVariable("t")
-    total = picos.sum([Z_i * M_i + M_i.T * Z_i for Z_i, M_i in zip(Z, M, strict=True)])
-    problem.add_list_of_constraints([Z_i >> 0 for Z_i in Z])
-    problem.add_list_of_constraints([total >> t * np.eye(n), picos.sum([picos.trace(Z_i) for Z_i in Z]) == 1])
+    ZA = picos.sum([Q * U_i * (Q.T @ A_i) for Q, U_i, A_i in zip(bases, U, A, strict=True)])
+    problem.add_list_of_constraints([U_i >> (t * np.eye(U_i.shape[0]) if interior else 0) for U_i in U])
+    problem.add_constraint(picos.sum([picos.trace(U_i) for U_i in U]) == 1)
+    S, n, rank = ZA + ZA.T, blind.shape[0], blind.shape[1]
+    seen = np.linalg.qr(np.hstack([blind, np.eye(n)]))[0][:, rank:]
+    if rank < n:
+        problem.add_constraint(seen.T * S * seen >> t * np.eye(n - rank))
+    if rank:
+        problem.add_constraint(S * (blind / np.linalg.norm(blind, axis=0)) == 0)
+    problem.add_constraint(t <= 1)
     problem.set_objective("max", t)
     if not _run(problem, solver):
         return None
-    return np.array([_value(Z_i, (n, n)) for Z_i in Z])
+    return [_value(U_i, U_i.shape) for U_i in U]
 
 
 def _problem(inequality: Inequality) -> tuple[Any, Any, Any]:

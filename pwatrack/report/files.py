@@ -13,11 +13,13 @@ import numpy as np
 from pwatrack import __version__
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
+from pwatrack.control.convergence import Impossibility
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.lmi.audit import FORMAT
 from pwatrack.lmi.exact import Proof
+from pwatrack.model.normal_form import normal_form
 from pwatrack.pipeline import Result
-from pwatrack.report.run_folder import INDEX, RunFolder, run_folder
+from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import PARTS
 from pwatrack.spec.load import Spec
 
@@ -89,27 +91,57 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
     run.json("gains.json", {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()})
-    run.json(
-        "certificate.json",
-        {
-            "format": FORMAT,
-            "claim": "P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i, exactly, for these decimals; "
-            "P_jk = integers_jk 2^(exponents_j + exponents_k); controller: M_i = A_i + B K; "
-            "observer: M_i = (A_i + L C)^T; generator: M_i = A_eta_i^T",
-            "spec_sha256": spec.sha256,
-            "parameters": dict(spec.parameters),
-            "cells": list(spec.plant.cell_names),
-            "A": spec.plant.A.tolist(),
-            "B": spec.plant.B.tolist(),
-            "C": spec.plant.C.tolist(),
-            "K": design.K.tolist(),
-            "L": design.L.tolist(),
-            "A_eta": [] if generator is None else generator.A_eta.tolist(),
-            "proofs": [_proof(proof) for proof in controller.proofs],
-        },
-    )
+    A_eta = None if generator is None else generator.A_eta
+    proofs = [_proof(proof) for proof in controller.proofs]
+    run.json("certificate.json", _certificate(spec, design.K, design.L, A_eta, proofs))
     if generator is not None:
         run.json("generator.json", _generator(generator))
+
+
+def write_refusal(spec: Spec, evidence: Impossibility, folder: str | Path) -> Path:
+    """Write refusal.json: the proof that what was asked is impossible, in the format of certificate.json.
+
+    Args:
+        spec: What was asked.
+        evidence: That of the `Infeasible` that `design(spec)` raised.
+        folder: Made if it does not exist; what an earlier run left in it stays.
+
+    Returns:
+        The file.
+
+    Raises:
+        InvalidSpec: If the folder cannot be written.
+    """
+    A_eta = normal_form(spec.plant).Psi if evidence.of == "generator" else None
+    goal = spec.controller if evidence.of == "controller" else spec.observer
+    given = goal.given if evidence.of in ("controller", "observer") else None
+    K, L = (given, None) if evidence.of == "controller" else (None, None if given is None else given.T)
+    Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
+    proofs = [{"of": evidence.of, "impossible": True, "rate": evidence.rate, "Z": Z}]
+    with run_folder(folder) as run:
+        run.json(REFUSAL, _certificate(spec, K, L, A_eta, proofs))
+    return Path(folder) / REFUSAL
+
+
+def _certificate(
+    spec: Spec, K: Array | None, L: Array | None, A_eta: Array | None, proofs: list[dict[str, Any]]
+) -> dict[str, Any]:
+    plant = spec.plant
+    return {
+        "format": FORMAT,
+        "claim": "exactly, for these decimals: P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i, "
+        "P_jk = integers_jk 2^(exponents_j + exponents_k); or, by multipliers Z_i, that no such P exists for any gain "
+        "(or for the one that is given); controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T; "
+        "generator: M_i = A_eta_i^T",
+        "spec_sha256": spec.sha256,
+        "parameters": dict(spec.parameters),
+        "cells": list(plant.cell_names),
+        **{letter: getattr(plant, letter).tolist() for letter in "ABC"},
+        "K": None if K is None else K.tolist(),
+        "L": None if L is None else L.tolist(),
+        "A_eta": [] if A_eta is None else A_eta.tolist(),
+        "proofs": proofs,
+    }
 
 
 def _proof(proof: Proof) -> dict[str, Any]:

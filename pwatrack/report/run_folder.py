@@ -11,6 +11,7 @@ from pathlib import Path
 from pwatrack.errors import InvalidSpec, Problem
 
 INDEX = "run.json"  # names the files of the run; written last
+REFUSAL = "refusal.json"  # the proof of a refusal; stays beside an earlier run, until a run succeeds
 
 
 class RunFolder:
@@ -46,7 +47,7 @@ class RunFolder:
         for name in self._waiting:
             if (self.path / name).is_dir():
                 raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
-        stale = set(_indexed(self.path)) - set(self._waiting) if INDEX in self._waiting else set()
+        stale = {REFUSAL, *_indexed(self.path)} - set(self._waiting) if INDEX in self._waiting else set()
         for name in sorted(self._waiting, key=lambda name: name == INDEX):
             self._waiting.pop(name).replace(self.path / name)
         for name in stale:

@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from pwatrack import pipeline
+from pwatrack.control.convergence import Impossibility
+from pwatrack.errors import Infeasible
 from pwatrack.lmi.inequality import Solver
 from pwatrack.report import files, summary
 from pwatrack.report.terminal import console
-from pwatrack.spec.load import assignments, load_spec
+from pwatrack.spec.load import Spec, assignments, load_spec
 
 
 def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | None, *, simulated: bool) -> None:
@@ -32,7 +34,7 @@ def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | No
             spec = load_spec(path, assignments(parameters))
             spec = replace(spec, solver=solver) if solver else spec
         status.update("Solving the matrix inequalities")
-        with _timed(seconds, "design"):
+        with _timed(seconds, "design"), _evidence_kept(spec, folder):
             controller = pipeline.design(spec)
         if not simulated:
             files.write_design(spec, controller, folder, seconds=seconds)
@@ -53,3 +55,15 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[step] = round(time.perf_counter() - start, 4)
+
+
+@contextmanager
+def _evidence_kept(spec: Spec, folder: Path) -> Iterator[None]:
+    """Write the proof of a refusal before it goes on its way, and note where."""
+    try:
+        yield
+    except Infeasible as error:
+        if isinstance(error.evidence, Impossibility):
+            where = files.write_refusal(spec, error.evidence, folder)
+            error.add_note(f"  proof: {where!s}; 'pwatrack verify' checks it")
+        raise

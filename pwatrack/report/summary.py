@@ -11,6 +11,7 @@ from pwatrack.arrays import Array, complex_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.goal import Goal
 from pwatrack.lmi.exact import Proof
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
@@ -79,13 +80,13 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     table = _titled(spec.name)
     proofs = {proof.of: proof for proof in controller.proofs}
-    for claim, letter, gain, given in (
-        ("(8) controller", "K", design.K, spec.K is not None),
-        ("(9) observer", "Lᵀ", design.L.T, spec.L is not None),
+    for claim, letter, gain, goal in (
+        ("(8) controller", "K", design.K, spec.controller),
+        ("(9) observer", "Lᵀ", design.L.T, spec.observer),
     ):
         proof = proofs[claim.split()[1]]
         table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, rate {proof.rate:.4g} 1/s")
-        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {'given' if given else 'designed'}"
+        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {_origin(goal)}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
     if generator is None:
         table.add_row("Assumption 1", "x_d and u_ff satisfy (3)")
@@ -95,6 +96,16 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     else:
         _generator_rows(table, generator, proofs.get("generator"))
     console.print(table)
+
+
+def _origin(goal: Goal) -> str:
+    """Say where a gain is from."""
+    if goal.given is not None:
+        return "given"
+    if goal.Q is not None:
+        return "designed for the cost asked"
+    asked = [f"rate {goal.rate}"] * (goal.rate is not None) + [f"gain {goal.gain}"] * (goal.gain is not None)
+    return f"designed for {', '.join(asked)}" if asked else "designed"
 
 
 def _generator_rows(table: Table, generator: TrajectoryGenerator, proof: Proof | None) -> None:

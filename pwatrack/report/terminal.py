@@ -33,6 +33,8 @@ def refusals() -> Iterator[None]:
     except PwatrackError as error:
         for problem in error.problems:
             errors.print(f"error: {problem}", soft_wrap=True)
+        for note in getattr(error, "__notes__", ()):
+            errors.print(note, soft_wrap=True)
         raise SystemExit(int(error.code)) from None
     except Exception as error:  # whatever else comes is a bug of ours, said without a traceback
         where = traceback.extract_tb(error.__traceback__)[-1]

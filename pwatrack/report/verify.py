@@ -6,7 +6,7 @@ from typing import Any
 
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit import audit
-from pwatrack.report.run_folder import INDEX
+from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.spec.load import load_spec
 
 
@@ -24,17 +24,17 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         InvalidSpec: If a file cannot be read.
         CheckFailed: With everything that does not hold.
     """
-    file = path / "certificate.json" if path.is_dir() else path
+    file = path if not path.is_dir() else _certificate_in(path)
     text = _read(file)
     faults = audit(text)
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     content = json.loads(text)
-    said = [f"{p['of']}: proved, rate {p['rate']:g} 1/s, for changes below {p['radius']:g}" for p in content["proofs"]]
+    said = [_claim(proof, content["cells"]) for proof in content["proofs"]]
     said.append("every number was read as the decimal it is; the proof uses whole numbers only")
     faults = []
     gains = file.parent / "gains.json"
-    if gains.is_file():
+    if gains.is_file() and file.name != REFUSAL:
         beside = json.loads(_read(gains))
         faults += [
             f"{letter} in gains.json is not the one that was proved"
@@ -49,6 +49,20 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     return said
+
+
+def _certificate_in(folder: Path) -> Path:
+    """Return the certificate of a run folder, or the refusal where there is only that."""
+    refusal, certificate = folder / REFUSAL, folder / "certificate.json"
+    return refusal if refusal.is_file() and not certificate.is_file() else certificate
+
+
+def _claim(proof: dict[str, Any], cells: list[str]) -> str:
+    if "Z" not in proof:
+        return f"{proof['of']}: proved, rate {proof['rate']:g} 1/s, for changes below {proof['radius']:g}"
+    names = ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
+    rate = f" at a rate of {proof['rate']:g} 1/s" if proof["rate"] else ""
+    return f"{proof['of']}: proved impossible{rate}, by multipliers for {names}"
 
 
 def _against_spec(content: dict[str, Any], path: Path) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course, Formula, Profile, Table, polyline
@@ -16,6 +17,7 @@ from pwatrack.model.reference import InputReference, OutputReference, Reference,
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.schema import (
     CourseSection,
+    GoalSection,
     ReferenceSection,
     StepSection,
     SystemSection,
@@ -75,6 +77,18 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if kind == "state":
         return StateReference(courses)
     return InputReference(courses, readonly(section.start) if section.start else None)
+
+
+def build_goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
+    """Return what a gain is to achieve; `given` is the gain itself, as (inputs, states) of (8)."""
+    cost = section.cost
+    return Goal(
+        given=None if given is None else readonly(given),
+        rate=section.rate,
+        gain=section.gain,
+        Q=None if cost is None else readonly(cost.Q),
+        R=None if cost is None else readonly(cost.R),
+    )
 
 
 def _refuse_other_B(system: SystemSection) -> None:

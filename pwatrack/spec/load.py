@@ -10,13 +10,15 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
-from pwatrack.spec.build import build_plant, build_reference
+from pwatrack.spec.build import build_goal, build_plant, build_reference
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
 from pwatrack.spec.problems import (
+    goal_problems,
     name_problems,
     plant_problems,
     reference_problems,
@@ -40,7 +42,7 @@ class Spec:
         plant: The system (1).
         units: Unit of each state, input and output that has one.
         tracking: "output" (Theorem 3) or "state" (Theorem 2).
-        K, L: Gains to prove, or None where they are to be designed.
+        controller, observer: What K and Lᵀ are to achieve.
         solver: Which interior-point solver to ask.
         reference: What to track.
         duration, sample_time: In s.
@@ -56,8 +58,8 @@ class Spec:
     plant: PWASystem
     units: Mapping[str, str]
     tracking: Literal["output", "state"]
-    K: Array | None
-    L: Array | None
+    controller: Goal
+    observer: Goal
     solver: Solver
     reference: Reference
     duration: float
@@ -112,7 +114,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     except ValidationError as error:
         problems += validation_problems(error, document.data)
     if not problems:
-        problems += plant_problems(file.system) + reference_problems(file)
+        problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
@@ -129,8 +131,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         plant=plant,
         units=file.system.units,
         tracking=file.design.tracking,
-        K=_optional(file.design.controller.K),
-        L=_optional(file.design.observer.L),
+        controller=build_goal(file.design.controller, file.design.controller.K),
+        observer=build_goal(file.design.observer, _transposed(file.design.observer.L)),
         solver=file.design.solver,
         reference=reference,
         duration=simulation.duration,
@@ -221,3 +223,7 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
 
 def _optional(values: Any) -> Array | None:
     return None if values is None else readonly(values)
+
+
+def _transposed(rows: list[list[float]] | None) -> list[list[float]] | None:
+    return None if rows is None else [list(column) for column in zip(*rows, strict=True)]

@@ -2,7 +2,7 @@
 
 import keyword
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -91,6 +91,15 @@ def _positive(value: float) -> float:
     if value <= 0:
         raise ValueError(f"{value:g} is not positive")
     return value
+
+
+def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | str]:
+    """Return a validator of a positive number, or of one word."""
+
+    def validate(value: Any, info: ValidationInfo[Context]) -> float | str:
+        return word if value == word else _positive(_number(value, info))
+
+    return validate
 
 
 def _not_all_zero(values: list[float]) -> list[float]:
@@ -258,14 +267,29 @@ class SystemSection(Section):
     nonlinearities: list[Element] | None = None
 
 
-class ControllerSection(Section):
-    """How K is found; a given K is proved instead."""
+class CostSection(Section):
+    """Weights Q and R of ∫(eᵀQe + uᵀRu) dt; for the observer, noise covariance densities of states and outputs."""
+
+    Q: Rows
+    R: Rows
+
+
+class GoalSection(Section):
+    """What a gain is to achieve; with nothing said, a gentle gain is found."""
+
+    rate: Annotated[float | Literal["largest"] | None, PlainValidator(_positive_or("largest"))] = None
+    gain: Annotated[float | Literal["smallest"] | None, PlainValidator(_positive_or("smallest"))] = None
+    cost: CostSection | None = None
+
+
+class ControllerSection(GoalSection):
+    """What K is to achieve; a given K is proved instead."""
 
     K: Rows | None = None
 
 
-class ObserverSection(Section):
-    """How L is found; a given L is proved instead."""
+class ObserverSection(GoalSection):
+    """What L is to achieve; a given L is proved instead."""
 
     L: Rows | None = None
 

@@ -1,0 +1,173 @@
+"""Exact linear algebra on rational matrices, by python-flint: definiteness, stability, what an input reaches.
+
+A `Rational` is a `flint.fmpq_mat`; python-flint is loaded when the first one is made.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from pwatrack.arrays import Array
+
+Rational = Any  # flint.fmpq_mat, which comes without types
+
+_MOST_BITS = 8192  # precision at which the balls give up
+
+
+def decimals(X: Array) -> Rational:
+    """Return a matrix (j, k) as the decimals that its entries are printed as.
+
+    Example:
+        >>> decimals(np.array([[0.1, 2.0]])).tolist()
+        [[1/10, 2]]
+    """
+    return rational([[Fraction(repr(float(v))) for v in row] for row in X], X.shape)
+
+
+def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rational:
+    """Return a matrix with these entries."""
+    import flint
+
+    return flint.fmpq_mat(*shape, [flint.fmpq(v.numerator, v.denominator) for row in rows for v in row])
+
+
+def scalar(value: float) -> Any:
+    """Return a number as the decimal that it is printed as."""
+    import flint
+
+    exact = Fraction(repr(float(value)))
+    return flint.fmpq(exact.numerator, exact.denominator)
+
+
+def identity(n: int) -> Rational:
+    """Return I of order n."""
+    return decimals(np.eye(n))
+
+
+def floats(X: Rational) -> Array:
+    """Return the nearest doubles."""
+    entries = [float(Fraction(int(v.p), int(v.q))) for v in X.entries()]
+    return np.array(entries, dtype=np.float64).reshape(X.nrows(), X.ncols())
+
+
+def stacked(blocks: Sequence[Rational]) -> Rational:
+    """Return matrices with the same number of columns, one below the other."""
+    import flint
+
+    return flint.fmpq_mat(sum(X.nrows() for X in blocks), blocks[0].ncols(), [v for X in blocks for v in X.entries()])
+
+
+def left_null_space(X: Rational) -> Rational:
+    """Return N (k, n), of full row rank, whose rows are all v with v X = 0.
+
+    Example:
+        >>> left_null_space(decimals(np.array([[1.0], [2.0]]))).tolist()
+        [[-2, 1]]
+    """
+    import flint
+
+    reduced, rank = X.transpose().rref()
+    n, rows = X.nrows(), reduced.tolist()[:rank]
+    pivots = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
+    free = [j for j in range(n) if j not in pivots]
+    entries = [[flint.fmpq(int(j == k)) for j in range(n)] for k in free]
+    for v, k in zip(entries, free, strict=True):
+        for row, pivot in zip(rows, pivots, strict=True):
+            v[pivot] = -row[k]
+    return flint.fmpq_mat(len(free), n, [v for row in entries for v in row])
+
+
+def is_hurwitz(M: Rational) -> bool:
+    """Decide whether all eigenvalues have negative real parts: Routh's array of the characteristic polynomial.
+
+    Where it is false, no P ≻ 0 has M P + P Mᵀ ≺ 0 (Lyapunov).
+
+    Example:
+        >>> is_hurwitz(decimals(np.array([[-1.0, 5.0], [0.0, -1e-30]])))
+        True
+        >>> is_hurwitz(decimals(np.array([[0.0, 1.0], [-1.0, 0.0]])))
+        False
+    """
+    import flint
+
+    polynomial = M.charpoly()
+    falling = [polynomial[k] for k in range(M.nrows(), -1, -1)]
+    above, here = falling[0::2], falling[1::2]
+    while here:
+        if not here[0] > 0:
+            return False
+        ratio = above[0] / here[0]
+        padded = here[1:] + [flint.fmpq(0)] * (len(above) - len(here))
+        above, here = here, [a - ratio * b for a, b in zip(above[1:], padded, strict=True)]
+    return True
+
+
+def unreachable(A: Rational, B: Rational) -> tuple[Rational, Rational]:
+    """Return N (k, n) and A_u (k, k) with N A = A_u N and N B = 0, k as large as it can be.
+
+    The rows of N span what B never reaches (the left null space of [B, AB, …, Aⁿ⁻¹B]): no
+    gain changes A_u. k = 0 if (A, B) is controllable.
+
+    Example:
+        >>> A, B = decimals(np.diag([-1.0, 3.0])), decimals(np.array([[1.0], [0.0]]))
+        >>> [X.tolist() for X in unreachable(A, B)]
+        [[[0, 1]], [[3]]]
+    """
+    columns = [B.transpose()]
+    for _ in range(A.nrows() - 1):
+        columns.append(columns[-1] * A.transpose())
+    N = left_null_space(stacked(columns).transpose())
+    return N, on_rows(A, N)
+
+
+def on_rows(A: Rational, N: Rational) -> Rational:
+    """Return A_u with N A = A_u N, for rows N (k, n) of full rank that span a left invariant subspace of A."""
+    if not N.nrows():
+        return N * A * N.transpose()
+    return N * A * N.transpose() * (N * N.transpose()).inv()
+
+
+def is_positive_definite(X: Rational) -> bool:
+    """Decide X ≻ 0 by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
+    import flint
+
+    n = X.nrows()
+    before, bits = flint.ctx.prec, 128
+    try:
+        while bits <= _MOST_BITS:
+            flint.ctx.prec = bits
+            sign = _pivots([[flint.arb(X[j, k]) for k in range(j + 1)] for j in range(n)])
+            if sign is not None:
+                return sign
+            bits *= 2
+        return False
+    finally:
+        flint.ctx.prec = before
+
+
+def is_positive_semidefinite(X: Rational) -> bool:
+    """Decide X ⪰ 0: X = 0 on its null space, and definite on a complement of it."""
+    N = _basis_of_rows(X)
+    return is_positive_definite(N * X * N.transpose())
+
+
+def _basis_of_rows(X: Rational) -> Rational:
+    """Return unit rows that, with the null space of a symmetric X, span everything."""
+    reduced, rank = X.rref()
+    pivots = [next(j for j, v in enumerate(row) if v != 0) for row in reduced.tolist()[:rank]]
+    return decimals(np.eye(X.nrows())[pivots].reshape(rank, X.nrows()))
+
+
+def _pivots(rows: list[list[Any]]) -> bool | None:
+    """Return whether all pivots of a lower triangle are positive; None if a ball holds 0."""
+    for k in range(len(rows)):
+        pivot = rows[k][k]
+        if not pivot > 0:
+            return False if pivot < 0 else None
+        for row in rows[k + 1 :]:
+            factor = row[k] / pivot
+            for j in range(k + 1, len(row)):
+                row[j] -= factor * rows[j][k]
+    return True
