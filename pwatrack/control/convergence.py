@@ -12,16 +12,18 @@ from pwatrack.errors import Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Refutation, refute
-from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.lmi.presolve import Scaling, centre, distinct
 
-_STEPS = 12  # at most so many bisections of the rate
+_STEPS = 14  # at most so many bisections of the rate
+_RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
-def best_certificate(M: Array, *, solver: Solver = "clarabel") -> Certificate | None:
+def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "clarabel") -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that bisection finds.
 
     Args:
         M: (l, n, n), with all eigenvalues in the open left half plane.
+        start: A P (n, n) that may prove something.
         solver: Which interior-point solver to ask.
 
     Returns:
@@ -31,39 +33,48 @@ def best_certificate(M: Array, *, solver: Solver = "clarabel") -> Certificate | 
 
     scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
     matrices, _ = distinct(scaling.system(M))
-    V = _lyapunov_coordinates(matrices.mean(axis=0))
-    matrices = np.linalg.solve(V, matrices @ V).astype(np.float64)
-    best, trial, ceiling = None, 0.0, -float(np.linalg.eigvals(M).real.max())
+    best = None if start is None else prove(M, start)
+    V, inverse = (
+        _lyapunov_coordinates(matrices.mean(axis=0))
+        if start is None
+        else _centre(start / scaling.d[:, None] / scaling.d)
+    )
+    ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
+    trial = 0.0 if best is None else best.rate
     for _ in range(_STEPS):
-        candidate = largest_margin(lyapunov(matrices, trial / scaling.speed), solver)
+        candidate = largest_margin(lyapunov(inverse @ matrices @ V, trial / scaling.speed), solver)
         found = None if candidate is None else prove(M, scaling.matrix(V @ candidate.P @ V.T))
-        if found is None or found.rate < trial:
-            ceiling = min(ceiling, trial)
+        if candidate is not None:
+            nearer, back = _centre(candidate.P)
+            V, inverse = V @ nearer, back @ inverse
         if found is not None and (best is None or found.rate > best.rate):
             best = found
-        if best is None or ceiling - best.rate <= 1e-3 * ceiling:
+        if found is None or found.rate < trial:
+            failures += 1
+            if best is not None:
+                ceiling = min(ceiling, trial)
+        if ceiling - (best.rate if best else 0.0) <= 1e-3 * ceiling or (best is None and failures > _RECENTRED):
             break
-        trial = (best.rate + ceiling) / 2
+        trial = 0.0 if best is None else (best.rate + ceiling) / 2
     return best
 
 
-def _lyapunov_coordinates(M: Array) -> Array:
-    """Return V (n, n) such that in x = V z the mean cell has a Lyapunov matrix near I; I where it is not stable.
-
-    A solver is most exact where its answer is near I, and the answer then depends less on the states chosen.
-    """
-    eye = np.eye(len(M))
+def _lyapunov_coordinates(M: Array) -> tuple[Array, Array]:
+    """Return V (n, n) and its inverse such that in x = V z the mean cell has a Lyapunov matrix near I, if it is stable."""
     if np.linalg.eigvals(M).real.max() >= 0:
-        return eye
+        return np.eye(len(M)), np.eye(len(M))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # nearly singular: refused below by its eigenvalues
-        P = solve_continuous_lyapunov(M, -eye)
-    if not np.isfinite(P).all():
-        return eye
-    values, vectors = np.linalg.eigh((P + P.T) / 2)
-    if not values[0] > 1e-14 * values[-1]:
-        return eye
-    return np.asarray(vectors * np.sqrt(values / values[-1]), dtype=np.float64)
+        warnings.simplefilter("ignore")  # nearly singular: refused by `centre`
+        P = solve_continuous_lyapunov(M, -np.eye(len(M)))
+    return _centre(P)
+
+
+def _centre(P: Array) -> tuple[Array, Array]:
+    """Return the coordinates in which P is I; those at hand where there are none."""
+    try:
+        return centre(P)
+    except np.linalg.LinAlgError:  # also if an entry is not finite
+        return np.eye(len(P)), np.eye(len(P))
 
 
 def prove_convergence(

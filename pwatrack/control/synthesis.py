@@ -14,13 +14,14 @@ from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Sub
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.lmi.presolve import Scaling, centre, distinct
 from pwatrack.model.pwa import PWASystem
 
 if TYPE_CHECKING:
     from pwatrack.lmi.picos_model import Candidate
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
+_RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
 _MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
 
 
@@ -184,27 +185,25 @@ class Search:
         self.mean = self.A.mean(axis=0)
 
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
-        """Minimise the cost with unit weights; rate in 1/s."""
+        """Minimise the cost with unit weights; where no weight gives a proof, maximise the margin; rate in 1/s."""
         shift = rate / self.scaling.speed * np.eye(len(self.mean))
         for Q in _state_weights(self.mean + shift, self.B):
-            K = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)))
-            found = None if K is None else self._proved(K, rate)
+            found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
                 return self._gentler(*found)
-        return None
+        found = self._largest_margin(rate)
+        return None if found is None else self._gentler(*found)
 
     def least_cost(self, Q: Array, R: Array) -> tuple[Array, Certificate] | None:
         """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
         d, e = self.scaling.d, self.scaling.e
-        K = self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d))
-        return None if K is None else self._proved(K, 0.0)
+        return self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d), 0.0)
 
     def smallest_gain(self, rate: float, *, balanced: bool = False) -> tuple[Array, Certificate] | None:
         """Minimise a bound on the norm of the gain, in the units given or in balanced ones."""
         d, e = (np.ones(len(self.mean)), np.ones(self.B.shape[1])) if balanced else (self.scaling.d, self.scaling.e)
         for more in (1e-4, 0.0):  # a little faster than asked, so that a margin is left for the proof
-            K = self._smallest(rate * (1 + more) / self.scaling.speed, d, e)
-            found = None if K is None else self._proved(K, rate)
+            found = self._smallest(rate * (1 + more) / self.scaling.speed, d, e, rate)
             if found is not None:
                 return found
         return None
@@ -237,41 +236,73 @@ class Search:
         small = self.smallest_gain(certificate.rate * (1 - 1e-6), balanced=True)
         if small is None or self._size(K) <= _MODEST * self._size(small[0]):
             return K, certificate
-        nothing = self._proved(np.zeros_like(K), small[1].rate * (1 - 1e-3))
+        nothing = self._proved(np.zeros_like(K), certificate.rate * (1 - 1e-3))
         return small if nothing is None else nothing
 
     def _size(self, K: Array) -> float:
         return _norm(K / self.scaling.e[:, None] * self.scaling.d)
 
-    def _smallest(self, rate: float, d: Array, e: Array) -> Array | None:
+    def _smallest(self, trial: float, d: Array, e: Array, rate: float) -> tuple[Array, Certificate] | None:
         from pwatrack.lmi.picos_model import smallest_gain
 
-        shifted = self.mean + rate * np.eye(len(d))
-        W, W_inverse = _riccati_coordinates(shifted, self.B, np.eye(len(d)))
-        inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate)
-        candidate = smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), self.task.solver)
-        return self._gain_of(candidate, W)
+        W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
+        for _ in range(_RECENTRED):
+            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
+            candidate = smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), self.task.solver)
+            found = self._candidate(candidate, W, W_inverse, rate)
+            if found is not None or candidate is None:
+                return found
+            W, W_inverse = _recentred(W, W_inverse, candidate.P)
+        return None
 
-    def _cost_gain(self, shift: Array, Q: Array, R: Array, weight: Array) -> Array | None:
+    def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
+        from pwatrack.lmi.picos_model import largest_margin
+
+        W = W_inverse = np.eye(len(self.mean))
+        for _ in range(2 * _RECENTRED):
+            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate / self.scaling.speed)
+            candidate = largest_margin(inequality, self.task.solver)
+            found = self._candidate(candidate, W, W_inverse, rate)
+            if found is not None or candidate is None:
+                return found
+            W, W_inverse = _recentred(W, W_inverse, candidate.P)
+        return None
+
+    def _cost_gain(
+        self, shift: Array, Q: Array, R: Array, weight: Array, rate: float
+    ) -> tuple[Array, Certificate] | None:
         from pwatrack.lmi.picos_model import least_cost
 
         W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
         inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, _root(R))
-        return self._gain_of(least_cost(inequality, weight @ W.T, self.task.solver), W)
+        return self._candidate(least_cost(inequality, weight @ W.T, self.task.solver), W, W_inverse, rate)
 
-    def _gain_of(self, candidate: "Candidate | None", W: Array) -> Array | None:
-        """Return Y P⁻¹ in the units given."""
+    def _candidate(
+        self, candidate: "Candidate | None", W: Array, W_inverse: Array, rate: float
+    ) -> tuple[Array, Certificate] | None:
+        """Prove the gain Y P⁻¹ of a solution in z = W x."""
         if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
             return None
-        return self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
+        K = self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
+        return self._proved(K, rate, self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T))
 
-    def _proved(self, K: Array, rate: float) -> tuple[Array, Certificate] | None:
+    def _proved(self, K: Array, rate: float, P: Array | None = None) -> tuple[Array, Certificate] | None:
+        """Prove a gain as it will be printed, if it reaches the rate; P may help."""
         K = _short(K)
         closed = self.task.A + self.task.B @ K
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < 0:
             return None
-        certificate = best_certificate(closed, solver=self.task.solver)
+        certificate = best_certificate(closed, start=P, solver=self.task.solver)
         return (K, certificate) if certificate is not None and certificate.rate >= rate else None
+
+
+def _recentred(W: Array, W_inverse: Array, P: Array) -> tuple[Array, Array]:
+    """Return z = W x in which P is I; as they are where P is not definite."""
+    try:
+        V, inverse = centre(P)
+    except np.linalg.LinAlgError:
+        return W, W_inverse
+    return inverse @ W, W_inverse @ V
 
 
 def _refusal(task: Task, rate: float) -> PwatrackError:

@@ -64,5 +64,28 @@ def distinct(A: Array) -> tuple[Array, IntArray]:
     return matrices, place.ravel()
 
 
+def centre(P: Array) -> tuple[Array, Array]:
+    """Return V (n, n) and its inverse such that P ≻ 0 becomes a multiple of I in z with x = V z.
+
+    A solver is most exact where its answer is near I, so a hard problem is solved once more
+    in the coordinates of its first answer.
+
+    Raises:
+        numpy.linalg.LinAlgError: If P is not positive definite to working precision.
+
+    Example:
+        >>> V, inverse = centre(np.diag([4.0, 1.0]))
+        >>> (V @ V.T).tolist(), (V @ inverse).tolist()
+        ([[1.0, 0.0], [0.0, 0.25]], [[1.0, 0.0], [0.0, 1.0]])
+    """
+    values, vectors = np.linalg.eigh((P + P.T) / 2)
+    if not values[0] > 1e-14 * values[-1]:
+        raise np.linalg.LinAlgError("P is not positive definite")
+    root = np.sqrt(values / values[-1])
+    V: Array = vectors * root
+    inverse: Array = (vectors / root).T
+    return V, inverse
+
+
 def _power_of_two(value: float) -> float:
     return float(2.0 ** np.round(np.log2(value))) if value > 0 else 1.0
