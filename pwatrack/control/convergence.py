@@ -28,14 +28,11 @@ def best_certificate(M: Array, *, solver: Solver = "clarabel") -> Certificate | 
     """
     from pwatrack.lmi.picos_model import largest_margin
 
-    scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
-    matrices, _ = distinct(scaling.system(M))
-    V = _lyapunov_coordinates(matrices.mean(axis=0))
-    matrices = np.linalg.solve(V, matrices @ V).astype(np.float64)
+    matrices, T, speed = _good_coordinates(M)
     best, trial, ceiling = None, 0.0, -float(np.linalg.eigvals(M).real.max())
     for _ in range(_STEPS):
-        candidate = largest_margin(lyapunov(matrices, trial / scaling.speed), solver)
-        found = None if candidate is None else prove(M, scaling.matrix(V @ candidate.P @ V.T))
+        candidate = largest_margin(lyapunov(matrices, trial / speed), solver)
+        found = None if candidate is None else prove(M, T @ candidate.P @ T.T)
         if found is None or found.rate < trial:
             ceiling = min(ceiling, trial)
         if found is not None and (best is None or found.rate > best.rate):
@@ -44,6 +41,41 @@ def best_certificate(M: Array, *, solver: Solver = "clarabel") -> Certificate | 
             break
         trial = (best.rate + ceiling) / 2
     return best
+
+
+def least_overshoot_certificate(M: Array, rate: float, *, solver: Solver = "clarabel") -> Certificate | None:
+    """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P).
+
+    Its root is the overshoot: how many times its first size an error can reach on its way to 0.
+
+    Args:
+        M: (l, n, n), in the units in which errors are to be small.
+        rate: In 1/s, below the best one.
+        solver: Which interior-point solver to ask.
+
+    Returns:
+        The certificate, or None if no P was found that proves anything.
+
+    Example: by itself each of the two turns any error towards 0 at once.
+
+        >>> M = np.array([[[-1.0, 5.0], [-5.0, -1.0]], [[-1.0, 0.0], [0.0, -2.0]]])
+        >>> float(np.linalg.cond(least_overshoot_certificate(M, 0.9).P).round(3))
+        1.0
+    """
+    from pwatrack.lmi.picos_model import least_condition
+
+    matrices, T, speed = _good_coordinates(M)
+    inverse = np.linalg.inv(T)
+    candidate = least_condition(lyapunov(matrices, rate / speed), inverse @ inverse.T, solver)
+    return None if candidate is None else prove(M, T @ candidate.P @ T.T)
+
+
+def _good_coordinates(M: Array) -> tuple[Array, Array, float]:
+    """Return the different cells of M in z with x = T z and in the time t · speed, T (n, n), and the speed in 1/s."""
+    scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
+    matrices, _ = distinct(scaling.system(M))
+    V = _lyapunov_coordinates(matrices.mean(axis=0))
+    return np.linalg.solve(V, matrices @ V).astype(np.float64), scaling.d[:, None] * V, scaling.speed
 
 
 def _lyapunov_coordinates(M: Array) -> Array:

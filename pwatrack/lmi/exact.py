@@ -55,28 +55,21 @@ def prove_exactly(of: str, M: Sequence[list[list[Fraction]]], P: Array, rate: fl
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
     """
-    import flint
-
     exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - _BITS // 2
     integers = [
         [round(Fraction(float(v)) / Fraction(2) ** int(a + b)) for v, b in zip(row, exponents, strict=True)]
         for row, a in zip((P + P.T) / 2, exponents, strict=True)
     ]
-    exact_P = flint.fmpq_mat(
-        [
-            [_fmpq(Fraction(v) * Fraction(2) ** int(a + b)) for v, b in zip(row, exponents, strict=True)]
-            for row, a in zip(integers, exponents, strict=True)
-        ]
-    )
-    if not _positive_definite(exact_P):
+    exact_P = to_matrix(unpacked(integers, exponents.tolist()))
+    if not positive_definite(exact_P):
         return None
-    products = [flint.fmpq_mat([[_fmpq(v) for v in row] for row in M_i]) * exact_P for M_i in M]
+    products = [to_matrix(M_i) * exact_P for M_i in M]
     left = [-(MP + MP.transpose()) for MP in products]
     size = float(np.linalg.norm(P))
     for shrink in (1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
         short_rate = _rounded_down(rate * (1 - shrink), 6)
-        slack = [S - _fmpq(2 * Fraction(repr(short_rate))) * exact_P for S in left]
-        if short_rate > 0 and all(_positive_definite(S) for S in slack):
+        slack = [S - to_fmpq(2 * Fraction(repr(short_rate))) * exact_P for S in left]
+        if short_rate > 0 and all(positive_definite(S) for S in slack):
             margin = _margin(slack)
             radius = _rounded_down(margin / (2 * size) * (1 - 1e-9), 3)
             rows = tuple(tuple(row) for row in integers)
@@ -104,7 +97,7 @@ def is_hurwitz(M: list[list[Fraction]]) -> bool:
     """
     import flint
 
-    polynomial = flint.fmpq_mat([[_fmpq(v) for v in row] for row in M]).charpoly()
+    polynomial = to_matrix(M).charpoly()
     falling = [polynomial[k] for k in range(len(M), -1, -1)]
     above, here = falling[0::2], falling[1::2]
     while here:
@@ -124,8 +117,7 @@ def unreachable_part(A: list[list[Fraction]], B: list[list[Fraction]]) -> list[l
     import flint
 
     n = len(A)
-    exact_A = flint.fmpq_mat([[_fmpq(v) for v in row] for row in A])
-    column = flint.fmpq_mat([[_fmpq(v) for v in row] for row in B])
+    exact_A, column = to_matrix(A), to_matrix(B)
     reached = column
     for _ in range(n - 1):
         column = exact_A * column
@@ -161,15 +153,15 @@ def _margin(slack: Sequence[Any]) -> float:
 
     n = slack[0].nrows()
     eye = flint.fmpq_mat([[int(j == k) for k in range(n)] for j in range(n)])
-    floats = np.array([[[_float(S[j, k]) for k in range(n)] for j in range(n)] for S in slack])
+    floats = np.array([[[to_float(S[j, k]) for k in range(n)] for j in range(n)] for S in slack])
     estimate = float(np.linalg.eigvalsh(floats).min())
     margin = _rounded_down(estimate / 2 if estimate > 0 else float(np.abs(floats).max()), 3)
-    while not all(_positive_definite(S - _fmpq(Fraction(repr(margin))) * eye) for S in slack):
+    while not all(positive_definite(S - to_fmpq(Fraction(repr(margin))) * eye) for S in slack):
         margin = _rounded_down(margin / 4, 3)
     return margin
 
 
-def _positive_definite(X: Any) -> bool:
+def positive_definite(X: Any) -> bool:
     """Decide by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
     import flint
 
@@ -206,11 +198,28 @@ def _rounded_down(value: float, digits: int) -> float:
     return shown if shown <= value else float(f"{value * (1 - 10.0 ** (1 - digits)):.{digits - 1}e}")
 
 
-def _fmpq(value: Fraction) -> Any:
+def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> list[list[Fraction]]:
+    """Return the matrix P of a `Proof`: P_jk = integers_jk · 2^(exponents_j + exponents_k)."""
+    return [
+        [Fraction(v) * Fraction(2) ** (a + b) for v, b in zip(row, exponents, strict=True)]
+        for row, a in zip(integers, exponents, strict=True)
+    ]
+
+
+def to_matrix(X: Sequence[Sequence[Fraction]]) -> Any:
+    """Return a rational matrix as FLINT's."""
+    import flint
+
+    return flint.fmpq_mat([[to_fmpq(v) for v in row] for row in X])
+
+
+def to_fmpq(value: Fraction) -> Any:
+    """Return a rational number as FLINT's."""
     import flint
 
     return flint.fmpq(value.numerator, value.denominator)
 
 
-def _float(value: Any) -> float:
+def to_float(value: Any) -> float:
+    """Return FLINT's rational number as the nearest float."""
     return float(Fraction(int(value.p), int(value.q)))
