@@ -72,6 +72,28 @@ class Bound:
         return result
 
 
+def gains_again(loop: ClosedLoop) -> list[float]:
+    """The four input-to-state gains in the order of `Gains`: d‖·‖/dt ≤ −α ‖·‖ + ‖input‖ is at rest at ‖input‖ / α."""
+    plant, design = loop.controller.plant, loop.controller.design
+
+    def size(X: Array) -> float:
+        return float(np.linalg.norm(X, 2))
+
+    found = []
+    for o in proofs_of(loop, "observer"):
+        R = root_of_norm(o)
+        rest = [size(R) / o.rate, size(R @ design.L) / o.rate]
+        for c in proofs_of(loop, "controller"):
+            R_c = root_of_norm(c)
+            kappa, back = (
+                size(R_c @ plant.B @ design.K @ np.linalg.inv(R)),
+                size(np.asarray(np.linalg.inv(R_c), dtype=float)),
+            )
+            tracking = [back * (kappa * rest[0] + size(R_c)) / c.rate, back * kappa * rest[1] / c.rate]
+            found.append([size(np.asarray(np.linalg.inv(R), dtype=float)) * r for r in rest] + tracking)
+    return [float(v) for v in np.min(found, axis=0)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """Of one simulation: the largest error as a part of its bound, and the bounds as parts of the second opinion.

@@ -1,6 +1,6 @@
 """What the certificates promise, held against simulations; and what must not depend on how a plant is written."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from pwatrack.errors import Infeasible
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.propagate import simulate_flow
 from tests.plants import random_plant
-from tests.promises import disturbed, judge, random_loop, run, track
+from tests.promises import disturbed, gains_again, judge, random_loop, run, track
 
 
 @pytest.mark.parametrize("seed", range(52))
@@ -57,6 +57,7 @@ def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: P
 def test_no_disturbance_and_no_noise_does_more_than_the_gains_say(seed: int, w: float, v: float) -> None:
     loop, _ = random_loop(seed)
     gains = loop.controller.guarantees.gains
+    assert list(astuple(gains)) == pytest.approx(gains_again(loop), rel=1e-5)
     fastest = float(
         np.abs(np.linalg.eigvals(loop.controller.plant.A + loop.controller.design.L @ loop.controller.plant.C)).max()
     )

@@ -140,7 +140,11 @@ class Guarantees:
 
     @property
     def robust(self) -> tuple[float, float]:
-        """A rate (1/s) with the radius (1/s) of changes to A_i + B K and to A_i + L C that leave it proved."""
+        """A rate (1/s) with the radius (1/s) of changes to A_i + B K and to A_i + L C that leave it proved.
+
+        Changed gains are such changes, and so is a plant whose observer knows the change. A change E of the plant
+        that the observer does not know is a disturbance w = E x: see `gains`.
+        """
         loops = [max(loop, key=lambda part: part.radius) for loop in (self.controller, self.observer)]
         return min(part.rate for part in loops), min(part.radius for part in loops)
 

@@ -146,15 +146,15 @@ def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array, 
     if len(curves) > 1:
         _legend(linear)
     floor = _ROUNDING * np.abs(result.response.x).max()
-    logarithmic.semilogy(
-        t, np.where(bound > floor, bound, np.nan), label="proved bound, whatever the switching", **_BOUND
-    )
+    above = bound > floor
+    if above.any():
+        logarithmic.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **_BOUND)
     logarithmic.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **_ACTUAL)
     low, high = logarithmic.get_ylim()
     if low < floor:
         logarithmic.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
         logarithmic.set_ylim(low, max(high, floor))
-    _legend(logarithmic)
+    _legend(logarithmic, columns=3)
     _label(logarithmic, "time t (s)", f"magnitude{unit}, logarithmic", _span(t))
     return figure
 
@@ -223,8 +223,10 @@ def _widen(axes: Axes, size: float) -> None:
     axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def _legend(axes: Axes) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
+def _legend(axes: Axes, columns: int = 2) -> None:
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=8, frameon=False, borderaxespad=0.2
+    )
 
 
 def _span(t: Array) -> tuple[float, float]:
