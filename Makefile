@@ -43,6 +43,10 @@ batch: $(READY) ## design and simulate every spec in specs/
 bench: $(READY) ## time our simulation against scipy's integrators
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
+.PHONY: promises
+promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
+
 .PHONY: lint
 lint: $(READY) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

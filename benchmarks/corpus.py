@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
+from rich.console import Console
 
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import prove_convergence
@@ -87,7 +88,7 @@ def main() -> None:
     parser.add_argument("--largest", type=int, default=30, help="largest number of states")
     parser.add_argument("--cells", type=int, default=16, help="largest number of cells")
     parser.add_argument("--kinds", nargs="*", default=["feasible", "infeasible", "given"])
-    options = parser.parse_args()
+    options, console = parser.parse_args(), Console(highlight=False)
     for kind, wanted in (("feasible", "proved"), ("infeasible", "proved impossible"), ("given", "proved impossible")):
         if kind not in options.kinds:
             continue
@@ -99,10 +100,14 @@ def main() -> None:
             answer = verdict(A, B, K)
             right += answer == wanted
             if answer != wanted:
-                print(f"  {kind} {seed}: n={n} m={m} l={cells} margin={margin:.1e}: {answer}", flush=True)
+                console.print(f"  {kind} {seed}: n={n} m={m} l={cells} margin={margin:.1e}: {answer}")
             if time.perf_counter() - begin > 60:
-                print(f"  {kind} {seed}: n={n} l={cells} took {time.perf_counter() - begin:.0f} s", flush=True)
-        print(f"{kind}: {right} of {options.count} {wanted}, {time.perf_counter() - start:.0f} s", flush=True)
+                console.print(
+                    f"  {kind} {seed}: n={n} l={cells} took {time.perf_counter() - begin:.0f} s", highlight=False
+                )
+        console.print(
+            f"{kind}: {right} of {options.count} {wanted}, {time.perf_counter() - start:.0f} s", highlight=False
+        )
 
 
 if __name__ == "__main__":

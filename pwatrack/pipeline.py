@@ -61,6 +61,19 @@ class Result:
         return tuple(remarks)
 
     @property
+    def tracking_bound(self) -> Array:
+        """What the proofs promise of |y − y_d|, for state tracking of |x − x_d|, from these initial states, (K,)."""
+        r, output = self.response, self.controller.generator is not None
+        starts = r.x[0] - r.x_d[0], r.x_hat[0] - r.x[0]
+        return self.controller.guarantees.tracking_error(r.t, *starts, output=output)
+
+    @property
+    def observer_bound(self) -> Array:
+        """What the proofs promise of |x̂ − x| from these initial states, (K,)."""
+        r = self.response
+        return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
+
+    @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
         tail = -(-len(self.response.t) // 10)
@@ -86,7 +99,7 @@ def design(spec: Spec) -> Controller:
         gains = synthesize(  # (8), (9)
             spec.plant, controller=spec.controller, observer=spec.observer, solver=spec.solver
         )
-        proofs = prove_design(spec.plant, gains, generator)
+        proofs = prove_design(spec.plant, gains, generator, solver=spec.solver)
         return Controller(
             plant=spec.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs
         )  # (18), (19)

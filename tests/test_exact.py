@@ -36,7 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, specs: Path) -> Path:
 
 def test_a_design_is_verified_from_its_file(run: Path) -> None:
     said = verify(run)
-    assert [s.split(":")[0] for s in said[:3]] == ["controller", "observer", "generator"]
+    assert [s.split(":")[0] for s in said[:6:2]] == ["controller", "observer", "generator"]
     assert any("same bytes, same matrices" in s for s in said)
 
 
@@ -50,10 +50,10 @@ def test_the_auditor_runs_alone_without_pwatrack_or_numpy(run: Path, tmp_path: P
 
 
 def test_the_certified_rates_of_the_paper_gains_are_at_least_006_and_the_best(specs: Path) -> None:
-    proofs = {p.of: p for p in design(load_spec(specs / "two_mass_paper_gains.yaml")).proofs}
-    assert proofs["controller"].rate == pytest.approx(0.083, abs=5e-4)
-    assert proofs["observer"].rate == pytest.approx(0.084, abs=5e-4)
-    assert proofs["generator"].rate == pytest.approx(0.058, abs=5e-4)
+    proofs = design(load_spec(specs / "two_mass_paper_gains.yaml")).proofs
+    best = {of: max(p.rate for p in proofs if p.of == of) for of in ("controller", "observer", "generator")}
+    assert best == pytest.approx({"controller": 0.083, "observer": 0.084, "generator": 0.058}, abs=5e-4)
+    assert all(p.rate >= 0.8 * best[p.of] for p in proofs)
 
 
 @given(seeds, st.sampled_from(["A", "B", "C", "K", "L", "A_eta", "rate", "margin", "radius", "integers", "exponents"]))

@@ -1,8 +1,10 @@
 """What runs on the machine: observer (18), controller (19), desired trajectory and feedforward."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.lmi.exact import Proof
@@ -28,3 +30,8 @@ class Controller:
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
     proofs: tuple[Proof, ...]
+
+    @cached_property
+    def guarantees(self) -> Guarantees:
+        """What the proofs promise: rates, overshoot, bounds on errors, and what disturbances can do."""
+        return guarantees(self.plant, self.design, self.proofs)

@@ -50,8 +50,7 @@ def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proo
         [round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True)]
         for row, a in zip(((P + P.T) / 2).tolist(), unit, strict=True)
     ]
-    diagonal = rational([[a * (j == k) for k in range(len(P))] for j, a in enumerate(unit)], P.shape)
-    exact_P = diagonal * rational([[Fraction(v) for v in row] for row in integers], P.shape) * diagonal
+    exact_P = unpacked(integers, exponents.tolist())
     if not is_positive_definite(exact_P):
         return None
     products = [M_i * exact_P for M_i in M]
@@ -71,6 +70,16 @@ def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proo
                 radius=_rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
             )
     return None
+
+
+def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> Rational:
+    """Return the matrix P of a `Proof`: P_jk = integers_jk · 2^(exponents_j + exponents_k)."""
+    n = len(exponents)
+    entries = [
+        [v * Fraction(2) ** (a + b) for v, b in zip(row, exponents, strict=True)]
+        for row, a in zip(integers, exponents, strict=True)
+    ]
+    return rational(entries, (n, n))
 
 
 def _margin(slack: Sequence[Rational]) -> float:

@@ -59,6 +59,30 @@ def least_cost(inequality: Inequality, weight: Array, solver: Solver = "clarabel
     return _solve(problem, P, Y, solver)
 
 
+def least_condition(inequality: Inequality, unit: Array, solver: Solver = "clarabel") -> Candidate | None:
+    """Minimise κ subject to F_i(P, Y) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
+
+    Args:
+        inequality: What P must satisfy.
+        unit: U (n, n), positive definite: the P that would be the identity in the units that count.
+        solver: Which interior-point solver to ask.
+
+    Returns:
+        The minimiser, or None if the solver gave nothing.
+    """
+    problem, P, Y = _problem(inequality)
+    t = picos.RealVariable("t")
+    values, vectors = np.linalg.eigh(unit)
+    if not values[0] > 0:
+        return None
+    # κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1
+    narrow = vectors / np.sqrt(values / values[0])
+    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
+    problem.add_list_of_constraints([P >> t * (unit / values[-1]), narrow.T * P * narrow << np.eye(len(unit))])
+    problem.set_objective("max", t)
+    return _solve(problem, P, Y, solver)
+
+
 def smallest_gain(
     inequality: Inequality, metric: Array, input_root: Array, solver: Solver = "clarabel"
 ) -> Candidate | None:

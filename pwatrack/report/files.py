@@ -4,6 +4,7 @@ import csv
 import platform
 import warnings
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -80,10 +81,21 @@ def measures(result: Result) -> dict[str, float]:
 
 
 def _gain_figures(controller: Controller) -> dict[str, float]:
+    guarantees = controller.guarantees
+    robust_rate, robust_radius = guarantees.robust
+    promised = {}
+    for part in ("controller", "observer", "generator"):
+        if proved := getattr(guarantees, part):
+            promised[f"{part}_rate"] = max(p.rate for p in proved)
+            promised[f"{part}_overshoot"] = min(p.overshoot for p in proved)
     return {
         "norm_K": float(np.linalg.norm(controller.design.K, 2)),
         "norm_L": float(np.linalg.norm(controller.design.L, 2)),
-        **{f"{proof.of}_rate": proof.rate for proof in controller.proofs},
+        **promised,
+        "rate": guarantees.rate,
+        "robust_rate": robust_rate,
+        "robust_radius": robust_radius,
+        **asdict(guarantees.gains),
     }
 
 

@@ -14,8 +14,10 @@ from pwatrack.pipeline import Result
 # Dark solid and light dashed: told apart without colour too.
 _ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
 _DESIRED: dict[str, Any] = {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))}
+_BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6, 2))}
 _STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
+_ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 
 
 def draw(result: Result) -> dict[str, Figure]:
@@ -39,7 +41,7 @@ def draw(result: Result) -> dict[str, Figure]:
 
 
 def tracking_error(result: Result) -> Figure:
-    """Draw the tracking error over time, linear and logarithmic (Figure 2)."""
+    """Draw the tracking error over time, linear and logarithmic with its proved bound (Figure 2)."""
     plant = result.spec.plant
     names = plant.outputs if result.controller.generator is not None else plant.states
     error = result.response.tracking_error
@@ -47,13 +49,15 @@ def tracking_error(result: Result) -> Figure:
     units = {result.spec.units.get(name, "") for name in names}
     unit = units.pop() if len(units) == 1 else ""
     title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
-    return _error(result, curves, np.linalg.norm(error, axis=1), unit, title)
+    size = np.asarray(np.linalg.norm(error, axis=1))
+    return _error(result, curves, size, result.tracking_bound, unit, title)
 
 
 def observer_error(result: Result) -> Figure:
-    """Draw ‖x − x̂‖ over time, linear and logarithmic (Figure 2)."""
+    """Draw ‖x − x̂‖ over time, linear and logarithmic with its proved bound (Figure 2)."""
     error = result.response.observer_error
-    return _error(result, {"‖x − x̂‖": error}, error, "", f"Observer error: {error[-1]:.1e} at the end")
+    title = f"Observer error: {error[-1]:.1e} at the end"
+    return _error(result, {"‖x − x̂‖": error}, error, result.observer_bound, "", title)
 
 
 def outputs(result: Result) -> Figure:
@@ -128,8 +132,8 @@ def active_cells(result: Result) -> Figure:
     return figure
 
 
-def _error(result: Result, curves: dict[str, Array], size: Array, unit: str, title: str) -> Figure:
-    """Draw error components, and below them their size on a logarithmic scale."""
+def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array, unit: str, title: str) -> Figure:
+    """Draw error components, and below them their size on a logarithmic scale, under its proved bound."""
     figure, (linear, logarithmic) = _canvas(result.spec.name, title, [[0], [1]], height=5.2)
     t = result.response.t
     unit = f" ({unit})" if unit else ""
@@ -141,7 +145,16 @@ def _error(result: Result, curves: dict[str, Array], size: Array, unit: str, tit
     _label(linear, "", (next(iter(curves)) if len(curves) == 1 else "error") + unit, _span(t))
     if len(curves) > 1:
         _legend(linear)
-    logarithmic.semilogy(t, np.where(size > 0, size, np.nan), **_ACTUAL)
+    floor = _ROUNDING * np.abs(result.response.x).max()
+    above = bound > floor
+    if above.any():
+        logarithmic.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **_BOUND)
+    logarithmic.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **_ACTUAL)
+    low, high = logarithmic.get_ylim()
+    if low < floor:
+        logarithmic.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
+        logarithmic.set_ylim(low, max(high, floor))
+    _legend(logarithmic, columns=3)
     _label(logarithmic, "time t (s)", f"magnitude{unit}, logarithmic", _span(t))
     return figure
 
@@ -210,8 +223,10 @@ def _widen(axes: Axes, size: float) -> None:
     axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def _legend(axes: Axes) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
+def _legend(axes: Axes, columns: int = 2) -> None:
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize=8, frameon=False, borderaxespad=0.2
+    )
 
 
 def _span(t: Array) -> tuple[float, float]:

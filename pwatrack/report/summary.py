@@ -1,5 +1,7 @@
 """The short text for people: what was found, in the terminal."""
 
+from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Goal
-from pwatrack.lmi.exact import Proof
+from pwatrack.control.guarantees import Contraction, Guarantees
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import measures
@@ -79,13 +81,12 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     """Say what was proved and the gains."""
     design, generator = controller.design, controller.generator
     table = _titled(spec.name)
-    proofs = {proof.of: proof for proof in controller.proofs}
-    for claim, letter, gain, goal in (
-        ("(8) controller", "K", design.K, spec.controller),
-        ("(9) observer", "Lᵀ", design.L.T, spec.observer),
+    promised = controller.guarantees
+    for claim, proved, letter, gain, goal in (
+        ("(8) controller", promised.controller, "K", design.K, spec.controller),
+        ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.observer),
     ):
-        proof = proofs[claim.split()[1]]
-        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, rate {proof.rate:.4g} 1/s")
+        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rates(proved)}")
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {_origin(goal)}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
     if generator is None:
@@ -94,7 +95,8 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         condition = ", as long as x_d stays bounded (not proved for a response from a given start)" if given else ""
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
-        _generator_rows(table, generator, proofs.get("generator"))
+        _generator_rows(table, generator, promised.generator)
+    _promise_rows(table, promised)
     console.print(table)
 
 
@@ -108,17 +110,57 @@ def _origin(goal: Goal) -> str:
     return f"designed for {', '.join(asked)}" if asked else "designed"
 
 
-def _generator_rows(table: Table, generator: TrajectoryGenerator, proof: Proof | None) -> None:
-    if proof is None:
+def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequence[Contraction]) -> None:
+    if not proved:
         table.add_row("(17) generator", "none needed: relative degree = number of states")
     else:
-        table.add_row("(17) generator", f"proved, rate {proof.rate:.4g} 1/s; η = {', '.join(generator.form.eta_names)}")
+        table.add_row("(17) generator", f"proved, {_rates(proved)}; η = {', '.join(generator.form.eta_names)}")
         if generator.shift is not None:
             table.add_row("Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}")
         else:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
     table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
+
+
+def _rates(proved: Sequence[Contraction]) -> str:
+    """Say the rate and overshoot of each proof of one inequality."""
+    return ", or ".join(f"rate {_down(p.rate)} 1/s (overshoot {_up(p.overshoot)})" for p in proved)
+
+
+def _promise_rows(table: Table, promised: Guarantees) -> None:
+    """Say what the proofs promise, in plain words."""
+    rate, radius = promised.robust
+    gains = promised.gains
+    table.add_row(
+        "promise",
+        "every solution of the closed loop approaches the reference at least as fast as "
+        f"e^(−{_down(promised.rate)} t), for any switching; and as e^(−{_down(rate)} t) for any change of "
+        f"A_i + B K and of A_i + L C below {_down(radius)} 1/s",
+    )
+    for cause, where, observer, tracking in (
+        ("disturbance", "w added to ẋ", gains.disturbance_to_observer, gains.disturbance_to_tracking),
+        ("noise", "v added to y", gains.noise_to_observer, gains.noise_to_tracking),
+    ):
+        size = f"sup ‖{where[0]}‖"
+        table.add_row(
+            cause, f"{where}: in the end ‖x̂ − x‖ ≤ {_up(observer)} {size} and ‖x − x_d‖ ≤ {_up(tracking)} {size}"
+        )
+
+
+def _down(value: float) -> str:
+    """Return a number in four digits, not larger: what is said must be proved too.
+
+    Example:
+        >>> _down(0.0826799), _up(1.4001)
+        ('0.08267', '1.41')
+    """
+    return f"{float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)):.4g}"
+
+
+def _up(value: float) -> str:
+    """Return a number in three digits, not smaller."""
+    return f"{float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)):.3g}"
 
 
 def print_result(console: Console, result: Result) -> None:
