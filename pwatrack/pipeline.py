@@ -6,10 +6,11 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
+from pwatrack.control.cost import cost_bound
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.proof import prove_design
 from pwatrack.control.state_tracking import input_trajectory, set_point, state_trajectory
-from pwatrack.control.synthesis import synthesize
+from pwatrack.control.synthesis import Design, controller_task, observer_task, synthesize
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.normal_form import normal_form
@@ -100,9 +101,14 @@ def design(spec: Spec) -> Controller:
             spec.plant, controller=spec.controller, observer=spec.observer, solver=spec.solver
         )
         proofs = prove_design(spec.plant, gains, generator, solver=spec.solver)
-        return Controller(
-            plant=spec.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs
-        )  # (18), (19)
+        return Controller(  # (18), (19)
+            plant=spec.plant,
+            design=gains,
+            trajectory=trajectory,
+            generator=generator,
+            proofs=proofs,
+            costs=_costs(spec, gains),
+        )
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
@@ -159,6 +165,19 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
         return input_trajectory(plant, u_ff, reference.start), None
     _check(signals, 1, ("reference", "state"), "x_d")
     return state_trajectory(plant, exosystem(signals), horizon=spec.duration, subject=("reference", "state")), None
+
+
+def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
+    """Return the proved bounds of the costs that were asked for."""
+    parts = (
+        (spec.controller, controller_task(spec.plant, spec.solver), gains.K),
+        (spec.observer, observer_task(spec.plant, spec.solver), gains.L.T),
+    )
+    return {
+        task.of: cost_bound(task, K, goal.Q, goal.R)
+        for goal, task, K in parts
+        if goal.Q is not None and goal.R is not None
+    }
 
 
 def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:

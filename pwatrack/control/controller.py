@@ -1,8 +1,10 @@
 """What runs on the machine: observer (18), controller (19), desired trajectory and feedforward."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
+from pwatrack.arrays import Array
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
@@ -23,6 +25,7 @@ class Controller:
         trajectory: Where x_d and u_ff come from.
         generator: The trajectory generator (15), for output tracking only.
         proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
+        costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
     """
 
     plant: PWASystem
@@ -30,6 +33,7 @@ class Controller:
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
     proofs: tuple[Proof, ...]
+    costs: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def guarantees(self) -> Guarantees:

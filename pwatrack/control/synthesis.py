@@ -64,8 +64,8 @@ def synthesize(
         >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
         (True, True)
     """
-    K, P_c = _gain(_controller_task(plant, solver), controller)
-    L_transposed, P_o = _gain(_observer_task(plant, solver), observer)
+    K, P_c = _gain(controller_task(plant, solver), controller)
+    L_transposed, P_o = _gain(observer_task(plant, solver), observer)
     return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
@@ -92,11 +92,13 @@ class Task:
     solver: Solver = "clarabel"
 
 
-def _controller_task(plant: PWASystem, solver: Solver) -> Task:
+def controller_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
+    """Return the inequality (8)."""
     return Task(A=plant.A, B=plant.B, cells=plant.cell_names, subject=("system", "B"), solver=solver)
 
 
-def _observer_task(plant: PWASystem, solver: Solver) -> Task:
+def observer_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
+    """Return the inequality (9), as (8) for the transposed plant: K there is Lᵀ here."""
     return Task(
         A=np.swapaxes(plant.A, 1, 2),
         B=plant.C.T,

@@ -7,7 +7,7 @@ Find P = Pᵀ and Y such that for every cell i
 An `Inequality` holds the coefficients and nothing else; solvers read it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -80,6 +80,16 @@ def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
         N=eye,
         constant=np.zeros((cells, n, n)),
     )
+
+
+def weighted(M: Array, W: Array) -> Inequality:
+    """M_i P + P M_iᵀ + W ⪯ 0: P bounds the integral of a quadratic form (see `control.cost`).
+
+    Args:
+        M: (l, n, n).
+        W: (n, n), symmetric.
+    """
+    return replace(lyapunov(M), constant=np.broadcast_to(W, M.shape))
 
 
 def quadratic_cost(A: Array, B: Array, Q_root: Array, R_root: Array) -> Inequality:

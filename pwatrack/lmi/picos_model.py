@@ -83,6 +83,19 @@ def least_condition(inequality: Inequality, unit: Array, solver: Solver = "clara
     return _solve(problem, P, Y, solver)
 
 
+def least_trace(inequality: Inequality, solver: Solver = "clarabel") -> Candidate | None:
+    """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0.
+
+    Returns:
+        The minimiser, or None if the solver gave nothing.
+    """
+    problem, P, Y = _problem(inequality)
+    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
+    problem.add_constraint(P >> 0)
+    problem.set_objective("min", picos.trace(P))
+    return _solve(problem, P, Y, solver)
+
+
 def smallest_gain(
     inequality: Inequality, metric: Array, input_root: Array, solver: Solver = "clarabel"
 ) -> Candidate | None:
@@ -143,8 +156,9 @@ def multipliers(
     seen = np.linalg.qr(np.hstack([blind, np.eye(n)]))[0][:, rank:]
     if rank < n:
         problem.add_constraint(seen.T * S * seen >> t * np.eye(n - rank))
-    if rank:
-        problem.add_constraint(S * (blind / np.linalg.norm(blind, axis=0)) == 0)
+    image = S * (blind / np.linalg.norm(blind, axis=0)) if rank else S
+    if rank and not image.constant:  # else it is 0 by itself
+        problem.add_constraint(image == 0)
     problem.add_constraint(t <= 1)
     problem.set_objective("max", t)
     if not _run(problem, solver):

@@ -102,7 +102,9 @@ def _gain_figures(controller: Controller) -> dict[str, float]:
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
-    run.json("gains.json", {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()})
+    costs = {part: X.tolist() for part, X in controller.costs.items()}
+    gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
+    run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
     A_eta = None if generator is None else generator.A_eta
     proofs = [_proof(proof) for proof in controller.proofs]
     run.json("certificate.json", _certificate(spec, design.K, design.L, A_eta, proofs))

@@ -89,6 +89,8 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rates(proved)}")
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {_origin(goal)}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
+        if claim.split()[1] in controller.costs:
+            table.add_row("", _cost_text(claim.split()[1], controller.costs[claim.split()[1]]))
     if generator is None:
         table.add_row("Assumption 1", "x_d and u_ff satisfy (3)")
         given = isinstance(spec.reference, InputReference) and spec.reference.start is not None
@@ -98,6 +100,14 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         _generator_rows(table, generator, promised.generator)
     _promise_rows(table, promised)
     console.print(table)
+
+
+def _cost_text(part: str, X: Array) -> str:
+    """Say what the proved bound of a cost means."""
+    trace = f"tr X = {np.trace(X):.4g}, X in gains.json"
+    if part == "controller":
+        return f"∫(eᵀQe + uᵀRu) dt ≤ e(0)ᵀ X e(0), proved for any switching; {trace}"
+    return f"covariance of x̂ − x ⪯ X under the noise given, proved for any switching; {trace}"
 
 
 def _origin(goal: Goal) -> str:
