@@ -70,10 +70,16 @@ def check(
                 raise report.refusal
 
 
-@app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3")
-def design(spec_path: SpecPath, out: Out = None, parameters: Set = None, solver: SolverName = None) -> None:
+@app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3 --pareto")
+def design(
+    spec_path: SpecPath,
+    out: Out = None,
+    parameters: Set = None,
+    solver: SolverName = None,
+    pareto: Annotated[bool, typer.Option("--pareto", help="Draw what a faster decay costs in gain.")] = False,
+) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(spec_path, out, parameters, solver, simulated=False)
+    _run(spec_path, out, parameters, solver, simulated=False, fronts=pareto)
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
@@ -120,9 +126,15 @@ def verify(
 
 
 def _run(
-    path: Path, out: Path | None, parameters: list[str] | None, solver: "Solver | None", *, simulated: bool
+    path: Path,
+    out: Path | None,
+    parameters: list[str] | None,
+    solver: "Solver | None",
+    *,
+    simulated: bool,
+    fronts: bool = False,
 ) -> None:
     with refusals():
         from pwatrack.report.session import run
 
-        run(path, out or Path("runs") / path.stem, parameters or [], solver, simulated=simulated)
+        run(path, out or Path("runs") / path.stem, parameters or [], solver, simulated=simulated, fronts=fronts)

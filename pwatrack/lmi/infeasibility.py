@@ -183,9 +183,9 @@ def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, so
             return None
         bases = [np.linalg.qr(floats(N_i).T)[0] for N_i in N]
         U = multipliers(scaled[cells], [bases[i] for i in cells], floats(R), interior=False, solver=solver)
-        if U is None:
+        weight = np.array([np.trace(U_i) for U_i in U or ()])
+        if U is None or not weight.max() > 0:  # or not a number
             return None
-        weight = np.array([np.trace(U_i) for U_i in U])
         heavy = [i for i, w in zip(cells, weight, strict=True) if w > _LIGHT * weight.max()]
         for some in (heavy, cells):
             part = [exact_A[i] for i in some], [N[i] for i in some], [bases[i] for i in some]

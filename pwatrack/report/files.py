@@ -3,7 +3,7 @@
 import csv
 import platform
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.pareto import Front
 from pwatrack.lmi.audit import FORMAT
 from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
@@ -26,14 +27,20 @@ from pwatrack.spec.load import Spec
 
 
 def write_design(
-    spec: Spec, controller: Controller, folder: str | Path, *, seconds: Mapping[str, float] | None = None
+    spec: Spec,
+    controller: Controller,
+    folder: str | Path,
+    *,
+    fronts: Sequence[Front] = (),
+    seconds: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write gains.json, certificate.json, generator.json and run.json.
+    """Write gains.json, certificate.json, generator.json and run.json, and for fronts pareto.csv and pareto.png.
 
     Args:
         spec: What was asked.
         controller: What `design(spec)` returned.
         folder: Made if it does not exist; files of an earlier run in it are replaced.
+        fronts: What `pareto` returned for controller and observer.
         seconds: Time spent, by step, for run.json.
 
     Returns:
@@ -44,6 +51,8 @@ def write_design(
     """
     with run_folder(folder) as run:
         _design_files(run, spec, controller)
+        if fronts:
+            _fronts(run, spec, fronts)
         _index(run, spec, seconds, _gain_figures(controller))
     return Path(folder)
 
@@ -185,6 +194,19 @@ def _generator(generator: TrajectoryGenerator) -> dict[str, Any]:
         "delta": form.delta,
         "shift": None if generator.shift is None else generator.shift.tolist(),
     }
+
+
+def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
+    from pwatrack.report.plots import pareto_fronts
+
+    with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["part", "rate", "norm", "chosen"])
+        for front in fronts:
+            points = [(*point, 0) for point in zip(front.rates.tolist(), front.norms.tolist(), strict=True)]
+            for rate, norm, chosen in sorted([*points, (*front.chosen, 1)]):
+                writer.writerow([front.of, repr(rate), repr(norm), chosen])
+    pareto_fronts(spec.name, fronts).savefig(run.place("pareto.png"), format="png", dpi=150)
 
 
 def _trace(run: RunFolder, result: Result) -> None:

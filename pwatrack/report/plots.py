@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
+from pwatrack.control.pareto import Front
 from pwatrack.pipeline import Result
 
 # Dark solid and light dashed: told apart without colour too.
@@ -84,6 +85,27 @@ def internal_states(result: Result) -> Figure:
         axes.plot(response.t, response.eta_hat[:, k], label=_desired_label(result), **_DESIRED)
         _label(axes, "time t (s)" if k == len(names) - 1 else "", _labelled(result, name), _span(response.t))
     _legend(panels[0])
+    return figure
+
+
+def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
+    """Draw the smallest gain against the decay rate for controller and observer, with the chosen points."""
+    figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(f"{name}: what a faster decay costs", fontsize=11)
+    for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
+        letter, rate, norm = "K" if front.of == "controller" else "L", *front.chosen
+        axes.plot(front.rates, front.norms, marker="o", markersize=3.5, label="smallest found", **_ACTUAL)
+        axes.plot([rate], [norm], "s", color="#e08e2b", markersize=8, markeredgecolor="black", label="this design")
+        if np.isfinite(front.limit):
+            axes.axvline(front.limit, color="0.45", linewidth=1.0, linestyle=":", label="no gain found from here")
+        positive = np.append(front.norms, norm)
+        axes.set_yscale("log" if (positive > 0).all() and positive.max() > 30 * positive.min() else "linear")
+        axes.set_title(f"{front.of}", fontsize=10)
+        axes.set_xlabel("certified decay rate (1/s)")
+        axes.set_ylabel(f"‖{letter}‖, in the units of the spec")
+        axes.grid(visible=True, color="0.9")
+        axes.legend(fontsize=8, frameon=False)
     return figure
 
 

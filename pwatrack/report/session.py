@@ -7,7 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from pwatrack import pipeline
+from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
+from pwatrack.control.pareto import Front, pareto
+from pwatrack.control.synthesis import controller_task, observer_task
 from pwatrack.errors import Infeasible
 from pwatrack.lmi.inequality import Solver
 from pwatrack.report import files, summary
@@ -15,7 +18,15 @@ from pwatrack.report.terminal import console
 from pwatrack.spec.load import Spec, assignments, load_spec
 
 
-def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | None, *, simulated: bool) -> None:
+def run(
+    path: Path,
+    folder: Path,
+    parameters: Sequence[str],
+    solver: Solver | None,
+    *,
+    simulated: bool,
+    fronts: bool = False,
+) -> None:
     """Design, simulate if asked, write the files, and print what came out.
 
     Args:
@@ -24,6 +35,7 @@ def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | No
         parameters: Replacements as NAME=VALUE.
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
+        fronts: Whether to find what other rates would cost; only without a simulation.
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses.
@@ -37,7 +49,10 @@ def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | No
         with _timed(seconds, "design"), _evidence_kept(spec, folder):
             controller = pipeline.design(spec)
         if not simulated:
-            files.write_design(spec, controller, folder, seconds=seconds)
+            status.update("Finding the smallest gains at other rates")
+            with _timed(seconds, "pareto"):
+                found = _fronts(spec, controller) if fronts else []
+            files.write_design(spec, controller, folder, fronts=found, seconds=seconds)
         else:
             status.update("Simulating the closed loop")
             with _timed(seconds, "simulate"):
@@ -48,6 +63,14 @@ def run(path: Path, folder: Path, parameters: Sequence[str], solver: Solver | No
     if simulated:
         summary.print_result(screen, result)
     summary.print_files(screen, folder)
+
+
+def _fronts(spec: Spec, controller: Controller) -> list[Front]:
+    gains = controller.design
+    return [
+        pareto(controller_task(spec.plant, spec.solver), gains.K, gains.controller.rate),
+        pareto(observer_task(spec.plant, spec.solver), gains.L.T, gains.observer.rate),
+    ]
 
 
 @contextmanager

@@ -1,0 +1,80 @@
+"""What a faster decay costs: the smallest gain at each rate, (8) and (9)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.control.goal import Goal
+from pwatrack.control.synthesis import Task, stabilising_gain
+from pwatrack.errors import PwatrackError
+
+_FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
+_BISECTIONS = 4  # between the fastest rate that was reached and the next
+
+
+@dataclass(frozen=True, kw_only=True)
+class Front:
+    """The trade between decay and gain.
+
+    Attributes:
+        of: "controller" or "observer".
+        rates: Certified rates in 1/s, increasing, (k,).
+        norms: ‖K‖ or ‖L‖ of the smallest gain found for each, (k,).
+        limit: A rate in 1/s at which no gain was found any more; infinite if none was reached.
+        chosen: Rate and norm of the gain that the design has.
+    """
+
+    of: str
+    rates: Array
+    norms: Array
+    limit: float
+    chosen: tuple[float, float]
+
+
+def pareto(task: Task, K: Array, rate: float) -> Front:
+    """Return the smallest gains at rates around that of a design.
+
+    Args:
+        task: The inequality.
+        K: The gain of the design, (m, n).
+        rate: Its certified rate in 1/s.
+
+    Example: for ẋ = x + u the rate α needs |K| = 1 + α.
+
+        >>> task = Task(A=np.array([[[1.0]]]), B=np.eye(1), cells=["all"])
+        >>> front = pareto(task, np.array([[-3.0]]), 2.0)
+        >>> bool(np.allclose(front.norms, 1 + front.rates, rtol=1e-3)), front.limit
+        (True, inf)
+    """
+    points: list[tuple[float, float]] = []
+    limit = np.inf
+    for factor in _FACTORS:
+        point = _smallest(task, factor * rate)
+        if point is None:
+            limit = factor * rate
+            break
+        points.append(point)
+    for _ in range(_BISECTIONS if np.isfinite(limit) and points else 0):
+        trial = (points[-1][0] + limit) / 2
+        point = _smallest(task, trial)
+        if point is None:
+            limit = trial
+        else:
+            points.append(point)
+    columns = np.array(points).reshape(-1, 2)
+    return Front(
+        of=task.of,
+        rates=readonly(columns[:, 0]),
+        norms=readonly(columns[:, 1]),
+        limit=limit,
+        chosen=(rate, float(np.linalg.norm(K, 2))),
+    )
+
+
+def _smallest(task: Task, rate: float) -> tuple[float, float] | None:
+    try:
+        K, certificate = stabilising_gain(task, Goal(rate=rate, gain="smallest"))
+    except PwatrackError:
+        return None
+    return certificate.rate, float(np.linalg.norm(K, 2))
