@@ -1,7 +1,7 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -284,8 +284,11 @@ class Search:
         from pwatrack.lmi.picos_model import least_cost
 
         W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
-        inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, _root(R))
-        return self._candidate(least_cost(inequality, weight @ W.T, self.task.solver), W, W_inverse, rate)
+        inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, R)
+        candidate = least_cost(inequality, weight @ W.T, self.task.solver)
+        if candidate is not None:
+            candidate = replace(candidate, Y=-np.linalg.solve(R, (W @ self.B).T).astype(np.float64))
+        return self._candidate(candidate, W, W_inverse, rate)
 
     def _candidate(
         self, candidate: "Candidate | None", W: Array, W_inverse: Array, rate: float
