@@ -58,12 +58,13 @@ def infeasible(seed: int, n: int, m: int, cells: int, margin: float) -> tuple[Ar
 
 
 def sizes(count: int, largest: int, most_cells: int) -> Iterator[tuple[int, int, int, int, float]]:
-    """Yield seed, n, m, l and margin."""
+    """Yield seed, n, m, l and margin; n, l and the margin uniform in their logarithms."""
     random = np.random.default_rng(2026)
     for seed in range(count):
-        n = int(random.integers(2, largest + 1))
+        n = round(2 * (largest / 2) ** random.uniform())
         m = int(random.integers(1, max(2, n // 3 + 1)))
-        yield seed, n, min(m, n - 1), int(random.integers(2, most_cells + 1)), float(10 ** random.uniform(-6, -1))
+        cells = round(2 * (most_cells / 2) ** random.uniform())
+        yield seed, n, min(m, n - 1), cells, float(10 ** random.uniform(-6, -1))
 
 
 def verdict(A: Array, B: Array) -> str:

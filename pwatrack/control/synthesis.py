@@ -12,7 +12,7 @@ from pwatrack.arrays import Array, complex_text, readonly
 from pwatrack.control.convergence import Impossibility, best_certificate, conflict_text, prove_convergence
 from pwatrack.control.goal import DEFAULT, Goal
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
+_COSTLY = 30_000  # cells times states cubed: with more, the inequality of the cost takes minutes
 _MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
 
 
@@ -134,11 +135,10 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
     added to A). The weights are those of balanced units: states scaled to balance A, inputs
     and time scaled so that A and B have size 1. There the weights on states and
-    inputs are one; if no proof is found for that gain, cheaper states are tried,
-    which make a gentler gain. So no weight has to be chosen. (States that do not act on
+    inputs are one, so no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.) If a gain of less than an eighth of its norm
-    reaches the same rate, that is taken.
+    weights are one in the units given.) Where that problem is too large, or gives no proof, the gain is
+    that of the largest margin. If a gain of less than an eighth of its norm reaches the same rate, that is taken.
 
     Args:
         task: The inequality.
@@ -193,15 +193,19 @@ class Search:
         return refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
 
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
-        """Minimise the cost with unit weights; where no weight gives a proof, maximise the margin; rate in 1/s."""
+        """Minimise the cost with unit weights where that is quick and gives a proof, else maximise the margin."""
+        margin = self._largest_margin(rate)
+        if margin is None and self.refuted(rate) is not None:
+            return None
         shift = rate / self.scaling.speed * np.eye(len(self.mean))
-        for Q in _state_weights(self.mean + shift, self.B):
+        quick = len(self.A) * len(self.mean) ** 3 <= _COSTLY
+        for Q in _state_weights(self.mean + shift, self.B) if quick or margin is None else ():
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
                 return self._gentler(*found)
-            if self.refuted(rate) is not None:
-                return None
-        found = self._largest_margin(rate)
+            if margin is not None:
+                break  # a lighter weight would only help where the solver is at its limits
+        found = None if margin is None else self._proved(margin[0], rate, margin[1].P)
         return None if found is None else self._gentler(*found)
 
     def least_cost(self, Q: Array, R: Array) -> tuple[Array, Certificate] | None:
@@ -209,9 +213,9 @@ class Search:
         d, e = self.scaling.d, self.scaling.e
         return self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d), 0.0)
 
-    def smallest_gain(self, rate: float, *, balanced: bool = False) -> tuple[Array, Certificate] | None:
-        """Minimise a bound on the norm of the gain, in the units given or in balanced ones."""
-        d, e = (np.ones(len(self.mean)), np.ones(self.B.shape[1])) if balanced else (self.scaling.d, self.scaling.e)
+    def smallest_gain(self, rate: float) -> tuple[Array, Certificate] | None:
+        """Minimise a bound on the norm of the gain, in the units given."""
+        d, e = self.scaling.d, self.scaling.e
         for more in (1e-4, 0.0):  # a little faster than asked, so that a margin is left for the proof
             found = self._smallest(rate * (1 + more) / self.scaling.speed, d, e, rate)
             if found is not None:
@@ -243,8 +247,10 @@ class Search:
 
     def _gentler(self, K: Array, certificate: Certificate) -> tuple[Array, Certificate]:
         """Return the gain, or the smallest one of the same rate where that is much smaller."""
-        small = self.smallest_gain(certificate.rate * (1 - 1e-6), balanced=True)
-        if small is None or self._size(K) <= _MODEST * self._size(small[0]):
+        rate = certificate.rate * (1 - 1e-6)
+        ones = np.ones(len(self.mean)), np.ones(self.B.shape[1])
+        small = self._smallest(rate / self.scaling.speed, *ones, rate, below=self._size(K) / _MODEST)
+        if small is None:
             return K, certificate
         nothing = self._proved(np.zeros_like(K), certificate.rate * (1 - 1e-3))
         return small if nothing is None else nothing
@@ -252,29 +258,38 @@ class Search:
     def _size(self, K: Array) -> float:
         return _norm(K / self.scaling.e[:, None] * self.scaling.d)
 
-    def _smallest(self, trial: float, d: Array, e: Array, rate: float) -> tuple[Array, Certificate] | None:
+    def _smallest(
+        self, trial: float, d: Array, e: Array, rate: float, below: float = np.inf
+    ) -> tuple[Array, Certificate] | None:
         from pwatrack.lmi.picos_model import smallest_gain
 
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
             candidate = smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), self.task.solver)
+            if candidate is None or self._size(self._gain_of(candidate, W)) > below:
+                return None
             found = self._candidate(candidate, W, W_inverse, rate)
-            if found is not None or candidate is None:
+            if found is not None:
                 return found
             W, W_inverse = _recentred(W, W_inverse, candidate.P)
         return None
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
+        """Maximise the margin; the proof is the first that comes, its rate not the best one."""
         from pwatrack.lmi.picos_model import largest_margin
 
         W = W_inverse = np.eye(len(self.mean))
         for _ in range(2 * _RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate / self.scaling.speed)
             candidate = largest_margin(inequality, self.task.solver)
-            found = self._candidate(candidate, W, W_inverse, rate)
-            if found is not None or candidate is None:
-                return found
+            if candidate is None:
+                return None
+            K = _short(self._gain_of(candidate, W))
+            P = self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
+            certificate = prove(self.task.A + self.task.B @ K, P) if np.isfinite(K).all() else None
+            if certificate is not None and certificate.rate >= rate:
+                return K, certificate
             W, W_inverse = _recentred(W, W_inverse, candidate.P)
         return None
 
@@ -294,10 +309,17 @@ class Search:
         self, candidate: "Candidate | None", W: Array, W_inverse: Array, rate: float
     ) -> tuple[Array, Certificate] | None:
         """Prove the gain Y P⁻¹ of a solution in z = W x."""
-        if candidate is None or np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
+        if candidate is None:
             return None
-        K = self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
-        return self._proved(K, rate, self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T))
+        return self._proved(
+            self._gain_of(candidate, W), rate, self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
+        )
+
+    def _gain_of(self, candidate: "Candidate", W: Array) -> Array:
+        """Return Y P⁻¹ in the units given; not a number where P is singular to working precision."""
+        if np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
+            return np.full((self.B.shape[1], len(W)), np.nan)
+        return self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
 
     def _proved(self, K: Array, rate: float, P: Array | None = None) -> tuple[Array, Certificate] | None:
         """Prove a gain as it will be printed, if it reaches the rate; P may help."""

@@ -111,4 +111,4 @@ def quadratic_cost(A: Array, B: Array, Q_root: Array, R: Array) -> Inequality:
     N[:, :, :n] = np.eye(n)
     constant[:, :n, :n] = -B @ np.linalg.solve(R, B.T)
     constant[:, n:, n:] = -np.eye(n)
-    return Inequality(L=L, R=N, M=np.zeros((cells, 2 * n, 0)), N=np.zeros((cells, 0, 2 * n)), constant=constant)
+    return Inequality(L=L, R=N, M=np.zeros((cells, 2 * n, 0)), N=N, constant=constant)
