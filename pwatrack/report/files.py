@@ -114,9 +114,7 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     costs = {part: X.tolist() for part, X in controller.costs.items()}
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
-    A_eta = None if generator is None else generator.A_eta
-    proofs = [_proof(proof) for proof in controller.proofs]
-    run.json("certificate.json", _certificate(spec, design.K, design.L, A_eta, proofs))
+    run.json("certificate.json", certificate_content(spec, controller))
     if generator is not None:
         run.json("generator.json", _generator(generator))
 
@@ -144,6 +142,13 @@ def write_refusal(spec: Spec, evidence: Impossibility, folder: str | Path) -> Pa
     with run_folder(folder) as run:
         run.json(REFUSAL, _certificate(spec, K, L, A_eta, proofs))
     return Path(folder) / REFUSAL
+
+
+def certificate_content(spec: Spec, controller: Controller) -> dict[str, Any]:
+    """Return what certificate.json holds: the matrices as printed, and the proofs."""
+    generator, design = controller.generator, controller.design
+    A_eta = None if generator is None else generator.A_eta
+    return _certificate(spec, design.K, design.L, A_eta, [_proof(proof) for proof in controller.proofs])
 
 
 def _certificate(

@@ -1,0 +1,146 @@
+"""Does anything false ever pass? Tampered certificates, and matrices that are singular but for a hair.
+
+    make false-accepts
+
+A tampered certificate may be accepted only where the changed claim is true, which a third method decides: the
+leading minors, each an exact determinant. A nearly singular case is a stack of matrices with a real mode at
+±10^-10 … ±10^-17 of their size; they are triangular, so its sign is known exactly.
+"""
+
+import argparse
+import copy
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from pwatrack import design, load_spec
+from pwatrack.arrays import Array
+from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.certificate import prove
+from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.infeasibility import refute
+from pwatrack.lmi.rational import decimals
+from pwatrack.report.files import certificate_content
+
+SPECS = Path(__file__).parent.parent / "specs"
+NAMES = ("two_mass_backlash.yaml", "gallery/quarter_car_bump_stop.yaml")
+
+
+def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
+    """Return a certificate with one number changed."""
+    changed = copy.deepcopy(content)
+    where = random.choice(["A", "B", "C", "K", "L", "A_eta", "rate", "margin", "radius", "integers", "exponents"])
+    proof = changed["proofs"][random.integers(len(changed["proofs"]))]
+    if where in ("rate", "margin", "radius"):
+        proof[where] = float(proof[where]) * float(10 ** random.uniform(-1, 3))
+        return changed
+    entry: Any = changed[where] if where in changed else proof["P"][where]
+    while isinstance(entry[0], list):
+        entry = entry[random.integers(len(entry))]
+    k = int(random.integers(len(entry)))
+    if where == "integers":
+        entry[k] += int(random.integers(-(2**41), 2**41))
+    elif where == "exponents":
+        entry[k] += int(random.choice([-2, -1, 1, 2]))
+    else:
+        entry[k] = float(entry[k]) + float(random.choice([-1, 1]) * 10.0 ** random.uniform(-6, 2))
+    return changed
+
+
+def is_true(content: dict[str, Any]) -> bool:
+    """Decide every claim of a certificate by leading minors in exact rational arithmetic."""
+    exact = json.loads(json.dumps(content), parse_float=Fraction, parse_int=Fraction)
+    for proof in exact["proofs"]:
+        powers = [Fraction(2) ** int(e) for e in proof["P"]["exponents"]]
+        n = len(powers)
+        P = [[proof["P"]["integers"][j][k] * powers[j] * powers[k] for k in range(n)] for j in range(n)]
+        if any(P[j][k] != P[k][j] for j in range(n) for k in range(n)) or not minors_positive(P):
+            return False
+        if min(proof["rate"], proof["margin"]) <= 0:
+            return False
+        if (2 * proof["radius"]) ** 2 * sum(v * v for row in P for v in row) > proof["margin"] ** 2:
+            return False
+        for M in auditor.problem(exact, proof["of"])[0]:
+            MP = [[sum(M[j][s] * P[s][k] for s in range(n)) for k in range(n)] for j in range(n)]
+            S = [
+                [-MP[j][k] - MP[k][j] - 2 * proof["rate"] * P[j][k] - proof["margin"] * (j == k) for k in range(n)]
+                for j in range(n)
+            ]
+            if not minors_positive(S):
+                return False
+    return True
+
+
+def minors_positive(X: list[list[Fraction]]) -> bool:
+    """Decide X ≻ 0 by its leading principal minors, each a determinant of its own (FLINT's)."""
+    import flint
+
+    exact = [[flint.fmpq(v.numerator, v.denominator) for v in row] for row in X]
+    return all(flint.fmpq_mat([row[:k] for row in exact[:k]]).det() > 0 for k in range(1, len(X) + 1))
+
+
+def nearly_singular(seed: int) -> tuple[Array, bool]:
+    """Return matrices (l, n, n) with a mode at ±10^-k, and whether it is stable."""
+    random = np.random.default_rng(seed)
+    n, cells = int(random.integers(1, 5)), int(random.integers(1, 4))
+    stable, size = bool(random.integers(2)), 10.0 ** -random.uniform(10, 17)
+    M = np.array([np.diag(-(2.0 ** random.integers(-1, 3, size=n))) for _ in range(cells)])
+    M[0, 0, 0] = -size if stable else size
+    d = 2.0 ** random.integers(-3, 4, size=n)
+    M = M * d[:, None] / d  # exact
+    if n > 1:
+        M[:, 0, 1:] = random.integers(-2, 3, size=n - 1) / 4.0  # triangular: the eigenvalues stay
+    return M, stable
+
+
+def claim_of(proof: Proof) -> dict[str, Any]:
+    """Return a proof as it stands in a file."""
+    P = {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)}
+    return {"of": proof.of, "rate": proof.rate, "margin": proof.margin, "radius": proof.radius, "P": P}
+
+
+def main() -> None:
+    """Print the counts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tampered", type=int, default=10_000)
+    parser.add_argument("--singular", type=int, default=5_000)
+    options, console = parser.parse_args(), Console(highlight=False)
+    false = true = 0
+    for name in NAMES:
+        spec = load_spec(SPECS / name)
+        content = certificate_content(spec, design(spec))
+        random = np.random.default_rng(2026)
+        for _ in range(options.tampered // len(NAMES)):
+            changed = tampered(content, random)
+            if not auditor.audit(json.dumps(changed)):
+                true, false = (true + 1, false) if is_true(changed) else (true, false + 1)
+    console.print(f"tampered certificates: {options.tampered}, accepted {true + false}, of these false: {false}")
+    proved = refuted = wrong = 0
+    for seed in range(options.singular):
+        M, stable = nearly_singular(seed)
+        n = M.shape[1]
+        P = np.diag(1.0 / 4.0 ** np.arange(n)) if seed % 2 else np.eye(n)
+        certificate = prove(M, P)
+        exact = [decimals(M_i) for M_i in M]
+        proof = None if certificate is None else prove_exactly("controller", exact, certificate.P, certificate.rate)
+        content = {"format": auditor.FORMAT, "A": M.tolist(), "B": [[0]] * n, "C": [], "K": [[0] * n], "L": None}
+        if proof is not None:
+            proved += 1
+            wrong += not stable or bool(auditor.audit(json.dumps(content | {"proofs": [claim_of(proof)]})))
+        found = refute(M, np.zeros((n, 0))) if not stable else refute(M[:1], np.zeros((n, 0)))
+        if found is not None:
+            refuted += 1
+            Z = {"of": "controller", "rate": 0, "Z": {str(i): Z_i for i, Z_i in found.Z.items()}}
+            wrong += stable or bool(auditor.audit(json.dumps(content | {"proofs": [Z]})))
+    console.print(
+        f"nearly singular stacks: {options.singular}, proved stable {proved}, proved impossible {refuted}, "
+        f"wrong or in disagreement: {wrong}"
+    )
+
+
+if __name__ == "__main__":
+    main()
