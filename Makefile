@@ -43,6 +43,14 @@ batch: $(READY) ## design and simulate every spec in specs/
 bench: $(READY) ## time our simulation against scipy's integrators
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
+.PHONY: corpus
+corpus: $(READY) ## count the verdicts proved on 900 random systems (hours)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py
+
+.PHONY: false-accepts
+false-accepts: $(READY) ## look for false proofs: tampered certificates, nearly singular matrices
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/false_accepts.py
+
 .PHONY: promises
 promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
