@@ -30,6 +30,12 @@ def plant(specs: Path) -> PWASystem:
     return load_spec(specs / "two_mass_backlash.yaml").plant
 
 
+def test_a_rate_that_is_asked_is_the_rate_that_is_proved(specs: Path) -> None:
+    controller = design(load_spec(specs / "two_mass_goals.yaml"))
+    assert max(proof.rate for proof in controller.proofs if proof.of == "controller") >= 0.1
+    assert norm(controller.design.K) < 0.85
+
+
 def norm(K: Array) -> float:
     return float(np.linalg.norm(K, 2))
 
@@ -148,9 +154,9 @@ def test_the_default_gain_is_at_most_ten_times_the_smallest_of_its_rate(seed: in
     plant = random_plant(seed, n=3 + seed % 4, k=2, r=1 + seed % 2, strength=0.1)
     for task in (controller_task(plant), observer_task(plant)):
         K, certificate = stabilising_gain(task)
-        smallest = Search(task).smallest_gain(certificate.rate * (1 - 1e-6))
+        smallest = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
         assert smallest is not None
-        assert norm(K) <= 10 * norm(smallest[0]) + 1e-6
+        assert norm(K) <= 10 * norm(smallest[0]) + 1e-6  # at most; the rate is that of K to 0.3 %
 
 
 def test_the_front_rises_and_holds_the_chosen_point(plant: PWASystem) -> None:

@@ -13,6 +13,7 @@ from pwatrack.control.convergence import Impossibility, best_certificate, confli
 from pwatrack.control.goal import DEFAULT, Goal
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate, prove
+from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
@@ -197,7 +198,7 @@ class Search:
         margin = self._largest_margin(rate)
         if margin is None and self.refuted(rate) is not None:
             return None
-        shift = rate / self.scaling.speed * np.eye(len(self.mean))
+        shift = rate * (1 + 1e-3) / self.scaling.speed * np.eye(len(self.mean))
         quick = len(self.A) * len(self.mean) ** 3 <= _COSTLY
         for Q in _state_weights(self.mean + shift, self.B) if quick or margin is None else ():
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
@@ -216,7 +217,7 @@ class Search:
     def smallest_gain(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise a bound on the norm of the gain, in the units given."""
         d, e = self.scaling.d, self.scaling.e
-        for more in (1e-4, 0.0):  # a little faster than asked, so that a margin is left for the proof
+        for more in (2e-3, 5e-4):  # a little faster than asked, so that a margin is left for the exact proof
             found = self._smallest(rate * (1 + more) / self.scaling.speed, d, e, rate)
             if found is not None:
                 return found
@@ -247,12 +248,12 @@ class Search:
 
     def _gentler(self, K: Array, certificate: Certificate) -> tuple[Array, Certificate]:
         """Return the gain, or the smallest one of the same rate where that is much smaller."""
-        rate = certificate.rate * (1 - 1e-6)
+        rate = certificate.rate * (1 - 1e-3)
         ones = np.ones(len(self.mean)), np.ones(self.B.shape[1])
-        small = self._smallest(rate / self.scaling.speed, *ones, rate, below=self._size(K) / _MODEST)
+        small = self._smallest(rate * (1 + 5e-4) / self.scaling.speed, *ones, rate, below=self._size(K) / _MODEST)
         if small is None:
             return K, certificate
-        nothing = self._proved(np.zeros_like(K), certificate.rate * (1 - 1e-3))
+        nothing = self._proved(np.zeros_like(K), rate)
         return small if nothing is None else nothing
 
     def _size(self, K: Array) -> float:
@@ -281,14 +282,14 @@ class Search:
 
         W = W_inverse = np.eye(len(self.mean))
         for _ in range(2 * _RECENTRED):
-            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate / self.scaling.speed)
+            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate * (1 + 1e-3) / self.scaling.speed)
             candidate = largest_margin(inequality, self.task.solver)
             if candidate is None:
                 return None
             K = _short(self._gain_of(candidate, W))
             P = self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
             certificate = prove(self.task.A + self.task.B @ K, P) if np.isfinite(K).all() else None
-            if certificate is not None and certificate.rate >= rate:
+            if certificate is not None and _reaches(certificate, rate):
                 return K, certificate
             W, W_inverse = _recentred(W, W_inverse, candidate.P)
         return None
@@ -328,7 +329,12 @@ class Search:
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < 0:
             return None
         certificate = best_certificate(closed, start=P, solver=self.task.solver)
-        return (K, certificate) if certificate is not None and certificate.rate >= rate else None
+        return (K, certificate) if certificate is not None and _reaches(certificate, rate) else None
+
+
+def _reaches(certificate: Certificate, rate: float) -> bool:
+    """Say whether the exact proof, which gives up a little, will still show the rate."""
+    return certificate.rate * (1 - 2 * RATE_GIVEN) >= rate
 
 
 def _recentred(W: Array, W_inverse: Array, P: Array) -> tuple[Array, Array]:
@@ -342,11 +348,11 @@ def _recentred(W: Array, W_inverse: Array, P: Array) -> tuple[Array, Array]:
 
 def _refusal(task: Task, rate: float, refutation: Refutation | None) -> PwatrackError:
     """Return the refusal with the proof that no gain reaches the rate, or say that there is neither gain nor proof."""
-    goal = f" at a rate of {rate:g} 1/s" if rate else ""
+    goal, subject = (f" at a rate of {rate:g} 1/s", ("design", task.of, "rate")) if rate else ("", task.subject)
     if refutation is None:
         message = f"{task.claim}{goal} is undecided: no gain with a proof was found, and no proof that there is none"
         hint = "another actuator or measured output may help, or the other solver: --solver cvxopt"
-        return Undecided(Problem(message=message, subject=task.subject, hint=hint))
+        return Undecided(Problem(message=message, subject=subject, hint=hint))
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
         modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in refutation.eigenvalues.items()]
@@ -355,11 +361,11 @@ def _refusal(task: Task, rate: float, refutation: Refutation | None) -> Pwatrack
     else:
         message = (
             f"{task.claim}{goal} is infeasible: {conflict_text(refutation, task.cells)}, no gain with a common P "
-            "exists for them, though each can be stabilised by itself"
+            f"exists for them, though each {'reaches that rate' if rate else 'can be stabilised'} by itself"
         )
         hint = f"another actuator or another measured output may help, cells that differ less{slower}"
     return Infeasible(
-        Problem(message=message, subject=task.subject, hint=hint),
+        Problem(message=message, subject=subject, hint=hint),
         evidence=Impossibility(of=task.of, rate=rate, refutation=refutation),
     )
 

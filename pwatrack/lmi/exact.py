@@ -12,6 +12,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.lmi.rational import Rational, floats, identity, is_positive_definite, rational, scalar
 
+RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 _BITS = 40  # of the entries of P, once its diagonal is about 1
 
 
@@ -56,7 +57,7 @@ def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proo
     products = [M_i * exact_P for M_i in M]
     left = [-(MP + MP.transpose()) for MP in products]
     size = float(np.linalg.norm(P))
-    for shrink in (1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
+    for shrink in (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
         short_rate = _rounded_down(rate * (1 - shrink), 6)
         slack = [S - scalar(2 * short_rate) * exact_P for S in left]
         if short_rate > 0 and all(is_positive_definite(S) for S in slack):
