@@ -52,7 +52,7 @@ def check(matrices: list[Matrix], _: Matrix, proof: Any) -> list[str]:
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
     for i, M in enumerate(matrices):
         half = product(added(M, identity(len(P), rate)), P)
-        if not definite(added(product(identity(len(P), -1), added(half, transposed(half))), identity(len(P), -margin))):
+        if not definite(added(added(half, transposed(half)), identity(len(P), margin)), sign=-1):
             faults.append(f"the inequality fails in cell {i + 1}")
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
@@ -68,7 +68,7 @@ def refuted(matrices: list[Matrix], B: Matrix, proof: Any) -> list[str]:
             return ["Z is not symmetric of the order of the matrices"]
         half = product(Z_i, added(matrices[i], identity(n, proof["rate"])))
         total, S = added(total, Z_i), added(S, added(half, transposed(half)))
-    alone = len(Z) == 1 and not definite(product(identity(n, -1), total), semi=True)
+    alone = len(Z) == 1 and not definite(total, semi=True, sign=-1)
     right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z.values()))
     faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
     if B and any(map(any, product(total, B))):
@@ -76,9 +76,9 @@ def refuted(matrices: list[Matrix], B: Matrix, proof: Any) -> list[str]:
     return faults if definite(S, semi=True) else [*faults, "the sum of Z M + M^T Z is not positive semidefinite"]
 
 
-def definite(X: Matrix, *, semi: bool = False) -> bool:
-    """Decide whether a symmetric rational matrix is positive (semi)definite, by Bareiss' elimination in integers."""
-    scale = lcm(*(v.denominator for row in X for v in row))
+def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
+    """Decide whether sign X, symmetric, is positive (semi)definite, by Bareiss' elimination in integers."""
+    scale = sign * lcm(*(v.denominator for row in X for v in row))
     rows, previous = [[int(v * scale) for v in row] for row in X], 1
     for k, pivot_row in enumerate(rows):
         pivot = pivot_row[k]
