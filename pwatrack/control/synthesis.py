@@ -1,7 +1,8 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from pwatrack.control.goal import DEFAULT, Goal
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
-from pwatrack.lmi.infeasibility import refute
+from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
 from pwatrack.model.pwa import PWASystem
 
@@ -170,7 +171,7 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
         if found is not None and _norm(found[0]) > goal.bound:
             found = search.smallest_gain(goal.least_rate)
     if found is None:
-        raise _refusal(task, goal.least_rate)
+        raise _refusal(task, goal.least_rate, search.refuted(goal.least_rate))
     if _norm(found[0]) > goal.bound:
         raise _too_large(task, goal, _norm(found[0]))
     return found
@@ -186,6 +187,11 @@ class Search:
         self.B = self.scaling.input(task.B)
         self.mean = self.A.mean(axis=0)
 
+    @cache  # noqa: B019 - a search lives as long as its one question
+    def refuted(self, rate: float) -> Refutation | None:
+        """Return a proof that no gain reaches a rate (1/s), if one is found."""
+        return refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
+
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise the cost with unit weights; where no weight gives a proof, maximise the margin; rate in 1/s."""
         shift = rate / self.scaling.speed * np.eye(len(self.mean))
@@ -193,6 +199,8 @@ class Search:
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
                 return self._gentler(*found)
+            if self.refuted(rate) is not None:
+                return None
         found = self._largest_margin(rate)
         return None if found is None else self._gentler(*found)
 
@@ -276,8 +284,11 @@ class Search:
         from pwatrack.lmi.picos_model import least_cost
 
         W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
-        inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, _root(R))
-        return self._candidate(least_cost(inequality, weight @ W.T, self.task.solver), W, W_inverse, rate)
+        inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, R)
+        candidate = least_cost(inequality, weight @ W.T, self.task.solver)
+        if candidate is not None:
+            candidate = replace(candidate, Y=-np.linalg.solve(R, (W @ self.B).T).astype(np.float64))
+        return self._candidate(candidate, W, W_inverse, rate)
 
     def _candidate(
         self, candidate: "Candidate | None", W: Array, W_inverse: Array, rate: float
@@ -307,9 +318,8 @@ def _recentred(W: Array, W_inverse: Array, P: Array) -> tuple[Array, Array]:
     return inverse @ W, W_inverse @ V
 
 
-def _refusal(task: Task, rate: float) -> PwatrackError:
-    """Return the proof that no gain reaches the rate, or say that there is neither gain nor proof."""
-    refutation = refute(task.A, task.B, rate=rate, solver=task.solver)
+def _refusal(task: Task, rate: float, refutation: Refutation | None) -> PwatrackError:
+    """Return the refusal with the proof that no gain reaches the rate, or say that there is neither gain nor proof."""
     goal = f" at a rate of {rate:g} 1/s" if rate else ""
     if refutation is None:
         message = f"{task.claim}{goal} is undecided: no gain with a proof was found, and no proof that there is none"

@@ -26,6 +26,8 @@ _STATUS = {
     clarabel.SolverStatus.DualInfeasible: (SS_UNKNOWN, SS_INFEASIBLE, PS_UNBOUNDED),
 }
 
+_STUCK = (clarabel.SolverStatus.NumericalError, clarabel.SolverStatus.InsufficientProgress)
+
 
 class ClarabelSolver(Solver):  # type: ignore[misc]
     """Linear objectives over linear and semidefinite constraints, min cᵀx s.t. Gx + s = h, s ∈ cones."""
@@ -100,14 +102,17 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
         cost, G, h, cones = data
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        settings.direct_solve_method = "faer"
         settings.max_threads = 1
         if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
             raise ArithmeticError("a coefficient is not finite")
         nothing = sparse.csc_matrix((self._size, self._size))
         try:
             with self._stopwatch():
-                answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
+                for method in ("faer", "qdldl"):  # the second is slower, and sometimes goes on where the first is stuck
+                    settings.direct_solve_method = method
+                    answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
+                    if answer.status not in _STUCK:
+                        break
         except BaseException as error:  # a panic of the Rust library is no Exception
             if type(error).__name__ == "PanicException":
                 raise ArithmeticError(f"Clarabel failed: {error}") from None

@@ -92,25 +92,23 @@ def weighted(M: Array, W: Array) -> Inequality:
     return replace(lyapunov(M), constant=np.broadcast_to(W, M.shape))
 
 
-def quadratic_cost(A: Array, B: Array, Q_root: Array, R_root: Array) -> Inequality:
-    """Return (8) with a cost: [sym(A_i P + B Y), P Q^½, Yᵀ R^½; ·, −I, 0; ·, ·, −I] ⪯ 0.
+def quadratic_cost(A: Array, B: Array, Q_root: Array, R: Array) -> Inequality:
+    """Return (8) with a cost, [A_i P + P A_iᵀ − B R⁻¹ Bᵀ, P Q^½; ·, −I] ⪯ 0, for the gain K = −R⁻¹ Bᵀ P⁻¹.
 
-    Under u = Y P⁻¹ x it bounds ∫(xᵀQx + uᵀRu) dt by x(0)ᵀ P⁻¹ x(0), whatever the switching
-    (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994, section 7.4).
+    Under u = K x it bounds ∫(xᵀQx + uᵀRu) dt by x(0)ᵀ P⁻¹ x(0), whatever the switching (Boyd et al., Linear Matrix
+    Inequalities in System and Control Theory, 1994, section 7.4). No other gain does better with this P: in
+    the inequality K stands as (K + R⁻¹BᵀP⁻¹)ᵀ R (K + R⁻¹BᵀP⁻¹) ⪰ 0, the same for all cells.
 
     Args:
         A: (l, n, n).
         B: (n, m).
         Q_root: Q^½, (n, n).
-        R_root: R^½, (m, m).
+        R: (m, m), positive definite.
     """
     cells, n = A.shape[:2]
-    m = B.shape[1]
-    order = 2 * n + m
-    L, M = np.zeros((cells, order, n)), np.zeros((cells, order, m))
-    N, constant = np.zeros((cells, n, order)), np.zeros((cells, order, order))
-    L[:, :n], L[:, n : 2 * n] = A, Q_root
-    M[:, :n], M[:, 2 * n :] = B, R_root
+    L, N, constant = np.zeros((cells, 2 * n, n)), np.zeros((cells, n, 2 * n)), np.zeros((cells, 2 * n, 2 * n))
+    L[:, :n], L[:, n:] = A, Q_root
     N[:, :, :n] = np.eye(n)
-    constant[:, n:, n:] = -np.eye(n + m)
-    return Inequality(L=L, R=N, M=M, N=N, constant=constant)
+    constant[:, :n, :n] = -B @ np.linalg.solve(R, B.T)
+    constant[:, n:, n:] = -np.eye(n)
+    return Inequality(L=L, R=N, M=np.zeros((cells, 2 * n, 0)), N=np.zeros((cells, 0, 2 * n)), constant=constant)

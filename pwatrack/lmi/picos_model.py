@@ -152,18 +152,28 @@ def multipliers(
     ZA = picos.sum([Q * U_i * (Q.T @ A_i) for Q, U_i, A_i in zip(bases, U, A, strict=True)])
     problem.add_list_of_constraints([U_i >> (t * np.eye(U_i.shape[0]) if interior else 0) for U_i in U])
     problem.add_constraint(picos.sum([picos.trace(U_i) for U_i in U]) == 1)
-    S, n, rank = ZA + ZA.T, blind.shape[0], blind.shape[1]
-    seen = np.linalg.qr(np.hstack([blind, np.eye(n)]))[0][:, rank:]
-    if rank < n:
-        problem.add_constraint(seen.T * S * seen >> t * np.eye(n - rank))
-    image = S * (blind / np.linalg.norm(blind, axis=0)) if rank else S
-    if rank and not image.constant:  # else it is 0 by itself
-        problem.add_constraint(image == 0)
+    S = ZA + ZA.T
+    seen = _complement(blind)
+    if seen.shape[1]:
+        problem.add_constraint(seen.T * S * seen >> t * np.eye(seen.shape[1]))
+    if blind.shape[1]:
+        unit = blind / np.linalg.norm(blind, axis=0)
+        nobody = np.max([np.abs(Q.T @ unit).max(axis=0) for Q in bases], axis=0) < 1e-9
+        image = _complement(unit[:, nobody]).T * S * unit  # the rest of S R is 0 by itself, or said already
+        if not image.constant:
+            problem.add_constraint(image == 0)
     problem.add_constraint(t <= 1)
     problem.set_objective("max", t)
     if not _run(problem, solver):
         return None
     return [_value(U_i, U_i.shape) for U_i in U]
+
+
+def _complement(columns: Array) -> Array:
+    """Return orthonormal columns that, with these independent ones (n, k), span everything."""
+    n, k = columns.shape
+    complement: Array = np.linalg.qr(np.hstack([columns, np.eye(n)]))[0][:, k:]
+    return complement
 
 
 def _problem(inequality: Inequality) -> tuple[Any, Any, Any]:

@@ -1,0 +1,218 @@
+"""What an engineer asks of the gains: decay rate, size, cost; and the proof when it cannot be had."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
+
+from pwatrack import PWASystem, design, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.control.convergence import Impossibility
+from pwatrack.control.cost import cost_bound
+from pwatrack.control.goal import Goal
+from pwatrack.control.pareto import pareto
+from pwatrack.control.synthesis import Search, Task, controller_task, observer_task, stabilising_gain, synthesize
+from pwatrack.errors import Infeasible, InvalidSpec, Undecided
+from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.infeasibility import refute
+from pwatrack.report.files import write_refusal
+from tests.plants import random_plant
+
+seeds = st.integers(0, 10_000)
+
+
+@pytest.fixture(scope="module")
+def plant(specs: Path) -> PWASystem:
+    return load_spec(specs / "two_mass_backlash.yaml").plant
+
+
+def norm(K: Array) -> float:
+    return float(np.linalg.norm(K, 2))
+
+
+@pytest.mark.parametrize(
+    ("rate", "most_K", "most_L"), [(0.05, 0.37, 0.37), (0.1, 0.85, 0.88), (0.15, 42, 45), (0.2, 263, 290)]
+)
+def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
+    plant: PWASystem, rate: float, most_K: float, most_L: float
+) -> None:
+    """ERRATA: the smallest norms by ‖Y‖ ≤ κ; ours minimises a tighter bound."""
+    goal = Goal(rate=rate, gain="smallest")
+    found = synthesize(plant, controller=goal, observer=goal)
+    assert found.controller.rate >= rate
+    assert found.observer.rate >= rate
+    assert 0.3 * most_K < norm(found.K) < 1.01 * most_K
+    assert 0.3 * most_L < norm(found.L) < 1.01 * most_L
+
+
+def test_a_rate_is_reached_with_a_gain_of_modest_size(plant: PWASystem) -> None:
+    K, certificate = stabilising_gain(controller_task(plant), Goal(rate=0.1))
+    assert certificate.rate >= 0.1
+    assert norm(K) < 10 * 0.85
+
+
+def test_a_bound_on_the_gain_is_kept_and_used(plant: PWASystem) -> None:
+    K, certificate = stabilising_gain(controller_task(plant), Goal(gain=2.0))
+    assert 1.5 < norm(K) <= 2.0
+    assert certificate.rate > 0.11  # the smallest gain at 0.1 is 0.82
+    K, certificate = stabilising_gain(controller_task(plant), Goal(gain=2.0, rate=0.1))
+    assert norm(K) <= 2.0
+    assert certificate.rate >= 0.1
+    with pytest.raises(Undecided, match=r"no gain with a norm of at most 0\.5 was found; the smallest that was found"):
+        stabilising_gain(controller_task(plant), Goal(gain=0.5, rate=0.1))
+
+
+def test_the_largest_rate_of_the_example_is_a_quarter(plant: PWASystem) -> None:
+    """Half the damping rate of the mass that no gain reaches in the gap: (d1 + d2) / m2 less what K can shift."""
+    _, certificate = stabilising_gain(controller_task(plant), Goal(rate="largest"))
+    assert 0.245 < certificate.rate < 0.25
+
+
+def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    with pytest.raises(InvalidSpec, match="has no largest rate"):
+        stabilising_gain(task, Goal(rate="largest"))
+    K, certificate = stabilising_gain(task, Goal(rate="largest", gain=5.0))
+    assert norm(K) <= 5.0
+    poles = np.linalg.eigvals(task.A[0] + task.B @ K)
+    assert certificate.rate <= -poles.real.max() + 1e-9
+    assert certificate.rate > 0.7
+
+
+@pytest.mark.parametrize("rate", [0.2501, 0.3, 1.0])
+def test_a_rate_out_of_reach_is_proved_to_be(specs: Path, tmp_path: Path, rate: float) -> None:
+    spec = load_spec(specs / "two_mass_backlash.yaml")
+    for task in (controller_task(spec.plant), observer_task(spec.plant)):
+        with pytest.raises(Infeasible, match=rf"at a rate of {rate:g} 1/s is infeasible: cells .* conflict") as refusal:
+            stabilising_gain(task, Goal(rate=rate))
+        evidence = refusal.value.evidence
+        assert isinstance(evidence, Impossibility)
+        text = write_refusal(spec, evidence, tmp_path).read_text()
+        assert auditor.audit(text) == []
+        slower = json.loads(text)
+        slower["proofs"][0]["rate"] = 0.1  # which can be reached: the same multipliers must not prove otherwise
+        assert auditor.audit(json.dumps(slower)) != []
+
+
+@given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
+@settings(deadline=None, max_examples=25)
+def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: int, m: int) -> None:
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(n, n)), random.normal(size=(n, m))
+    Q_root, R_root = random.normal(size=(n, n)), random.normal(size=(m, m))
+    Q, R = Q_root @ Q_root.T + 0.1 * np.eye(n), R_root @ R_root.T + 0.1 * np.eye(m)
+    X = solve_continuous_are(A, B, Q, R)
+    if np.linalg.norm(X, 2) > 100 * np.linalg.norm(Q, 2):
+        return  # nearly unreachable
+    K_lqr = -np.linalg.solve(R, B.T @ X)
+    task = Task(A=A[None], B=B, cells=["all"])
+    K, _ = stabilising_gain(task, Goal(Q=Q, R=R))
+    np.testing.assert_allclose(K, K_lqr, rtol=0, atol=1e-4 * np.abs(K_lqr).max())
+    bound = cost_bound(task, K, Q, R)
+    np.testing.assert_allclose(bound, X, rtol=0, atol=1e-4 * np.abs(X).max())
+    closed = A + B @ K
+    cost = solve_continuous_lyapunov(closed.T, -(Q + K.T @ R @ K))
+    assert np.linalg.eigvalsh(bound - cost)[0] > 0
+
+
+def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path) -> None:
+    """Regulation to 0 from any state that the observer knows: ∫(eᵀQe + uᵀRu) dt ≤ e(0)ᵀ X e(0)."""
+    text = (specs / "two_mass_backlash.yaml").read_text()
+    weights = "{cost: {Q: [[9, 0, 0, 0], [0, 1, 0, 0], [0, 0, 4, 0], [0, 0, 0, 1]], R: [[0.5]]}}"
+    text = text[: text.index("reference:")].replace("tracking: output", "tracking: state")
+    head = text.replace("design:\n", f"design:\n  controller: {weights}\n")
+    random = np.random.default_rng(5)
+    path = tmp_path / "cost.yaml"
+    controller = None
+    for _ in range(5):
+        x0 = (random.normal(size=4) * 0.3).round(4).tolist()
+        start = f"simulation:\n  duration: 60\n  sample_time: 0.002\n  initial: {{plant: {x0}, observer: {x0}}}\n"
+        path.write_text(f"{head}reference:\n  setpoint: {{y: 0}}\n\n{start}")
+        spec = load_spec(path)
+        controller = controller or design(spec)
+        result = simulate(spec, controller)
+        e, u = result.response.x - result.response.x_d, result.response.u - result.response.u_ff
+        Q, R = np.array(spec.controller.Q), np.array(spec.controller.R)
+        rate = np.einsum("ti,ij,tj->t", e, Q, e) + np.einsum("ti,ij,tj->t", u, R, u)
+        cost = float(np.trapezoid(rate, result.response.t))
+        bound = float(e[0] @ controller.costs["controller"] @ e[0])
+        assert 0.1 * bound < cost <= bound * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_default_gain_is_at_most_ten_times_the_smallest_of_its_rate(seed: int) -> None:
+    plant = random_plant(seed, n=3 + seed % 4, k=2, r=1 + seed % 2, strength=0.1)
+    for task in (controller_task(plant), observer_task(plant)):
+        K, certificate = stabilising_gain(task)
+        smallest = Search(task).smallest_gain(certificate.rate * (1 - 1e-6))
+        assert smallest is not None
+        assert norm(K) <= 10 * norm(smallest[0]) + 1e-6
+
+
+def test_the_front_rises_and_holds_the_chosen_point(plant: PWASystem) -> None:
+    task = controller_task(plant)
+    K, certificate = stabilising_gain(task)
+    front = pareto(task, K, certificate.rate)
+    assert (np.diff(front.rates) > 0).all()
+    assert (np.diff(front.norms) > -1e-6).all()
+    assert front.rates[-1] < 0.25 < front.limit
+    at_chosen = np.interp(certificate.rate, front.rates, front.norms)
+    assert at_chosen <= front.chosen[1] <= 10 * at_chosen
+
+
+@pytest.mark.parametrize(
+    ("controller", "message"),
+    [
+        ("{K: [[1, 1, 1, 1]], rate: 1}", "'K' settles the gain, 'rate' beside it has no meaning"),
+        ("{gain: smallest}", "'gain: smallest' is the smallest gain of a given rate"),
+        ("{rate: fast}", "a number or an expression is expected|unknown name 'fast'|'fast'"),
+        ("{rate: -1}", "-1 is not positive"),
+        ("{gain: 0}", "0 is not positive"),
+        ("{cost: {Q: [[1]], R: [[1]]}}", "design.controller.cost.Q"),
+        ("{cost: {R: [[1]]}}", "design.controller.cost.Q is missing"),
+        (
+            "{cost: {Q: [[1,0,0,0],[0,1,0,0],[0,0,-2,0],[0,0,0,1]], R: [[1]]}}",
+            "cost.Q is not positive semidefinite: its least eigenvalue is -2",
+        ),
+        (
+            "{cost: {Q: [[1,3,0,0],[0,1,0,0],[0,0,2,0],[0,0,0,1]], R: [[0]]}}",
+            "(?s)cost.Q is not symmetric: entries differ by 3.*cost.R is not positive definite",
+        ),
+    ],
+)
+def test_a_goal_that_makes_no_sense_is_refused(specs: Path, tmp_path: Path, controller: str, message: str) -> None:
+    text = (specs / "two_mass_backlash.yaml").read_text()
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.replace("design:\n", f"design:\n  controller: {controller}\n"))
+    with pytest.raises(InvalidSpec, match=message):
+        load_spec(path)
+
+
+@given(seed=seeds, n=st.integers(2, 5), cells=st.integers(2, 4), m=st.integers(0, 2))
+@settings(deadline=None, max_examples=40)
+def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
+    seed: int, n: int, cells: int, m: int
+) -> None:
+    random = np.random.default_rng(seed)
+    A, B = random.normal(size=(cells, n, n)), random.normal(size=(n, min(m, n - 1)))
+    found = refute(A, B)
+    if found is None:
+        return
+    content = {
+        "format": auditor.FORMAT,
+        "A": A.tolist(),
+        "B": B.tolist(),
+        "C": [],
+        "K": None if B.shape[1] else [[0.0] * n],
+        "L": None,
+        "proofs": [{"of": "controller", "rate": 0, "Z": {str(i): Z for i, Z in found.Z.items()}}],
+    }
+    if not B.shape[1]:
+        content["B"] = [[0.0]] * n
+    assert auditor.audit(json.dumps(content)) == []
+    damped = dict(content, A=(A - 100 * np.eye(n)).tolist())  # of which it is false
+    assert auditor.audit(json.dumps(damped)) != []
