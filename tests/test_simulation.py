@@ -21,7 +21,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateReset, simulate_flow
+from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow
 from pwatrack.simulation.steady_state import periodic_state
 from pwatrack.spec.expression import formula
 from tests.grazing import near_grazing
@@ -329,3 +329,27 @@ def test_a_pole_ten_million_times_faster_changes_nothing() -> None:
     slow = simulate_flow(abs_oscillator(), np.array([0.0, 1, 1]), duration=10.0, sample_time=0.1)
     np.testing.assert_allclose([e.t for e in trace.events], [e.t for e in slow.events], atol=1e-12)
     np.testing.assert_allclose(trace.z[:, :2], slow.z[:, :2], atol=1e-11)
+
+
+def test_a_crossing_right_at_a_sample_is_one_event_and_not_unresolved() -> None:
+    F0 = np.array([[0.0, -1.0], [0, 0]])
+    flow = switched(F0, [[1.0, 0.0]], [[-1], [1]], [np.zeros((2, 2))] * 2)
+    trace = simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.25)
+    assert [e.t for e in trace.events] == [pytest.approx(0.5, abs=1e-15)]
+    assert trace.modes[:, 0].tolist()[3:] == [0, 0]
+    assert trace.unresolved == ()
+
+
+@pytest.mark.parametrize("velocity", [1.0, -1.0])
+def test_a_guard_just_crossed_counts_as_zero_however_rounding_leaves_it(velocity: float) -> None:
+    """x is a thousand times the rounding bound on the wrong side: without this rule the walk would go back there."""
+    for settling in (True, False):
+        walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 2, 0.1, [])
+        walk.modes = type(walk.modes)(abs_oscillator(), walk.field.h, walk.field.doublings)
+        walk.modes.add((int(velocity > 0),))
+        walk.z[0] = -1e-11 * velocity
+        walk.crossed[0] = True
+        walk.state["settling"], walk.state["inside"] = settling, True
+        walk.run()
+        assert walk.state[0]["events"] == 1
+        assert walk.log.event_mode[0] == 0

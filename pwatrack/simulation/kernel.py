@@ -192,8 +192,6 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
             rising, falling = rising and b[i + 1] >= b[i], falling and b[i + 1] <= b[i]
         first, last = b[0], b[DEGREE]
         if least > tolerance:
-            if near < np.inf:
-                touched, near = min(touched, near), np.inf
             top -= 1
         elif first < -tolerance:
             return min(near, low), touched, np.inf

@@ -58,80 +58,105 @@ def simulate_flow(
         >>> round(float(trace.z[:, 0].max()), 12), len(trace.events)
         (0.2, 2)
     """
-    from pwatrack.simulation import kernel  # imports numba, which takes a while
-
     d = balancing(flow.size()[None])
-    balanced = flow.scaled(d)
-    doublings = _doublings(balanced.size(), sample_time)
-    h = sample_time / 2**doublings
     samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
-    places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
-    first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])
-    field = kernel.Field(
-        first=first,
-        guards=np.ascontiguousarray(balanced.guards().T),
-        signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
-        h=h,
-        doublings=doublings,
-    )
-    jumps = kernel.Resets(
-        step=np.array([_snapped(reset.t / h) for reset in resets], dtype=np.float64),
-        start=np.array([reset.where.start for reset in resets], dtype=np.int64),
-        stop=np.array([reset.where.stop for reset in resets], dtype=np.int64),
-        values=np.zeros((len(resets), len(z0))),
-    )
-    for row, reset in zip(jumps.values, resets, strict=True):
-        row[reset.where] = reset.value / d[reset.where]
+    scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
+    walk = _Walk(flow.scaled(d), z0 / d, samples, sample_time, scaled)
+    walk.run()
+    return walk.trace(d)
 
-    z, state = z0 / d, np.zeros(1, kernel.STATE)
-    early = int(np.count_nonzero(jumps.step <= 0))
-    for reset in resets[:early]:
-        z[reset.where] = reset.value / d[reset.where]
-    modes = _Modes(balanced, h, doublings)
-    modes.add(flow.mode_on(np.sign(field.guards.T @ z).astype(np.int64), None))
-    state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
-    log = kernel.Log(
-        z=np.empty((samples, len(z0))),
-        mode=np.zeros(samples, dtype=np.int64),
-        event_time=np.zeros(64),
-        event_mode=np.zeros(64, dtype=np.int64),
-        near_time=np.zeros(4 * len(places)),
-        near_guard=np.zeros(4 * len(places), dtype=np.int64),
-    )
-    log.z[0] = z
-    near_since, crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
-    cells = first[:-1].copy()
-    while True:
-        stop = kernel.walk(field, modes.arrays, len(modes.met), jumps, state, z, near_since, crossed, cells, log)
-        if stop == kernel.NEW_MODE:
-            modes.add(tuple((cells - first[:-1]).tolist()))
-        elif stop == kernel.FULL:
-            log = log._replace(
-                **{name: np.resize(getattr(log, name), 2 * len(getattr(log, name))) for name in _GROWING}
-            )
-        else:
-            break
-    at = state[0]
-    if stop == kernel.STUCK:
-        part, guard = places[at["guard"]]
-        raise OutsideTheory(
-            Problem(
-                message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
-                f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
-                subject=None,
-                hint="the vector field may be discontinuous there",
-            )
+
+class _Walk:
+    """A trajectory in balanced coordinates: what the compiled kernel works on."""
+
+    def __init__(self, flow: Flow, z0: Array, samples: int, sample_time: float, resets: Sequence[StateReset]) -> None:
+        from pwatrack.simulation import kernel  # imports numba, which takes a while
+
+        self.kernel, self.flow, self.sample_time = kernel, flow, sample_time
+        self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
+        doublings = _doublings(flow.size(), sample_time)
+        h = sample_time / 2**doublings
+        self.field = kernel.Field(
+            first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
+            guards=np.ascontiguousarray(flow.guards().T),
+            signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
+            h=h,
+            doublings=doublings,
         )
-    times, numbers = log.event_time[: at["events"]].tolist(), log.event_mode[: at["events"]].tolist()
-    entered = [modes.met[m] for m in numbers]
-    near = sorted(zip(log.near_time[: at["nears"]].tolist(), log.near_guard[: at["nears"]].tolist(), strict=True))
-    return Trace(
-        t=sample_time * np.arange(samples, dtype=np.float64),
-        z=log.z * d,
-        modes=np.array(modes.met)[log.mode],
-        events=tuple(map(Event, times[1:], entered[:-1], entered[1:])),
-        unresolved=tuple(Unresolved(t=t, part=places[k][0], guard=places[k][1]) for t, k in near),
-    )
+        self.resets = kernel.Resets(
+            step=np.array([_snapped(reset.t / h) for reset in resets], dtype=np.float64),
+            start=np.array([reset.where.start for reset in resets], dtype=np.int64),
+            stop=np.array([reset.where.stop for reset in resets], dtype=np.int64),
+            values=np.zeros((len(resets), len(z0))),
+        )
+        for row, reset in zip(self.resets.values, resets, strict=True):
+            row[reset.where] = reset.value
+        early = int(np.count_nonzero(self.resets.step <= 0))
+        self.z = z0.copy()
+        for reset in resets[:early]:
+            self.z[reset.where] = reset.value
+        self.modes = _Modes(flow, h, doublings)
+        self.modes.add(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
+        self.state = np.zeros(1, kernel.STATE)
+        self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
+        self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
+        self.log = kernel.Log(
+            z=np.empty((samples, len(z0))),
+            mode=np.zeros(samples, dtype=np.int64),
+            event_time=np.zeros(64),
+            event_mode=np.zeros(64, dtype=np.int64),
+            near_time=np.zeros(4 * len(self.places)),
+            near_guard=np.zeros(4 * len(self.places), dtype=np.int64),
+        )
+        self.log.z[0] = self.z
+
+    def run(self) -> None:
+        """Walk to the end, with a stop wherever a new mode is entered or more room is needed."""
+        kernel, first = self.kernel, self.field.first[:-1]
+        cells = first.copy()
+        while True:
+            stop = kernel.walk(
+                self.field,
+                self.modes.arrays,
+                len(self.modes.met),
+                self.resets,
+                self.state,
+                self.z,
+                self.near_since,
+                self.crossed,
+                cells,
+                self.log,
+            )
+            if stop == kernel.DONE:
+                return
+            if stop == kernel.NEW_MODE:
+                self.modes.add(tuple((cells - first).tolist()))
+            elif stop == kernel.FULL:
+                self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
+            else:
+                at = self.state[0]
+                part, guard = self.places[at["guard"]]
+                raise OutsideTheory(
+                    Problem(
+                        message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
+                        f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
+                        subject=None,
+                        hint="the vector field may be discontinuous there",
+                    )
+                )
+
+    def trace(self, d: Array) -> Trace:
+        """Return what was written down, in coordinates D z."""
+        log, events, nears = self.log, int(self.state[0]["events"]), int(self.state[0]["nears"])
+        entered = [self.modes.met[m] for m in log.event_mode[:events].tolist()]
+        near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
+        return Trace(
+            t=self.sample_time * np.arange(len(log.z), dtype=np.float64),
+            z=log.z * d,
+            modes=np.array(self.modes.met)[log.mode],
+            events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
+            unresolved=tuple(Unresolved(t=t, part=self.places[k][0], guard=self.places[k][1]) for t, k in near),
+        )
 
 
 class _Modes:
@@ -175,7 +200,8 @@ class _Modes:
         arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d] = growth
-            arrays.first[m, d], arrays.second[m, d] = _OUTWARD * first @ guards, _OUTWARD * second @ guards
+            arrays.first[m, d] = _OUTWARD * first @ guards
+            arrays.second[m, d] = _OUTWARD * second @ guards
             stretch = np.abs(eye + growth)
             second = 2.0**d * first + second + second @ stretch
             first = first + first @ stretch
