@@ -319,7 +319,7 @@ def test_a_thousand_crossings_in_one_sample_are_all_seen() -> None:
 def test_a_pole_ten_million_times_faster_changes_nothing() -> None:
     """A quick lag behind the oscillator, with a guard of its own that it never meets."""
     F0 = np.zeros((4, 4))
-    F0[:3, :3] = [[0.0, 1, 0], [-1, 0, 0], [1e7, 0, -1e7]]
+    F0[:3, :3] = np.array([[0.0, 1, 0], [-1, 0, 0], [1e7, 0, -1e7]])
     stiff = np.zeros((4, 4))
     stiff[1, 0] = -3.0
     flow = switched(

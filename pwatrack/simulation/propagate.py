@@ -6,6 +6,7 @@ as arrays, and what comes back becomes a trace.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -97,7 +98,7 @@ class _Walk:
             self.z[reset.where] = reset.value
         self.modes = _Modes(flow, h, doublings)
         self.modes.add(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
-        self.state = np.zeros(1, kernel.STATE)
+        self.state: Any = np.zeros(1, kernel.STATE)
         self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
         self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
         self.log = kernel.Log(
