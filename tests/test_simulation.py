@@ -24,7 +24,9 @@ from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow
 from pwatrack.simulation.steady_state import periodic_state
 from pwatrack.spec.expression import formula
+from tests.grazing import near_grazing
 from tests.plants import random_plant
+from tests.precise import precise
 
 seeds = st.integers(0, 10_000)
 
@@ -134,7 +136,7 @@ def test_an_ill_posed_field_that_chatters_is_reported() -> None:
     """x' = −sign(x) is discontinuous: at 0 the trajectory cannot leave."""
     push = [np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0, -1.0], [0, 0]])]
     flow = switched(np.zeros((2, 2)), [[1.0, 0.0]], [[-1], [1]], push)
-    with pytest.raises(PwatrackError, match=r"mode changes at t = 0\.5 s without progress"):
+    with pytest.raises(PwatrackError, match=r"the part crosses guard 1 at t = 0\.5 s, .* without progress"):
         simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.1)
 
 
@@ -256,14 +258,98 @@ def test_resets_of_one_instant_are_carried_out_together(t: float) -> None:
         assert trace.z[0].tolist() == [5.0, 4.0, 1.0]
 
 
+def paper_start(loop: ClosedLoop) -> Array:
+    return loop.start(plant=np.array([0.25, 0, 0, 0]), observer=np.zeros(4), generator=np.array([0.2, 0]))
+
+
+def test_a_hundred_periods_of_the_example_agree_with_fifty_digits(paper: Result) -> None:
+    flow, start = paper.loop.flow, paper_start(paper.loop)
+    trace = simulate_flow(flow, start, duration=100.0, sample_time=0.01)
+    z, times = precise(flow, start, trace)
+    assert len(times) == len(trace.events) > 1000
+    assert np.abs(trace.z - z).max() <= 1e-13 * np.abs(z).max()
+    np.testing.assert_array_less(np.abs([e.t for e in trace.events] - times), 1e-12 * np.maximum(1.0, times))
+    assert trace.unresolved == ()
+
+
+def test_forward_and_back_over_one_period_returns(paper: Result) -> None:
+    flow, start = paper.loop.flow, paper_start(paper.loop)
+    forth = simulate_flow(flow, start, duration=1.0, sample_time=0.01)
+    parts = tuple(replace(part, F=-part.F) for part in flow.parts)
+    back = simulate_flow(Flow(F0=-flow.F0, parts=parts), forth.z[-1], duration=1.0, sample_time=0.01)
+    np.testing.assert_allclose(back.z[-1], start, atol=1e-10)
+    np.testing.assert_allclose([1.0 - e.t for e in back.events[::-1]], [e.t for e in forth.events], atol=1e-10)
+
+
+def test_of_500_passes_within_a_hair_none_is_missed_or_invented() -> None:
+    for seed in range(500):
+        case = near_grazing(seed)
+        trace = simulate_flow(case.flow, case.z0, duration=case.duration, sample_time=case.duration / 3)
+        assert len(trace.events) == case.crossings, (seed, case.depth)
+        assert trace.unresolved == (), (seed, case.depth)
+
+
+@pytest.mark.parametrize("t0", [0.25, 0.7323, 0.5])  # inside a step, on no grid, at a sample
+@pytest.mark.parametrize("depth", [0.0, 1e-16, -1e-16])
+def test_a_touch_that_rounding_cannot_decide_is_reported(t0: float, depth: float) -> None:
+    F0 = np.array([[0.0, 1, 0], [0, 0, 2], [0, 0, 0]])
+    flow = switched(F0, [[0.0, 0, 1.0], [1.0, 0, 0]], [[0, -1], [0, 1]], [np.zeros((3, 3))] * 2)
+    trace = simulate_flow(flow, np.array([t0**2 - depth, -2 * t0, 1.0]), duration=1.0, sample_time=0.5)
+    assert trace.events == ()
+    assert [(u.part, u.guard) for u in trace.unresolved] == [("part", 1)]
+    assert trace.unresolved[0].t == pytest.approx(t0, abs=1e-6)
+
+
+def test_a_start_on_a_facet_or_a_path_along_it_is_not_unresolved() -> None:
+    """x = 0 until it is kicked at t = 0.55."""
+    kick = [StateReset(t=0.55, where=slice(1, 2), value=np.array([1.0]))]
+    trace = simulate_flow(abs_oscillator(), np.array([0.0, 0.0, 1.0]), duration=1.0, sample_time=0.1, resets=kick)
+    assert [(e.t, e.before, e.after) for e in trace.events] == [(0.55, (0,), (1,))]
+    assert trace.unresolved == ()
+
+
+def test_a_thousand_crossings_in_one_sample_are_all_seen() -> None:
+    trace = simulate_flow(abs_oscillator(), np.array([0.0, 1.0, 1.0]), duration=3000.0, sample_time=3000.0)
+    halves = np.cumsum([np.pi / 2, np.pi] * 700)
+    np.testing.assert_allclose([e.t for e in trace.events], halves[halves < 3000.0], rtol=1e-12)
+    assert len(trace.events) > 1000
+    assert len(trace.t) == 2
+
+
+def test_a_pole_ten_million_times_faster_changes_nothing() -> None:
+    """A quick lag behind the oscillator, with a guard of its own that it never meets."""
+    F0 = np.zeros((4, 4))
+    F0[:3, :3] = np.array([[0.0, 1, 0], [-1, 0, 0], [1e7, 0, -1e7]])
+    stiff = np.zeros((4, 4))
+    stiff[1, 0] = -3.0
+    flow = switched(
+        F0, [[1.0, 0, 0, 0], [0, 0, 1.0, -2.0]], [[-1, -1], [1, -1], [1, 1]], [np.zeros((4, 4)), stiff, stiff]
+    )
+    trace = simulate_flow(flow, np.array([0.0, 1, 0, 1]), duration=10.0, sample_time=0.1)
+    slow = simulate_flow(abs_oscillator(), np.array([0.0, 1, 1]), duration=10.0, sample_time=0.1)
+    np.testing.assert_allclose([e.t for e in trace.events], [e.t for e in slow.events], atol=1e-12)
+    np.testing.assert_allclose(trace.z[:, :2], slow.z[:, :2], atol=1e-11)
+
+
+def test_a_crossing_right_at_a_sample_is_one_event_and_not_unresolved() -> None:
+    F0 = np.array([[0.0, -1.0], [0, 0]])
+    flow = switched(F0, [[1.0, 0.0]], [[-1], [1]], [np.zeros((2, 2))] * 2)
+    trace = simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.25)
+    assert [e.t for e in trace.events] == [pytest.approx(0.5, abs=1e-15)]
+    assert trace.modes[:, 0].tolist()[3:] == [0, 0]
+    assert trace.unresolved == ()
+
+
 @pytest.mark.parametrize("velocity", [1.0, -1.0])
 def test_a_guard_just_crossed_counts_as_zero_however_rounding_leaves_it(velocity: float) -> None:
-    """x is twice the rounding bound on the wrong side: without this rule the walk would cross there for ever."""
-    walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 0.1, [])
-    mode = walk.mode
-    table = walk.table(mode)
-    walk.z = np.array([-2.0 * np.sign(velocity) * table.rounding(walk.z)[0], velocity, 1.0])
-    assert walk._settle(mode, {0}) == mode
-    assert walk._first_event(table, table.terms @ walk.z, {0}) is None
-    assert walk._first_event(table, table.terms @ walk.z, set()) == (0.0, 0)
-    assert walk._settle(mode, set()) != mode
+    """x is a thousand times the rounding bound on the wrong side: without this rule the walk would go back there."""
+    for settling in (True, False):
+        walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 2, 0.1, [])
+        walk.modes = type(walk.modes)(abs_oscillator(), walk.field.h, walk.field.doublings)
+        walk.modes.add((int(velocity > 0),))
+        walk.z[0] = -1e-11 * velocity
+        walk.crossed[0] = True
+        walk.state["settling"], walk.state["inside"] = settling, True
+        walk.run()
+        assert walk.state[0]["events"] == 1
+        assert walk.log.event_mode[0] == 0

@@ -1,28 +1,25 @@
 """Exact propagation of a flow from event to event, with no ODE solver.
 
-Inside a mode z(t + τ h) = Σ_j T_j z τʲ with T_j = (F h)ʲ / j!. The step h is
-so short that 16 terms are the matrix exponential to rounding. The same terms,
-seen through the guards, say whether any guard is crossed on the step; whole
-blocks of steps are cleared with one matrix product.
+The walk itself is compiled: see `kernel`. Here a flow is balanced, handed over
+as arrays, and what comes back becomes a trace.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import block_diag
 
-from pwatrack.arrays import Array, IntArray, balancing
-from pwatrack.errors import Problem, PwatrackError
-from pwatrack.simulation.events import bernstein_matrix, first_crossing
+from pwatrack.arrays import Array, balancing
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.simulation.flow import Flow, Mode
-from pwatrack.simulation.trace import Event, Trace
+from pwatrack.simulation.trace import Event, Trace, Unresolved
 
 _DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
-_BLOCK = 16  # steps cleared at once
-_ROUNDING = 64 * float(np.finfo(np.float64).eps)
-_STUCK = 1000  # events without progress in time
-_SAME_TIME = 1e-12  # relative, or in s before t = 1 s
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)  # of the size of its terms: a smaller sum may be 0
+_OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
+_GROWING = ("event_time", "event_mode", "near_time", "near_guard")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,10 +44,10 @@ def simulate_flow(
         resets: In order of time.
 
     Returns:
-        The samples, the mode at each and every event in between.
+        The samples, the mode at each, every event in between, and where rounding could not decide.
 
     Raises:
-        PwatrackError: If 1,000 events happen without progress in time.
+        OutsideTheory: If more than 1,000 events happen without progress in time.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -63,231 +60,160 @@ def simulate_flow(
         (0.2, 2)
     """
     d = balancing(flow.size()[None])
-    balanced = flow.scaled(d)
-    halvings = _halvings(balanced.size(), sample_time)
     samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
-    h = sample_time / 2**halvings
-    scaled = [_GridReset(_snapped(r.t / h), r.where, r.value / d[r.where]) for r in resets]
-    walk = _Walk(balanced, z0 / d, h, scaled)
-    z = np.empty((samples, len(z0)))
-    modes = np.empty((samples, len(flow.parts)), dtype=np.int64)
-    z[0], modes[0] = walk.z, walk.mode
-    stride = 2**halvings
-    end = (samples - 1) * stride
-    while walk.k < end:
-        first = walk.k
-        mode = walk.mode
-        states = walk.forward(min(_BLOCK, end - first))
-        for k in range(first + 1, walk.k + 1):
-            if k % stride == 0:
-                z[k // stride], modes[k // stride] = states[k - first - 1], mode if k < walk.k else walk.mode
-    return Trace(t=sample_time * np.arange(samples, dtype=np.float64), z=z * d, modes=modes, events=tuple(walk.events))
-
-
-@dataclass(frozen=True)
-class _GridReset:
-    """A reset with its time in steps."""
-
-    step: float
-    where: slice
-    value: Array
+    scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
+    walk = _Walk(flow.scaled(d), z0 / d, samples, sample_time, scaled)
+    walk.run()
+    return walk.trace(d)
 
 
 class _Walk:
-    """A trajectory on the grid of step h: state, mode and step index, and the events so far."""
+    """A trajectory in balanced coordinates: what the compiled kernel works on."""
 
-    def __init__(self, flow: Flow, z0: Array, h: float, resets: list[_GridReset]) -> None:
-        self.flow = flow
-        self.h = h
-        self.resets = resets[::-1]
-        self.guards = flow.guards()
-        self.tables: dict[Mode, _Table] = {}
-        self.events: list[Event] = []
-        self.z = z0
-        self.k = 0
-        if self.resets and self.resets[-1].step <= 0:
-            self._reset()
-        self.mode = self._settle(None, set())
+    def __init__(self, flow: Flow, z0: Array, samples: int, sample_time: float, resets: Sequence[StateReset]) -> None:
+        from pwatrack.simulation import kernel  # imports numba, which takes a while
 
-    def forward(self, steps: int) -> Array:
-        """Advance by up to `steps` whole steps, at least one; return the state after each."""
-        table = self.table(self.mode)
-        if self.resets:
-            steps = min(steps, int(self.resets[-1].step - self.k))
-        if steps <= 0:
-            self._step_with_events()
-            self.k += 1
-            return self.z[None]
-        states = table.powers[:steps] @ self.z
-        clear = table.clear(np.vstack([self.z, states[:-1]]))
-        count = steps if clear.all() else int(np.argmin(clear))
-        if count == 0:
-            self._step_with_events()
-            self.k += 1
-            return self.z[None]
-        self.z = states[count - 1]
-        self.k += count
-        return states[:count]
-
-    def table(self, mode: Mode) -> "_Table":
-        """Return what is precomputed for a mode."""
-        if mode not in self.tables:
-            self.tables[mode] = _Table.of(self.flow, mode, self.guards, self.h)
-        return self.tables[mode]
-
-    def _step_with_events(self) -> None:
-        """Advance by one step in which guards may be crossed and resets may fall."""
-        done = 0.0
-        while self.resets and self.resets[-1].step < self.k + 1:
-            done = self._part(done, max(done, self.resets[-1].step - self.k))
-            self._reset()
-            self._change_mode(self._settle(self.mode, set()), done)
-        self._part(done, 1.0)
-
-    def _reset(self) -> None:
-        """Carry out all resets that fall on the same instant."""
-        self.z, step = self.z.copy(), self.resets[-1].step
-        while self.resets and self.resets[-1].step <= step:
-            reset = self.resets.pop()
+        self.kernel, self.flow, self.sample_time = kernel, flow, sample_time
+        self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
+        doublings = _doublings(flow.size(), sample_time)
+        h = sample_time / 2**doublings
+        self.field = kernel.Field(
+            first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
+            guards=np.ascontiguousarray(flow.guards().T),
+            signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
+            h=h,
+            doublings=doublings,
+        )
+        self.resets = kernel.Resets(
+            step=np.array([_snapped(reset.t / h) for reset in resets], dtype=np.float64),
+            start=np.array([reset.where.start for reset in resets], dtype=np.int64),
+            stop=np.array([reset.where.stop for reset in resets], dtype=np.int64),
+            values=np.zeros((len(resets), len(z0))),
+        )
+        for row, reset in zip(self.resets.values, resets, strict=True):
+            row[reset.where] = reset.value
+        early = int(np.count_nonzero(self.resets.step <= 0))
+        self.z = z0.copy()
+        for reset in resets[:early]:
             self.z[reset.where] = reset.value
+        self.modes = _Modes(flow, h, doublings)
+        self.modes.add(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
+        self.state: Any = np.zeros(1, kernel.STATE)
+        self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
+        self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
+        self.log = kernel.Log(
+            z=np.empty((samples, len(z0))),
+            mode=np.zeros(samples, dtype=np.int64),
+            event_time=np.zeros(64),
+            event_mode=np.zeros(64, dtype=np.int64),
+            near_time=np.zeros(4 * len(self.places)),
+            near_guard=np.zeros(4 * len(self.places), dtype=np.int64),
+        )
+        self.log.z[0] = self.z
 
-    def _part(self, done: float, end: float) -> float:
-        """Advance from `done` to `end`, in steps from k, and return `end`."""
-        idle, crossed = 0, set[int]()
+    def run(self) -> None:
+        """Walk to the end, with a stop wherever a new mode is entered or more room is needed."""
+        kernel, first = self.kernel, self.field.first[:-1]
+        cells = first.copy()
         while True:
-            rest = end - done
-            table = self.table(self.mode)
-            terms = (table.terms @ self.z) * rest ** np.arange(_DEGREE + 1)[:, None]
-            crossing = self._first_event(table, terms, crossed)
-            if crossing is None:
-                self.z = terms.sum(axis=0)
-                return end
-            tau, guard = crossing
-            self.z = _horner(terms, tau)
-            done += tau * rest
-            idle, crossed = (idle + 1, {*crossed, guard}) if tau * rest < 1e-15 else (0, {guard})
-            self._change_mode(self._settle(self.mode, crossed), done)
-            if idle > _STUCK:
-                time = (self.k + done) * self.h
-                raise PwatrackError(
+            stop = kernel.walk(
+                self.field,
+                self.modes.arrays,
+                len(self.modes.met),
+                self.resets,
+                self.state,
+                self.z,
+                self.near_since,
+                self.crossed,
+                cells,
+                self.log,
+            )
+            if stop == kernel.DONE:
+                return
+            if stop == kernel.NEW_MODE:
+                self.modes.add(tuple((cells - first).tolist()))
+            elif stop == kernel.FULL:
+                self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
+            else:
+                at = self.state[0]
+                part, guard = self.places[at["guard"]]
+                raise OutsideTheory(
                     Problem(
-                        message=f"more than {_STUCK} mode changes at t = {time:.9g} s without progress in time",
+                        message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
+                        f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
                         subject=None,
                         hint="the vector field may be discontinuous there",
                     )
                 )
 
-    def _change_mode(self, mode: Mode, done: float) -> None:
-        """Record a mode change; changes within rounding of each other are one."""
-        if mode == self.mode:
-            return
-        t, before = (self.k + done) * self.h, self.mode
-        if self.events and t - self.events[-1].t <= _SAME_TIME * max(1.0, t):
-            t, before = self.events[-1].t, self.events.pop().before
-        if mode != before:
-            self.events.append(Event(t=t, before=before, after=mode))
-        self.mode = mode
-
-    def _first_event(self, table: "_Table", terms: Array, crossed: set[int]) -> tuple[float, int] | None:
-        """Return (τ, guard) of the first crossing out of the current cells; `crossed` guards start at 0."""
-        values = terms @ table.active.T
-        values[0, np.isin(table.index, list(crossed))] = 0.0
-        tolerance = table.rounding(self.z)[table.index]
-        best: tuple[float, int] | None = None
-        for column, guard in enumerate(table.index):
-            crossing = first_crossing(values[:, column], float(tolerance[column]))
-            if crossing and not crossing.grazing and (best is None or crossing.tau < best[0]):
-                best = crossing.tau, int(guard)
-        return best
-
-    def _settle(self, current: Mode | None, crossed: set[int]) -> Mode:
-        """Return the mode that the trajectory enters from its present state.
-
-        A guard at 0 counts by its first derivative that is not 0: the field
-        is continuous, so that derivative is the same on both sides.
-        """
-        for _ in range(len(self.guards) + 1):
-            start = current or self.flow.mode_on(np.sign(self.guards @ self.z).astype(np.int64), None)
-            terms = self.table(start).terms @ self.z
-            values = terms @ self.guards.T
-            significant = np.abs(values) > self.table(start).rounding(self.z)
-            significant[0, list(crossed)] = False
-            order = significant.argmax(axis=0)
-            leading = values[order, np.arange(len(self.guards))]
-            sides = np.where(significant.any(axis=0), np.sign(leading), 0).astype(np.int64)
-            mode = self.flow.mode_on(sides, current)
-            if current is not None or mode == start:
-                return mode
-            current = mode
-        return mode
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Table:
-    """Precomputed for one mode and step h.
-
-    Attributes:
-        terms: T_j = (F h)ʲ / j!, (16, N, N).
-        powers: exp(F h)ᵏ for k = 1 …, (16, N, N).
-        active: Guards that bound the mode, turned so that they are positive inside, (K, N).
-        index: Their numbers among all guards, (K,).
-        enclosure: Bernstein coefficients of the active guards on the step as rows on z, (K · 16, N).
-        size: Bounds |guard| on the step by size |z|, for all guards, (all, N).
-    """
-
-    terms: Array
-    powers: Array
-    active: Array
-    index: IntArray
-    enclosure: Array
-    size: Array
-
-    @classmethod
-    def of(cls, flow: Flow, mode: Mode, guards: Array, h: float) -> "_Table":
-        Fh = flow.matrix(mode) * h
-        terms = [np.eye(len(Fh))]
-        for j in range(1, _DEGREE + 1):
-            terms.append(terms[-1] @ Fh / j)
-        step = expm(Fh)
-        powers = [step]
-        while len(powers) < _BLOCK:
-            powers += [powers[-1] @ p for p in powers]
-        sides = flow.sides(mode)
-        index = np.flatnonzero(sides)
-        active = guards[index] * sides[index, None]
-        rows = np.einsum("bj,kn,jnm->kbm", bernstein_matrix(_DEGREE), active, np.array(terms))
-        return cls(
-            terms=np.array(terms),
-            powers=np.array(powers),
-            active=active,
-            index=index,
-            enclosure=rows.reshape(-1, len(Fh)),
-            size=np.abs(guards) @ np.abs(np.array(terms)).sum(axis=0),
+    def trace(self, d: Array) -> Trace:
+        """Return what was written down, in coordinates D z."""
+        log, events, nears = self.log, int(self.state[0]["events"]), int(self.state[0]["nears"])
+        entered = [self.modes.met[m] for m in log.event_mode[:events].tolist()]
+        near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
+        return Trace(
+            t=self.sample_time * np.arange(len(log.z), dtype=np.float64),
+            z=log.z * d,
+            modes=np.array(self.modes.met)[log.mode],
+            events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
+            unresolved=tuple(Unresolved(t=t, part=self.places[k][0], guard=self.places[k][1]) for t, k in near),
         )
 
-    def clear(self, states: Array) -> Array:
-        """Say for each state (s, N) whether no active guard can reach 0 on the step that follows it."""
-        least = (states @ self.enclosure.T).reshape(len(states), len(self.index), _DEGREE + 1).min(axis=2)
-        return np.asarray((least > self.rounding(states)[:, self.index]).all(axis=1))
 
-    def rounding(self, z: Array) -> Array:
-        """Return the size below which each guard (…, all) at a state z (…, N) cannot be told from 0."""
-        result: Array = _ROUNDING * (np.abs(z) @ self.size.T)
-        return result
+class _Modes:
+    """What is precomputed for each mode, as the kernel wants it; there is always room for one more."""
+
+    def __init__(self, flow: Flow, h: float, doublings: int) -> None:
+        from pwatrack.simulation.kernel import Modes
+
+        N, K, D = len(flow.F0), len(flow.guards()), doublings + 1
+        self.flow, self.h = flow, h
+        self.first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])[:-1]
+        self.met: list[Mode] = []
+        self.arrays = Modes(
+            cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
+            sides=np.zeros((1, K), dtype=np.int64),
+            F=np.zeros((1, N, N)),
+            growth=np.zeros((1, D, N, N)),
+            first=np.zeros((1, D, N, K)),
+            second=np.zeros((1, D, N, K)),
+            rounding=np.zeros((1, N, K)),
+        )
+
+    def add(self, mode: Mode) -> None:
+        """Fill in one more mode."""
+        m = len(self.met)
+        if m == len(self.arrays.cells):
+            self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
+        self.met.append(mode)
+        arrays, guards = self.arrays, np.abs(self.flow.guards().T)
+        F = self.flow.matrix(mode).T * self.h
+        eye, growth = np.eye(len(F)), np.zeros_like(F)
+        for j in range(_DEGREE, 0, -1):  # e^{F h} − 1 by Horner's rule: it keeps the digits that e^{F h} would lose
+            growth = (F + F @ growth) / j
+        absolute = np.abs(F)
+        term = size = first = eye
+        second = eye / 2
+        for j in range(1, _DEGREE + 1):
+            term = term @ absolute / j
+            size, first, second = size + term, first + term / (j + 1), second + term / ((j + 1) * (j + 2))
+        arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
+        arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
+        for d in range(arrays.growth.shape[1]):
+            arrays.growth[m, d] = growth
+            arrays.first[m, d] = _OUTWARD * first @ guards
+            arrays.second[m, d] = _OUTWARD * second @ guards
+            stretch = np.abs(eye + growth)
+            second = 2.0**d * first + second + second @ stretch
+            first = first + first @ stretch
+            growth = 2 * growth + growth @ growth
 
 
-def _halvings(size: Array, sample_time: float) -> int:
+def _doublings(size: Array, sample_time: float) -> int:
     norm = float(np.linalg.norm(size, 2)) * sample_time
     return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
 
 
 def _snapped(step: float) -> float:
     """Return a time in steps, on the grid if it is there but for rounding."""
-    return float(round(step)) if abs(step - round(step)) < 1e-9 else step
-
-
-def _horner(terms: Array, tau: float) -> Array:
-    total: Array = terms[-1]
-    for term in terms[-2::-1]:
-        total = total * tau + term
-    return total
+    return float(round(step)) if abs(step - round(step)) < max(1e-9, 1e-15 * step) else step

@@ -6,13 +6,25 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.simulation.flow import Mode
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Event:
     """The mode changed at time t (s)."""
 
     t: float
     before: Mode
     after: Mode
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unresolved:
+    """At time t (s) a guard came within rounding of 0 and left again: nobody can say whether it was crossed and back.
+
+    `guard` counts the rows of `part.guards` from 0.
+    """
+
+    t: float
+    part: str
+    guard: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,12 +36,14 @@ class Trace:
         z: States, (K, N).
         modes: Cell of each part at each sample, (K, P).
         events: All mode changes, in order of time.
+        unresolved: Where rounding leaves open whether there was one, in order of time.
     """
 
     t: Array
     z: Array
     modes: IntArray
     events: tuple[Event, ...]
+    unresolved: tuple[Unresolved, ...] = ()
 
     def stays(self) -> list[tuple[Mode, float, float]]:
         """Return (mode, from, to) for each stretch of time without a mode change."""
