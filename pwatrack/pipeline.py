@@ -25,7 +25,7 @@ from pwatrack.model.reference import (
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.simulation.steady_state import periodic_state
+from pwatrack.simulation.steady_state import SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
 
@@ -39,14 +39,15 @@ class Result:
         controller: Gains, desired trajectory and their proofs.
         loop: The closed loop.
         response: Its signals.
-        steady_state: One period of the generator's steady state (η̂, w, 1), or None if it has none.
+        steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
+            or None if it has none.
     """
 
     spec: Spec
     controller: Controller
     loop: ClosedLoop
     response: Response
-    steady_state: Trace | None
+    steady_state: SteadyState | None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -59,6 +60,7 @@ class Result:
                 f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
                 f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
             )
+        remarks += _unresolved(self.response.trace)
         return tuple(remarks)
 
     @property
@@ -191,7 +193,7 @@ def _starts_periodic(spec: Spec) -> bool:
     return isinstance(spec.reference, InputReference) and spec.reference.start is None
 
 
-def _steady_state(spec: Spec, loop: ClosedLoop, start: Array) -> Trace | None:
+def _steady_state(spec: Spec, loop: ClosedLoop, start: Array) -> SteadyState | None:
     """Return a period of the generator's steady state, where it has one; any time is a period of a constant."""
     trajectory = loop.controller.trajectory
     p, system = trajectory.rate.shape[1], trajectory.exosystem
@@ -199,6 +201,19 @@ def _steady_state(spec: Spec, loop: ClosedLoop, start: Array) -> Trace | None:
     if not p or period is None or not (loop.controller.generator or _starts_periodic(spec)):
         return None
     return periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=p, period=period)
+
+
+def _unresolved(trace: Trace) -> list[str]:
+    """Return one remark for each guard that was touched within rounding."""
+    touches: dict[tuple[str, int], list[float]] = {}
+    for touch in trace.unresolved:
+        touches.setdefault((touch.part, touch.guard), []).append(touch.t)
+    return [
+        f"the {part} comes within rounding of hyperplane {guard + 1} at t = {times[0]:.9g} s"
+        + (f" and {len(times) - 1} more times" if len(times) > 1 else "")
+        + ": whether it crosses there and back cannot be told, and changes the signals by no more than rounding"
+        for (part, guard), times in touches.items()
+    ]
 
 
 def _initial(values: Array | None, length: int, part: str) -> Array:

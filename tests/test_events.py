@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
@@ -25,6 +25,7 @@ roots_in_reach = st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=6)
 
 
 @settings(deadline=None)  # the first call compiles
+@example([0.5, 0.75], 1.0)  # a dip from one halving point to another
 @given(roots_in_reach, st.sampled_from([-1.0, 1.0]))
 def test_the_first_sign_change_from_plus_to_minus_is_found(roots: list[float], sign: float) -> None:
     spread = np.sort([*roots, 0.0, 1.0])

@@ -15,14 +15,16 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
-from pwatrack.errors import PwatrackError
+from pwatrack.errors import CheckFailed, PwatrackError
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
+from pwatrack.report.files import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow
-from pwatrack.simulation.steady_state import periodic_state
+from pwatrack.simulation.steady_state import _monodromy, periodic_state
+from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
 from tests.grazing import near_grazing
 from tests.plants import random_plant
@@ -136,7 +138,7 @@ def test_an_ill_posed_field_that_chatters_is_reported() -> None:
     """x' = −sign(x) is discontinuous: at 0 the trajectory cannot leave."""
     push = [np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0, -1.0], [0, 0]])]
     flow = switched(np.zeros((2, 2)), [[1.0, 0.0]], [[-1], [1]], push)
-    with pytest.raises(PwatrackError, match=r"the part crosses guard 1 at t = 0\.5 s, .* without progress"):
+    with pytest.raises(CheckFailed, match=r"the part crosses guard 1 at t = 0\.5 s, .* without progress"):
         simulate_flow(flow, np.array([0.5, 1.0]), duration=1.0, sample_time=0.1)
 
 
@@ -226,6 +228,68 @@ def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> N
         z0 = np.concatenate([guess, paper.controller.trajectory.exosystem.w0, [1.0]])
         ends.append(periodic_state(flow, z0, free=2, period=1.0).z[0])
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+
+
+def test_the_steady_state_repeats_and_has_the_multipliers_of_its_period_map(paper: Result) -> None:
+    """Both are held against plain simulations of one period: the state itself, and the period map by differences."""
+    steady, flow = paper.steady_state, paper.loop.generator_flow()
+    assert steady is not None
+    assert steady.residual <= 1e-11
+    period = simulate_flow(flow, steady.z[0], duration=1.0, sample_time=0.01)
+    assert np.abs(period.z[-1] - steady.z[0]).max() <= 1e-11 * np.abs(steady.z).max()
+    columns = []
+    for direction in np.eye(steady.z.shape[1])[:2]:
+        ends = [
+            simulate_flow(flow, steady.z[0] + sign * 1e-5 * direction, duration=1.0, sample_time=0.01).z[-1, :2]
+            for sign in (1.0, -1.0)
+        ]
+        columns.append(((ends[0] - ends[1]) / 2e-5).tolist())
+    expected = np.linalg.eigvals(np.array(columns).T)
+    np.testing.assert_allclose(np.sort(np.abs(steady.multipliers)), np.sort(np.abs(expected)), rtol=1e-6)
+    assert np.abs(steady.multipliers[0]) < 1
+    assert measures(paper)["largest_multiplier"] == np.abs(steady.multipliers).max()
+
+
+def test_multipliers_of_a_linear_flow_are_known() -> None:
+    """ẋ = −x and ẏ = −3 y, driven with period 1."""
+    F0 = np.zeros((5, 5))
+    F0[0, 0], F0[1, 1], F0[0, 2], F0[2, 3], F0[3, 2] = -1, -3, 1, 2 * np.pi, -2 * np.pi
+    flow = switched(F0, [[1.0, 1, 0, 0, 0.1]], [[-1], [1]], [np.zeros((5, 5))] * 2)
+    steady = periodic_state(flow, np.array([0.0, 0, 1, 0, 1]), free=2, period=1.0)
+    np.testing.assert_allclose(steady.multipliers, np.exp([-1.0, -3.0]), rtol=1e-12)
+
+
+def test_an_unresolved_touch_becomes_a_remark(paper: Result) -> None:
+    assert not any("rounding" in remark for remark in paper.remarks)
+    touches = tuple(Unresolved(t=t, part="observer", guard=1) for t in (0.25, 1.25))
+    trace = replace(paper.response.trace, unresolved=touches)
+    remarks = replace(paper, response=replace(paper.response, trace=trace)).remarks
+    assert len(remarks) == len(paper.remarks) + 1
+    assert "observer comes within rounding of hyperplane 2 at t = 0.25 s and 1 more times" in remarks[-1]
+
+
+def test_the_derivative_of_the_period_map_is_that_of_simulations(paper: Result) -> None:
+    flow, start = paper.loop.flow, paper_start(paper.loop)
+    period = simulate_flow(flow, start, duration=1.0, sample_time=0.01)
+    assert len(period.events) >= 5
+    for column, direction in zip(_monodromy(flow, period).T[:10], np.eye(len(start)), strict=False):
+        up, down = (
+            simulate_flow(flow, start + shift * direction, duration=1.0, sample_time=0.01).z[-1]
+            for shift in (1e-6, -1e-6)
+        )
+        np.testing.assert_allclose((up - down) / 2e-6, column, atol=1e-4)
+
+
+@pytest.mark.parametrize("t", [0.7323, 1.9])
+def test_a_reset_within_a_long_sample_is_carried_out_at_its_time(t: float) -> None:
+    kick = [StateReset(t=t, where=slice(1, 2), value=np.array([-2.0]))]
+    start = np.array([0.3, 1.0, 1.0])
+    long, short = (
+        simulate_flow(abs_oscillator(), start, duration=8.0, sample_time=step, resets=kick) for step in (2.0, 0.05)
+    )
+    assert len(short.events) >= 3
+    np.testing.assert_allclose([e.t for e in long.events], [e.t for e in short.events], atol=1e-12)
+    np.testing.assert_allclose(long.z, short.z[::40], atol=1e-12)
 
 
 def test_relative_degree_equal_to_the_number_of_states_needs_no_generator() -> None:

@@ -78,7 +78,8 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
 
 def measures(result: Result) -> dict[str, float]:
     """Return the figures of a simulation for run.json and the summary."""
-    response = result.response
+    response, steady_state = result.response, result.steady_state
+    floquet = {} if steady_state is None else {"largest_multiplier": float(np.abs(steady_state.multipliers).max())}
     return {
         "final_tracking_error": result.final_error,
         "largest_tracking_error": float(np.linalg.norm(response.tracking_error, axis=1).max()),
@@ -86,6 +87,7 @@ def measures(result: Result) -> dict[str, float]:
         "largest_input": float(np.abs(response.u).max()),
         "mode_changes": len(response.trace.events),
         "joint_modes": len(response.trace.visited()),
+        **floquet,
     }
 
 

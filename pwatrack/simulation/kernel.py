@@ -190,12 +190,12 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
         for i in range(DEGREE):
             least, most = min(least, b[i + 1]), max(most, b[i + 1])
             rising, falling = rising and b[i + 1] >= b[i], falling and b[i + 1] <= b[i]
-        first, last = b[0], b[DEGREE]
+        first, last, small = b[0], b[DEGREE], max(-least, most) <= tolerance
         if least > tolerance:
             top -= 1
         elif first < -tolerance:
             return min(near, low), touched, np.inf
-        elif rising or falling or most <= tolerance or high - low < _FINEST:
+        elif rising or falling or small or high - low < _FINEST:
             if near == np.inf:
                 near = low
                 if falling and first > 0:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, balancing
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import CheckFailed, Problem
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.trace import Event, Trace, Unresolved
 
@@ -47,7 +47,7 @@ def simulate_flow(
         The samples, the mode at each, every event in between, and where rounding could not decide.
 
     Raises:
-        OutsideTheory: If more than 1,000 events happen without progress in time.
+        CheckFailed: If more than 1,000 events happen without progress in time.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -137,7 +137,7 @@ class _Walk:
             else:
                 at = self.state[0]
                 part, guard = self.places[at["guard"]]
-                raise OutsideTheory(
+                raise CheckFailed(
                     Problem(
                         message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
                         f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",

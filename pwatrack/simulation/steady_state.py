@@ -1,6 +1,9 @@
 """The periodic steady state of a convergent flow, by Newton's method on the period map."""
 
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
@@ -14,7 +17,21 @@ _MOST_STEPS = 50
 _SINGULAR = 1e-10  # relative distance from 1 at which a multiplier of the period map counts as 1
 
 
-def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: int = 400) -> Trace:
+@dataclass(frozen=True, kw_only=True)
+class SteadyState(Trace):
+    """One period of a periodic solution.
+
+    Attributes:
+        multipliers: Floquet multipliers: what small deviations are multiplied by in one period,
+            the eigenvalues of the derivative of the period map, largest first, (free,).
+        residual: By how much the state misses itself after one period, at most, relative to the largest state.
+    """
+
+    multipliers: npt.NDArray[np.complex128]
+    residual: float
+
+
+def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: int = 400) -> SteadyState:
     """Return one period of the periodic solution of a flow driven by a periodic exosystem.
 
     The field is continuous, so crossing a facet multiplies the sensitivity by
@@ -35,23 +52,33 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
     z = z0.copy()
     for _ in range(_MOST_STEPS):
         trace = simulate_flow(flow, z, duration=period, sample_time=period / samples)
-        residual = trace.z[-1, :free] - z[:free]
-        if np.abs(residual).max(initial=0.0) <= _TOLERANCE * max(np.abs(trace.z).max(), 1e-300):
-            return trace
-        monodromy = np.eye(len(z))
-        for mode, start, end in trace.stays():
-            monodromy = expm(flow.matrix(mode) * (end - start)) @ monodromy
-        gap = np.eye(free) - monodromy[:free, :free]
-        d = balancing(monodromy[None, :free, :free])
+        miss = trace.z[-1, :free] - z[:free]
+        residual = float(np.abs(miss).max(initial=0.0) / max(np.abs(trace.z).max(), 1e-300))
+        monodromy = _monodromy(flow, trace)[:free, :free]
+        if residual <= _TOLERANCE:
+            multipliers = np.linalg.eigvals(monodromy).astype(np.complex128)
+            return SteadyState(
+                **vars(trace), multipliers=multipliers[np.argsort(-np.abs(multipliers))], residual=residual
+            )
+        gap = np.eye(free) - monodromy
+        d = balancing(monodromy[None])
         least = float(np.linalg.svd(gap / d[:, None] * d, compute_uv=False)[-1])
-        if least < _SINGULAR * max(1.0, float(np.linalg.norm(monodromy[:free, :free] / d[:, None] * d))):
+        if least < _SINGULAR * max(1.0, float(np.linalg.norm(monodromy / d[:, None] * d))):
             break
-        z[:free] += np.linalg.solve(gap, residual)
+        z[:free] += np.linalg.solve(gap, miss)
     raise OutsideTheory(
         Problem(
             message=f"no periodic solution of period {period:.6g} s was found: the state still moves by "
-            f"{np.abs(residual).max():.2g} in one period",
+            f"{np.abs(miss).max():.2g} in one period",
             subject=("reference", "start"),
             hint="the plant may not converge by itself, or be in resonance: give x_d(0) as start instead",
         )
     )
+
+
+def _monodromy(flow: Flow, trace: Trace) -> Array:
+    """Return the derivative of the last state of a trace with respect to its first, (N, N)."""
+    product = np.eye(trace.z.shape[1])
+    for mode, start, end in trace.stays():
+        product = expm(flow.matrix(mode) * (end - start)) @ product
+    return product
