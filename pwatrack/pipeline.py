@@ -61,18 +61,27 @@ class Result:
                 f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
             )
         remarks += _unresolved(self.response.trace)
+        if not self.loop.conditions.nominal:
+            remarks.append("the proofs are about the loop without these conditions: no bound is drawn")
         return tuple(remarks)
 
     @property
-    def tracking_bound(self) -> Array:
-        """What the proofs promise of |y − y_d|, for state tracking of |x − x_d|, from these initial states, (K,)."""
+    def tracking_bound(self) -> Array | None:
+        """What the proofs promise of |y − y_d|, for state tracking of |x − x_d|, from these initial states, (K,).
+
+        None if the loop is not the one that they are about.
+        """
+        if not self.loop.conditions.nominal:
+            return None
         r, output = self.response, self.controller.generator is not None
         starts = r.x[0] - r.x_d[0], r.x_hat[0] - r.x[0]
         return self.controller.guarantees.tracking_error(r.t, *starts, output=output)
 
     @property
-    def observer_bound(self) -> Array:
-        """What the proofs promise of |x̂ − x| from these initial states, (K,)."""
+    def observer_bound(self) -> Array | None:
+        """What the proofs promise of |x̂ − x| from these initial states, (K,); None as for `tracking_bound`."""
+        if not self.loop.conditions.nominal:
+            return None
         r = self.response
         return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
 
@@ -126,7 +135,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """
     controller = controller or design(spec)
     with spec.located():
-        loop = closed_loop(controller)
+        loop = closed_loop(controller, spec.conditions)
         n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed = controller.trajectory.eta0
         start = loop.start(
@@ -134,11 +143,15 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
             observer=_initial(spec.x_hat0, n, "observer"),
             generator=fixed if fixed is not None else _initial(spec.eta_hat0, p, "generator"),
         )
-        steady_state = _steady_state(spec, loop, start)
+        steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and _starts_periodic(spec):
-            start[loop.eta_hat] = steady_state.z[0, :p]
+            start[loop.at.eta_hat] = steady_state.z[0, :p]
         trace = simulate_flow(
-            loop.flow, start, duration=spec.duration, sample_time=spec.sample_time, resets=loop.resets
+            loop.flow,
+            start,
+            duration=spec.duration,
+            sample_time=spec.sample_time,
+            resets=loop.resets(spec.duration),
         )
         return Result(
             spec=spec, controller=controller, loop=loop, response=loop.response(trace), steady_state=steady_state
@@ -193,14 +206,15 @@ def _starts_periodic(spec: Spec) -> bool:
     return isinstance(spec.reference, InputReference) and spec.reference.start is None
 
 
-def _steady_state(spec: Spec, loop: ClosedLoop, start: Array) -> SteadyState | None:
+def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:
     """Return a period of the generator's steady state, where it has one; any time is a period of a constant."""
-    trajectory = loop.controller.trajectory
+    trajectory = controller.trajectory
     p, system = trajectory.rate.shape[1], trajectory.exosystem
     period = system.period if not system.constant else spec.duration if _starts_periodic(spec) else None
-    if not p or period is None or not (loop.controller.generator or _starts_periodic(spec)):
+    if not p or period is None or not (controller.generator or _starts_periodic(spec)):
         return None
-    return periodic_state(loop.generator_flow(), start[loop.eta_hat.start :], free=p, period=period)
+    start = np.concatenate([eta_hat0, system.w0, [1.0]])
+    return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
 
 
 def _unresolved(trace: Trace) -> list[str]:

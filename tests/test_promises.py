@@ -48,6 +48,8 @@ def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: P
         assert verdict.decay <= 1 + 1e-9
         assert verdict.opinions == pytest.approx((1, 1), rel=1e-5)
         size = np.linalg.norm(result.response.tracking_error, axis=1)
+        assert result.tracking_bound is not None
+        assert result.observer_bound is not None
         assert (size <= result.tracking_bound * (1 + 1e-9) + 1e-12).all()
         assert (result.response.observer_error <= result.observer_bound * (1 + 1e-9) + 1e-12).all()
 

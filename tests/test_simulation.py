@@ -215,7 +215,7 @@ def test_the_desired_trajectory_is_a_solution_of_the_closed_loop(paper: Result) 
     loop = paper.loop
     start = loop.start(plant=np.zeros(4), observer=np.zeros(4), generator=np.array([0.2, 0.0]))
     x_d = loop.x_d @ start
-    start[loop.x], start[loop.x_hat] = x_d, x_d
+    start[loop.at.x], start[loop.at.x_hat] = x_d, x_d
     response = loop.response(simulate_flow(loop.flow, start, duration=20.0, sample_time=0.01))
     assert np.abs(response.x - response.x_d).max() < 1e-12
     assert np.abs(response.tracking_error).max() < 1e-13

@@ -22,7 +22,7 @@ class OutputReference:
 
     def signal(self, r: int) -> Signal:
         """Return y_d, with r continuous derivatives where rounding was asked for."""
-        return _sum(self.courses, r)
+        return total_signal(self.courses, r)
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class StateReference:
 
     def signals(self) -> list[Signal]:
         """Return x_d; its first derivative is continuous where rounding was asked for."""
-        return [_sum(courses, 1) for courses in self.courses]
+        return [total_signal(courses, 1) for courses in self.courses]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class InputReference:
 
     def signals(self) -> list[Signal]:
         """Return u_ff."""
-        return [_sum(courses, 0) for courses in self.courses]
+        return [total_signal(courses, 0) for courses in self.courses]
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,8 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     )
 
 
-def _sum(courses: Sequence[Course], r: int) -> Signal:
+def total_signal(courses: Sequence[Course], r: int) -> Signal:
+    """Return the sum of some courses, r times differentiable where rounding was asked for."""
     total = courses[0].signal(r)
     for course in courses[1:]:
         total = total + course.signal(r)

@@ -22,7 +22,8 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
 from pwatrack.pipeline import Result
 from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
-from pwatrack.simulation.closed_loop import PARTS
+from pwatrack.simulation.closed_loop import ClosedLoop
+from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.spec.load import Spec
 
 
@@ -72,7 +73,8 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
             warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
             for name, figure in draw(result).items():
                 figure.savefig(run.place(name), format="png", dpi=150)
-        _index(run, result.spec, seconds, _gain_figures(result.controller) | measures(result))
+        figures = _gain_figures(result.controller) | measures(result)
+        _index(run, result.spec, seconds, figures, result.loop.conditions.texts(result.spec.plant))
     return Path(folder)
 
 
@@ -229,7 +231,9 @@ def _trace(run: RunFolder, result: Result) -> None:
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )
-    header = [name for names, _ in blocks for name in names] + [f"cell_{part}" for part in PARTS]
+    header = [name for names, _ in blocks for name in names] + [
+        f"cell_{part.name.replace(' ', '_')}" for part in result.loop.flow.parts
+    ]
     columns: Array = np.column_stack([values for _, values in blocks])
     with run.place("trace.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
@@ -239,18 +243,35 @@ def _trace(run: RunFolder, result: Result) -> None:
 
 
 def _events(run: RunFolder, result: Result) -> None:
-    plant, loop = result.spec.plant, result.loop
+    loop = result.loop
     with run.place("events.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["t", "part", "from_cell", "to_cell", "guard"])
         for event in result.response.trace.events:
             for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
-                if before != after:
-                    guard = " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
+                if part.cells[before] != part.cells[after]:
+                    guard = _guard_text(loop, part, before, after)
                     writer.writerow([repr(event.t), part.name, part.cells[before], part.cells[after], guard])
 
 
-def _index(run: RunFolder, spec: Spec, seconds: Mapping[str, float] | None, figures: Mapping[str, float]) -> None:
+def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -> str:
+    """Say which hyperplanes lie between two cells of a part, or which limit of an input between two segments."""
+    name, limits = part.name.removeprefix("actuator "), loop.conditions.limits
+    if name == part.name or limits is None:
+        plant = loop.plant if name == "plant" else loop.controller.plant
+        return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
+    beyond = zip(("low", "high"), limits[loop.controller.plant.inputs.index(name)].tolist(), strict=True)
+    segments = part.cells[before], part.cells[after]
+    return " and ".join(f"{name} = {limit:g}" for segment, limit in beyond if segment in segments)
+
+
+def _index(
+    run: RunFolder,
+    spec: Spec,
+    seconds: Mapping[str, float] | None,
+    figures: Mapping[str, float],
+    conditions: Sequence[str] = (),
+) -> None:
     run.json(
         INDEX,
         {
@@ -260,6 +281,7 @@ def _index(run: RunFolder, spec: Spec, seconds: Mapping[str, float] | None, figu
             "parameters": dict(spec.parameters),
             "verdict": "proved",
             "solver": spec.solver,
+            "conditions": list(conditions),
             "figures": dict(figures),
             "seconds": dict(seconds or {}),
             "versions": {

@@ -1,5 +1,6 @@
 """The pictures of a closed loop. The only module that knows matplotlib."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -133,30 +134,33 @@ def steady_state(result: Result) -> Figure:
 
 
 def active_cells(result: Result) -> Figure:
-    """Which cell plant, observer and generator are in, over time."""
-    trace, loop = result.response.trace, result.loop
-    names = result.spec.plant.cell_names
+    """Draw which cell plant, observer and generator are in, and at which limit an input is, over time."""
+    trace, parts = result.response.trace, result.loop.flow.parts
     stays = trace.stays()
-    visited = sorted({cell for mode, _, _ in stays for cell in mode})
+    seen = [{part.cells[mode[k]] for mode, _, _ in stays} for k, part in enumerate(parts)]
+    rows = [
+        [name for name in dict.fromkeys(part.cells) if name in names] for part, names in zip(parts, seen, strict=True)
+    ]
     figure, panels = _canvas(
-        result.spec.name,
-        f"Active cells ({len(visited)} of {len(names)} visited): {len(trace.events)} changes",
-        [[0], [1], [2]],
-        height=1.4 + 3 * max(0.9, 0.22 * len(visited)),
+        result,
+        f"Active cells: {len(trace.events)} changes",
+        [[k] for k in range(len(parts))],
+        height=1.4 + sum(max(0.9, 0.3 + 0.22 * len(names)) for names in rows),
+        ratios=[max(0.9, 0.3 + 0.22 * len(names)) for names in rows],
     )
-    for k, (axes, part) in enumerate(zip(panels, loop.flow.parts, strict=True)):
-        for row, cell in enumerate(visited):
-            bars = [(start, end - start) for mode, start, end in stays if mode[k] == cell]
+    for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
+        for row, name in enumerate(names):
+            bars = [(start, end - start) for mode, start, end in stays if part.cells[mode[k]] == name]
             axes.broken_barh(bars, (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0)
-        axes.set_yticks(range(len(visited)), [_plain(names[cell]) for cell in visited], fontsize=8)
-        axes.set_ylim(len(visited) - 0.4, -0.6)
-        _label(axes, "time t (s)" if k == 2 else "", part.name, _span(trace.t))
+        axes.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        _label(axes, "time t (s)" if k == len(parts) - 1 else "", part.name, _span(trace.t))
     return figure
 
 
-def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array, unit: str, title: str) -> Figure:
+def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array | None, unit: str, title: str) -> Figure:
     """Draw error components, and below them their size on a logarithmic scale, under its proved bound."""
-    figure, (linear, logarithmic) = _canvas(result.spec.name, title, [[0], [1]], height=5.2)
+    figure, (linear, logarithmic) = _canvas(result, title, [[0], [1]], height=5.2)
     t = result.response.t
     unit = f" ({unit})" if unit else ""
     for k, (label, values) in enumerate(curves.items()):
@@ -168,8 +172,7 @@ def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array, 
     if len(curves) > 1:
         _legend(linear)
     floor = _ROUNDING * np.abs(result.response.x).max()
-    above = bound > floor
-    if above.any():
+    if bound is not None and (above := bound > floor).any():
         logarithmic.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **_BOUND)
     logarithmic.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **_ACTUAL)
     low, high = logarithmic.get_ylim()
@@ -188,7 +191,7 @@ def _pairs(
     t = result.response.t
     spans = [_span(t)]
     if len(names) == 1:
-        figure, panels = _canvas(result.spec.name, title, [[0, 0], [1, 2]], height=5.2)
+        figure, panels = _canvas(result, title, [[0, 0], [1, 2]], height=5.2)
         window = _window(result)
         spans += [(float(t[0]), window), (float(t[-1]) - window, float(t[-1]))]
         panels[1].set_title("start", fontsize=9)
@@ -213,17 +216,19 @@ def _desired_label(result: Result) -> str:
 
 def _column(result: Result, title: str, count: int) -> tuple[Figure, list[Axes]]:
     """Return panels below each other."""
-    return _canvas(
-        result.spec.name, title, [[k] for k in range(count)], height=1.2 + (1.7 if count <= 6 else 1.1) * count
-    )
+    return _canvas(result, title, [[k] for k in range(count)], height=1.2 + (1.7 if count <= 6 else 1.1) * count)
 
 
-def _canvas(name: str, title: str, mosaic: Any, *, height: float) -> tuple[Figure, list[Axes]]:
+def _canvas(
+    result: Result, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels in the order of their numbers in the mosaic."""
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(_plain(f"{name}\n{title}"), fontsize=10)
-    panels: dict[int, Axes] = figure.subplot_mosaic(mosaic)
+    conditions = "; ".join(result.loop.conditions.texts(result.spec.plant))
+    lines = [result.spec.name, *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
+    figure.suptitle(_plain("\n".join(lines)), fontsize=10)
+    panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]
 
 

@@ -183,6 +183,8 @@ def print_result(console: Console, result: Result) -> None:
         "simulated",
         f"{result.response.t[-1]:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
     )
+    for text in result.loop.conditions.texts(result.spec.plant):
+        table.add_row("conditions", text)
     table.add_row(
         "tracking error",
         f"{kind} at most {figures['final_tracking_error']:.2e}{unit} in the last tenth of the time "

@@ -6,64 +6,90 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
+from pwatrack.model.conditions import NOMINAL, Conditions, Noise
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem
+from pwatrack.simulation.actuator import actuators
 from pwatrack.simulation.flow import Flow, SwitchedPart
+from pwatrack.simulation.layout import Layout
 from pwatrack.simulation.propagate import StateReset
+from pwatrack.simulation.sampling import sampled
 from pwatrack.simulation.trace import Trace
-
-PARTS = ("plant", "observer", "generator")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
-    """The closed loop of Theorem 2 or 3 with state z = (x, x̂, η̂, w, 1).
+    """The closed loop of Theorem 2 or 3.
 
     Attributes:
         controller: The design.
-        flow: ż = F(mode) z, mode = (cell of x, cell of x̂, cell of x_d).
-        resets: When the exosystem starts a new piece.
-        x, x_hat, eta_hat, w: Where each sits in z.
+        conditions: What is not as the theorems assume.
+        at: Where everything sits in z.
+        flow: ż = F(mode) z, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator).
         x_d: Rows with x_d = x_d z, (n, N).
-        u_ff, u: Rows with u_ff = u_ff[cell of x_d] z, (l, m, N); likewise u.
+        u_ff, u: Rows with u_ff = u_ff[cell of x_d] z, (l, m, N); likewise u, before its limits.
     """
 
     controller: Controller
+    conditions: Conditions
+    at: Layout
     flow: Flow
-    resets: tuple[StateReset, ...]
-    x: slice
-    x_hat: slice
-    eta_hat: slice
-    w: slice
     x_d: Array
     u_ff: Array
     u: Array
 
+    @property
+    def plant(self) -> PWASystem:
+        """The plant that runs."""
+        return self.conditions.plant or self.controller.plant
+
     def start(self, *, plant: Array, observer: Array, generator: Array) -> Array:
         """Return z(0) for x(0), x̂(0) and η̂(0)."""
-        return np.concatenate([plant, observer, generator, self.controller.trajectory.exosystem.w0, [1.0]])
+        z, at = np.zeros(self.at.order), self.at
+        z[at.x], z[at.x_hat], z[at.eta_hat], z[-1] = plant, observer, generator, 1.0
+        z[at.w] = self.controller.trajectory.exosystem.w0
+        if self.conditions.sampling is not None:
+            z[at.w_held] = z[at.w]
+        if self.conditions.disturbance is not None:
+            z[at.d] = self.conditions.disturbance.w0
+        return z
+
+    def resets(self, duration: float) -> list[StateReset]:
+        """Return all that takes new values up to a time (s), in order: exosystems at their pieces, and the noise."""
+        at, conditions = self.at, self.conditions
+        found = _pieces(self.controller.trajectory.exosystem, at.w)
+        if conditions.disturbance is not None:
+            found += _pieces(conditions.disturbance, at.d)
+        if conditions.noise is not None:
+            found += _draws(conditions.noise, at.v, duration)
+        return sorted(found, key=lambda reset: reset.t)
 
     def response(self, trace: Trace) -> "Response":
         """Read the signals of the loop off a trace of its flow."""
-        z, cell = trace.z, trace.modes[:, PARTS.index("generator")]
-        plant, trajectory = self.controller.plant, self.controller.trajectory
-        x, x_d = z[:, self.x], z @ self.x_d.T
-        y, y_d = x @ plant.C.T, x_d @ plant.C.T
+        z, at = trace.z, self.at
+        cell = trace.modes[:, [part.name for part in self.flow.parts].index("generator")]
+        trajectory, limits = self.controller.trajectory, self.conditions.limits
+        x, x_d = z[:, at.x], z @ self.x_d.T
+        y, y_d = x @ self.plant.C.T, x_d @ self.controller.plant.C.T
+        u = _switched(self.u, cell, z)
         return Response(
             trace=trace,
             x=x,
-            x_hat=z[:, self.x_hat],
+            x_hat=z[:, at.x_hat],
             x_d=x_d,
             eta=x @ trajectory.to_eta.T + trajectory.eta_offset,
-            eta_hat=z[:, self.eta_hat],
+            eta_hat=z[:, at.eta_hat],
             y=y,
             y_d=y_d,
-            u=_switched(self.u, cell, z),
+            u=u if limits is None else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
             tracking_error=x - x_d if self.controller.generator is None else y - y_d,
         )
 
     def generator_flow(self) -> Flow:
-        """Return the flow of (η̂, w, 1) alone: no other part acts on it."""
-        return self.flow.subsystem("generator", np.arange(self.eta_hat.start, self.x_d.shape[1]))
+        """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled: nothing else acts on it."""
+        keep = np.r_[self.at.eta_hat, self.at.w, self.at.order - 1]
+        return self.flow.subsystem("generator", keep)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,53 +128,92 @@ class Response:
         return np.asarray(np.linalg.norm(self.x - self.x_hat, axis=1))
 
 
-def closed_loop(controller: Controller) -> ClosedLoop:
-    """Connect (1), the observer (18), the controller (19) and the desired trajectory."""
-    plant, design, trajectory = controller.plant, controller.design, controller.trajectory
-    reference = trajectory.exosystem
-    n, p, s = plant.A.shape[1], trajectory.rate.shape[1], len(reference.w0)
-    N = 2 * n + p + s + 1
-    x, x_hat, eta_hat, w = slice(0, n), slice(n, 2 * n), slice(2 * n, 2 * n + p), slice(2 * n + p, N - 1)
+def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> ClosedLoop:
+    """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
-    widened = np.eye(N)[2 * n :]  # (η̂, w, 1) in z
-    x_d = trajectory.x_d @ widened
-    u_ff = trajectory.u_ff @ widened
-    u_fb = -design.K @ x_d
-    u_fb[:, x_hat] += design.K
+    Args:
+        controller: The design.
+        conditions: What is not as the theorems assume.
 
-    F0 = np.zeros((N, N))
-    F0[x] = F0[x_hat] = plant.B @ u_fb
-    F0[x_hat, x] -= design.L @ plant.C
-    F0[x_hat, x_hat] += design.L @ plant.C
-    F0[w, w] = reference.S
+    Example: a limited input has segments of its own, in each cell of x_d.
 
-    F_plant, F_observer, F_generator = np.zeros((3, len(plant.cell_names), N, N))
-    F_plant[:, x, x], F_plant[:, x, -1] = plant.A, plant.b
-    F_observer[:, x_hat, x_hat], F_observer[:, x_hat, -1] = plant.A, plant.b
-    F_generator[:, x] = F_generator[:, x_hat] = plant.B @ u_ff
-    F_generator[:, eta_hat] = trajectory.rate @ widened
+        >>> from pwatrack import design, load_spec
+        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
+        >>> loop = closed_loop(controller, Conditions(limits=np.array([[-1.0, np.inf]])))
+        >>> [part.name for part in loop.flow.parts], loop.flow.parts[-1].cells
+        (['plant', 'observer', 'generator', 'actuator u'], ('low', 'linear', 'low', 'linear', 'low', 'linear'))
+    """
+    plant, model, trajectory = conditions.plant or controller.plant, controller.plant, controller.trajectory
+    K, L, sampling = controller.design.K, controller.design.L, conditions.sampling
+    at = Layout.of(controller, conditions)
+    z = np.eye(at.order)  # z[part] are the rows that read it
+    reference = np.vstack([z[at.eta_hat], z[at.w_held if sampling else at.w], z[-1:]])
+    x_d, u_ff = trajectory.x_d @ reference, trajectory.u_ff @ reference
+    u_fb = K @ z[at.x_hat] - K @ x_d
+    y = plant.C @ z[at.x]
+    if conditions.noise:
+        y = y + z[at.v]
 
-    eye = np.eye(N)
-    parts = []
-    for name, rows, F in zip(PARTS, (eye[x], eye[x_hat], x_d), (F_plant, F_observer, F_generator), strict=True):
-        guards = plant.partition.H @ rows
-        guards[:, -1] += plant.partition.h
-        parts.append(SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F))
+    F0 = np.zeros_like(z)
+    F0[at.w, at.w] = trajectory.exosystem.S
+    if conditions.disturbance is not None:
+        F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
+    F0 += at.driven(z[at.u] if sampling else u_fb, plant, model)
+    F0[at.x_hat] += L @ (model.C @ z[at.x_hat] - (z[at.y] if sampling else y))
+    F_generator = np.zeros((len(model.A), *z.shape))
+    F_generator[:, at.eta_hat] = trajectory.rate @ reference
+    if sampling:
+        F0[at.w_held, at.w_held] = trajectory.exosystem.S
+    else:
+        F_generator += [at.driven(rows, plant, model) for rows in u_ff]
+    parts = [
+        _part("plant", plant, z[at.x], _affine(plant, at.x, z)),
+        _part("observer", model, z[at.x_hat], _affine(model, at.x_hat, z)),
+        _part("generator", model, x_d, F_generator),
+    ]
+    u = np.repeat(z[None, at.u], len(u_ff), axis=0) if sampling else u_ff + u_fb
+    if conditions.limits is not None:
+        parts += actuators(conditions.limits, u, parts[-1], plant, model, at)
+    flow = Flow(F0=F0, parts=tuple(parts))
     return ClosedLoop(
         controller=controller,
-        flow=Flow(F0=F0, parts=tuple(parts)),
-        resets=tuple(
-            StateReset(t=r.t, where=slice(w.start + r.where.start, w.start + r.where.stop), value=r.w)
-            for r in reference.resets
-        ),
-        x=x,
-        x_hat=x_hat,
-        eta_hat=eta_hat,
-        w=w,
-        x_d=x_d,
+        conditions=conditions,
+        at=at,
+        flow=sampled(flow, sampling, at, measured=y, law=u_ff + u_fb) if sampling else flow,
+        x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]),
         u_ff=u_ff,
-        u=u_ff + u_fb,
+        u=u,
     )
+
+
+def _affine(plant: PWASystem, where: slice, z: Array) -> Array:
+    """Return A_i x + b_i for each cell, with x at `where` in z, (l, N, N)."""
+    F = np.zeros((len(plant.A), *z.shape))
+    F[:, where, where], F[:, where, -1] = plant.A, plant.b
+    return F
+
+
+def _part(name: str, plant: PWASystem, state: Array, F: Array) -> SwitchedPart:
+    """Return a part that is switched by the cells of a plant, with the state that the given rows read."""
+    guards = plant.partition.H @ state
+    guards[:, -1] += plant.partition.h
+    return SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
+
+
+def _pieces(signals: Exosystem, where: slice) -> list[StateReset]:
+    return [
+        StateReset(
+            t=reset.t, where=slice(where.start + reset.where.start, where.start + reset.where.stop), value=reset.w
+        )
+        for reset in signals.resets
+    ]
+
+
+def _draws(noise: Noise, where: slice, duration: float) -> list[StateReset]:
+    """Draw the noise up to a time in s."""
+    count = int(np.floor(duration / noise.sample_time * (1 + 1e-12))) + 1
+    values = np.random.default_rng(noise.seed).normal(size=(count, len(noise.std))) * noise.std
+    return [StateReset(t=k * noise.sample_time, where=where, value=value) for k, value in enumerate(values)]
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:

@@ -1,6 +1,7 @@
 """An autonomous piecewise linear flow ż = F(mode) z; its last coordinate is the constant 1."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,22 +30,67 @@ class SwitchedPart:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SwitchedMap:
+    """z ← (J0 + Σ_p J_p[mode_p]) z.
+
+    Attributes:
+        J0: What does not depend on the mode, (N, N).
+        parts: What does, by the name of the part, (l, N, N).
+    """
+
+    J0: Array
+    parts: Mapping[str, Array]
+
+    def scaled(self, d: Array) -> "SwitchedMap":
+        """Return the map of D⁻¹ z, D = diag(d)."""
+        parts = {name: J / d[:, None] * d for name, J in self.parts.items()}
+        return SwitchedMap(J0=self.J0 / d[:, None] * d, parts=parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """At every multiple of the period (s) the maps are applied one after the other, each in the mode it finds.
+
+    Attributes:
+        period: In s.
+        maps: In order.
+        first: Number of the map that t = 0 begins with.
+    """
+
+    period: float
+    maps: tuple[SwitchedMap, ...]
+    first: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Flow:
     """ż = (F0 + Σ_p F_p[mode_p]) z, continuous in z; mode_p is the cell of part p.
 
     Attributes:
         F0: What does not switch, (N, N).
         parts: What does.
+        clock: What makes z jump, if anything does.
     """
 
     F0: Array
     parts: tuple[SwitchedPart, ...]
+    clock: Clock | None = None
 
     def matrix(self, mode: Mode) -> Array:
         """Return F(mode), (N, N)."""
         total = self.F0.copy()
         for part, cell in zip(self.parts, mode, strict=True):
             total += part.F[cell]
+        return total
+
+    def jump(self, number: int, mode: Mode) -> Array:
+        """Return the map of this number of the clock, (N, N)."""
+        assert self.clock is not None
+        switched = self.clock.maps[number]
+        total = switched.J0.copy()
+        for part, cell in zip(self.parts, mode, strict=True):
+            if part.name in switched.parts:
+                total += switched.parts[part.name][cell]
         return total
 
     def guards(self) -> Array:
@@ -80,12 +126,13 @@ class Flow:
                 SwitchedPart(name=p.name, cells=p.cells, guards=p.guards * d, signs=p.signs, F=p.F / d[:, None] * d)
                 for p in self.parts
             ),
+            clock=replace(self.clock, maps=tuple(m.scaled(d) for m in self.clock.maps)) if self.clock else None,
         )
 
     def subsystem(self, name: str, keep: IntArray) -> "Flow":
         """Return the flow of the coordinates `keep`, switched by one part only.
 
-        No coordinate that is left out may act on one that is kept.
+        No coordinate that is left out may act on one that is kept, and no clock either.
         """
         part = next(p for p in self.parts if p.name == name)
         rows, columns = np.ix_(keep, keep)

@@ -63,11 +63,20 @@ class Field(NamedTuple):
 
 
 class Resets(NamedTuple):
-    """What jumps: at step `step[r]` entries `start[r]` to `stop[r]` take their values from row r."""
+    """What jumps, and when: R resets in order.
+
+    Attributes:
+        step: When, in finest steps, (R,).
+        map: Number of the map that is applied, or -1 where entries take new values, (R,).
+        start, stop, row: Which entries, and where in `values` the new ones are, (R,).
+        values: (V, N).
+    """
 
     step: Array
+    map: IntArray
     start: IntArray
     stop: IntArray
+    row: IntArray
     values: Array
 
 
@@ -81,6 +90,7 @@ class Modes(NamedTuple):
         growth: e^{F h 2^d} − 1 for d doublings, (M, D, N, N).
         first, second: Bounds on the two integrals above, (M, D, N, K).
         rounding: |z| times it is the size below which a guard cannot be told from 0, (M, N, K).
+        jumps: The maps of the clock, (M, J, N, N).
     """
 
     cells: IntArray
@@ -90,6 +100,7 @@ class Modes(NamedTuple):
     first: Array
     second: Array
     rounding: Array
+    jumps: Array
 
 
 class Log(NamedTuple):
@@ -391,6 +402,8 @@ def walk(
             t = (s.k + s.done) * field.h
             if s.k & ((1 << D) - 1) == 0 and s.done == 0.0:
                 log.mode[s.k >> D] = m
+                for i in range(N):
+                    log.z[s.k >> D, i] = z[i]
                 if s.k == 0 and s.events == 1:
                     log.event_mode[0] = m  # the start is no event
             if m != log.event_mode[s.events - 1]:  # changes within rounding of each other are one
@@ -480,12 +493,17 @@ def walk(
             for i in range(K):
                 crossed[i] = False
             if falls:
-                step = resets.step[s.resets]
-                while s.resets < len(resets.step) and resets.step[s.resets] <= step:
-                    for i in range(resets.start[s.resets], resets.stop[s.resets]):
-                        z[i] = resets.values[s.resets, i]
-                    s.resets += 1
-                s.settling = True
+                r, step = s.resets, resets.step[s.resets]
+                if resets.map[r] >= 0:
+                    _apply(modes.jumps[m, resets.map[r]], z, v)
+                    z[:] = v
+                    r += 1
+                else:  # all that take new values at once; a map comes after, in the mode that is right then
+                    while r < len(resets.step) and resets.step[r] <= step and resets.map[r] < 0:
+                        for i in range(resets.start[r], resets.stop[r]):
+                            z[i] = resets.values[resets.row[r], i]
+                        r += 1
+                s.resets, s.settling = r, True
                 continue
             s.k, s.done, s.inside = s.k + 1, 0.0, False
         if s.k & ((1 << D) - 1) == 0:

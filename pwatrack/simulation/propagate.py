@@ -84,15 +84,8 @@ class _Walk:
             h=h,
             doublings=doublings,
         )
-        self.resets = kernel.Resets(
-            step=np.array([_snapped(reset.t / h) for reset in resets], dtype=np.float64),
-            start=np.array([reset.where.start for reset in resets], dtype=np.int64),
-            stop=np.array([reset.where.stop for reset in resets], dtype=np.int64),
-            values=np.zeros((len(resets), len(z0))),
-        )
-        for row, reset in zip(self.resets.values, resets, strict=True):
-            row[reset.where] = reset.value
-        early = int(np.count_nonzero(self.resets.step <= 0))
+        self.resets = _schedule(flow, h, (samples - 1) * sample_time, resets)
+        early = sum(reset.t <= 0 for reset in resets)
         self.z = z0.copy()
         for reset in resets[:early]:
             self.z[reset.where] = reset.value
@@ -178,6 +171,7 @@ class _Modes:
             first=np.zeros((1, D, N, K)),
             second=np.zeros((1, D, N, K)),
             rounding=np.zeros((1, N, K)),
+            jumps=np.zeros((1, len(flow.clock.maps) if flow.clock else 0, N, N)),
         )
 
     def add(self, mode: Mode) -> None:
@@ -199,6 +193,8 @@ class _Modes:
             size, first, second = size + term, first + term / (j + 1), second + term / ((j + 1) * (j + 2))
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
         arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
+        for number in range(arrays.jumps.shape[1]):
+            arrays.jumps[m, number] = self.flow.jump(number, mode).T
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d] = growth
             arrays.first[m, d] = _OUTWARD * first @ guards
@@ -207,6 +203,34 @@ class _Modes:
             second = 2.0**d * first + second + second @ stretch
             first = first + first @ stretch
             growth = 2 * growth + growth @ growth
+
+
+def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateReset]) -> Any:
+    """Return resets and ticks of the clock in order of time; at the same time the resets come first."""
+    from pwatrack.simulation.kernel import Resets
+
+    times, maps = [reset.t for reset in resets], [-1] * len(resets)
+    if flow.clock is not None:
+        count = len(flow.clock.maps)
+        ticks = flow.clock.period * np.arange(int(end / flow.clock.period * (1 + 1e-12)) + 1)
+        times += np.repeat(ticks, count)[flow.clock.first :].tolist()
+        maps += np.tile(np.arange(count), len(ticks))[flow.clock.first :].tolist()
+    step = np.array([_snapped(t / h) for t in times], dtype=np.float64)
+    order = np.lexsort((np.arange(len(step)), np.round(step, 6)))  # times that differ by rounding are the same
+    row = np.append(np.arange(len(resets)), np.zeros(len(step) - len(resets), dtype=np.int64))
+    edges = np.zeros((len(step), 2), dtype=np.int64)
+    values = np.zeros((len(resets), len(flow.F0)))
+    for k, reset in enumerate(resets):
+        edges[k] = reset.where.start, reset.where.stop
+        values[k, reset.where] = reset.value
+    return Resets(
+        step=np.maximum.accumulate(step[order]),
+        map=np.array(maps, dtype=np.int64)[order],
+        start=edges[order, 0],
+        stop=edges[order, 1],
+        row=row[order].astype(np.int64),
+        values=values,
+    )
 
 
 def _doublings(size: Array, sample_time: float) -> int:

@@ -10,15 +10,26 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
+from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.course import Course, Formula, Profile, Table, polyline
 from pwatrack.model.nonlinearity import Nonlinearity, generate_cells
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
+from pwatrack.model.reference import (
+    InputReference,
+    OutputReference,
+    Reference,
+    SetPoint,
+    StateReference,
+    exosystem,
+    total_signal,
+)
 from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.spec.problems import path_text
 from pwatrack.spec.schema import (
     CourseSection,
     GoalSection,
     ReferenceSection,
+    SimulationSection,
     StepSection,
     SystemSection,
     TableSection,
@@ -77,6 +88,40 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if kind == "state":
         return StateReference(courses)
     return InputReference(courses, readonly(section.start) if section.start else None)
+
+
+def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path) -> Conditions:
+    """Return what is not as the theorems assume, but for the parameters of the plant.
+
+    Args:
+        section: The section of the file.
+        plant: That of the design.
+        folder: Where table files are looked for.
+
+    Raises:
+        InvalidSpec: If a table cannot be read, or a disturbance ends before the simulation.
+    """
+    limits = noise = disturbance = None
+    if section.actuator is not None:
+        limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
+    if section.noise is not None:
+        std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
+        noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
+    if section.disturbance is not None:
+        signals = []
+        for name in plant.states:
+            subject: Subject = ("simulation", "disturbance", name)
+            course = section.disturbance.get(name, CourseSection())
+            signals.append(total_signal(_courses(course, folder, section.duration, subject), 0))
+        disturbance = exosystem(signals)
+    return Conditions(
+        limits=limits if limits is not None and np.isfinite(limits).any() else None,
+        disturbance=disturbance,
+        noise=noise,
+        sampling=Sampling(sample_time=section.controller.sample_time, method=section.controller.method)
+        if section.controller
+        else None,
+    )
 
 
 def build_goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
@@ -179,9 +224,9 @@ def _courses(section: CourseSection, folder: Path, horizon: float, subject: Subj
         if end is not None and end < horizon * (1 - 1e-12):
             raise InvalidSpec(
                 Problem(
-                    message=f"the reference ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
+                    message=f"{path_text(subject)} ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
                     subject=subject,
-                    hint="shorten the simulation or lengthen the reference",
+                    hint="shorten the simulation or lengthen the signal",
                 )
             )
     return tuple(courses)

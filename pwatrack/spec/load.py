@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,11 +13,13 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.lmi.inequality import Solver
+from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
-from pwatrack.spec.build import build_goal, build_plant, build_reference
+from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
 from pwatrack.spec.problems import (
+    condition_problems,
     goal_problems,
     name_problems,
     plant_problems,
@@ -26,7 +28,7 @@ from pwatrack.spec.problems import (
     shape_problems,
     validation_problems,
 )
-from pwatrack.spec.schema import Context, ExpectSection, SpecFile
+from pwatrack.spec.schema import Context, ExpectSection, SpecFile, SystemSection
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 
@@ -47,6 +49,7 @@ class Spec:
         reference: What to track.
         duration, sample_time: In s.
         x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
+        conditions: What is not as the theorems assume when it is simulated.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -67,6 +70,7 @@ class Spec:
     x0: Array | None
     x_hat0: Array | None
     eta_hat0: Array | None
+    conditions: Conditions
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -115,12 +119,17 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         problems += validation_problems(error, document.data)
     if not problems:
         problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
+        problems += condition_problems(file, values)
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
+        running = _running_plant(document, file, context, parameters or {})
+        conditions = build_conditions(simulation, plant, path.parent)
+        if running is not None:
+            conditions = replace(conditions, plant=running[0], parameters=running[1])
     except PwatrackError as error:
         raise error.located(document.places) from None
     return Spec(
@@ -140,9 +149,37 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         x0=_optional(initial.plant),
         x_hat0=_optional(initial.observer),
         eta_hat0=_optional(initial.generator),
+        conditions=conditions,
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
+
+
+def _running_plant(
+    document: Document, file: SpecFile, context: Context, overrides: Mapping[str, float | str]
+) -> tuple[PWASystem, dict[str, float]] | None:
+    """Return the plant with the parameters under `simulation.plant`, and these, if there are any.
+
+    Raises:
+        PwatrackError: If one has no value, or the plant is not of class (1) with them.
+    """
+    if file.simulation.plant is None:
+        return None
+    subject: Subject = ("simulation", "plant", "parameters")
+    own = file.simulation.plant.parameters
+    values, problems = _parameters(document.data["parameters"], {**overrides, **own})
+    refusal: PwatrackError = InvalidSpec()
+    if not problems:
+        try:
+            system = SystemSection.model_validate(document.data["system"], context=replace(context, parameters=values))
+            changed = {name: value for name in own if (value := values[name]) is not None}
+            return build_plant(system, file.tolerance.continuity), changed
+        except ValidationError as error:
+            problems = validation_problems(error, document.data)
+        except PwatrackError as error:
+            problems, refusal = list(error.problems), error
+    said = f"with the plant's own {', '.join(own)}: "
+    raise type(refusal)(*(replace(p, message=said + p.message, subject=subject, place=None) for p in problems))
 
 
 def assignments(texts: Sequence[str]) -> dict[str, str]:

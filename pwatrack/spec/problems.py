@@ -281,6 +281,29 @@ def reference_problems(file: SpecFile) -> list[Problem]:
     return problems
 
 
+def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Problem]:
+    """Check that every name under `simulation` is one of its kind."""
+    simulation, system = file.simulation, file.system
+    given: list[tuple[Subject, Mapping[str, Any], Sequence[str], str]] = []
+    if simulation.plant is not None:
+        given.append((("plant", "parameters"), simulation.plant.parameters, tuple(parameters), "parameter"))
+    if simulation.actuator is not None:
+        given.append((("actuator", "limits"), simulation.actuator.limits, system.inputs, "input"))
+    if simulation.disturbance is not None:
+        given.append((("disturbance",), simulation.disturbance, system.states, "state"))
+    if simulation.noise is not None:
+        given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
+    return [
+        Problem(
+            message=f"{path_text(('simulation', *where))}: '{name}' is no {kind} ({', '.join(known) or 'none'})",
+            subject=("simulation", *where, name),
+        )
+        for where, names, known, kind in given
+        for name in names
+        if name not in known
+    ]
+
+
 def goal_problems(file: SpecFile) -> list[Problem]:
     """Check that what is asked of each gain makes sense."""
     problems = []

@@ -4,6 +4,7 @@ import keyword
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -17,6 +18,7 @@ from pydantic import (
 )
 
 from pwatrack.lmi.inequality import Solver
+from pwatrack.model.conditions import Method
 from pwatrack.model.nonlinearity import (
     PiecewiseLinear,
     absolute,
@@ -30,6 +32,7 @@ from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities
 
 _LARGEST = 1e60  # products of a few entries stay finite
 _LONGEST_NAME = 100
+_INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,21 @@ def _positive(value: float) -> float:
     if value <= 0:
         raise ValueError(f"{value:g} is not positive")
     return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0:
+        raise ValueError(f"{value:g} is negative")
+    return value
+
+
+def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError("a lower and an upper limit such as [-1, 1] are expected; .inf for none")
+    low, high = (_INFINITE[v] if v in _INFINITE else _number(v, info) for v in value)
+    if not low < high:
+        raise ValueError(f"the lower limit {low:g} is not below the upper one, {high:g}")
+    return [low, high]
 
 
 def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | str]:
@@ -381,12 +399,44 @@ class InitialSection(Section):
     generator: list[Number] | None = None
 
 
+class PlantSection(Section):
+    """Parameters of the plant that runs, where they are not those of the design."""
+
+    parameters: Annotated[dict[Name, Any], Field(min_length=1)]
+
+
+class ActuatorSection(Section):
+    """Lower and upper limit of inputs, by name."""
+
+    limits: Annotated[dict[str, Annotated[list[float], PlainValidator(_limits)]], Field(min_length=1)]
+
+
+class NoiseSection(Section):
+    """Normal noise on outputs, by name, drawn anew at every multiple of a sample time (s) and held in between."""
+
+    std: Annotated[dict[str, Annotated[Number, AfterValidator(_not_negative)]], Field(min_length=1)]
+    sample_time: Positive
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class SampledSection(Section):
+    """The controller as a program that runs once in a sample time (s)."""
+
+    sample_time: Positive
+    method: Method = "exponential"
+
+
 class SimulationSection(Section):
-    """How long, how finely, from where."""
+    """How long, how finely, from where, and what is not as the theorems assume."""
 
     duration: Positive
     sample_time: Positive
     initial: InitialSection = InitialSection()
+    plant: PlantSection | None = None
+    actuator: ActuatorSection | None = None
+    disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
+    noise: NoiseSection | None = None
+    controller: SampledSection | None = None
 
 
 class ToleranceSection(Section):

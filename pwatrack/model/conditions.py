@@ -1,0 +1,93 @@
+"""How the loop that runs may differ from the one that the theorems are about."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem
+
+Method = Literal["exponential", "euler"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Independent normal noise on the outputs, drawn anew at every multiple of a sample time and held in between.
+
+    Attributes:
+        std: Standard deviation of each output, (q,).
+        sample_time: In s.
+        seed: The same seed gives the same noise.
+    """
+
+    std: Array
+    sample_time: float
+    seed: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """The controller as a program that runs once in a sample time.
+
+    Attributes:
+        sample_time: In s.
+        method: How observer and generator step on in the cell they are in: "exponential" is exact for what
+            the controller knows, "euler" is one explicit Euler step.
+    """
+
+    sample_time: float
+    method: Method = "exponential"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What is not as the theorems assume. With nothing given, the loop is the nominal one.
+
+    Attributes:
+        plant: The plant that runs, where its parameters are not those of the design.
+        parameters: The parameters that are changed in it.
+        limits: Lower and upper limit of each input, (m, 2), or None. What is beyond them the actuator cuts off, and the
+            observer knows it: it is given the input that the plant gets.
+        disturbance: Signals added to ẋ, one per state.
+        noise: Noise added to the measured outputs.
+        sampling: Where the controller is sampled.
+    """
+
+    plant: PWASystem | None = None
+    parameters: Mapping[str, float] | None = None
+    limits: Array | None = None
+    disturbance: Exosystem | None = None
+    noise: Noise | None = None
+    sampling: Sampling | None = None
+
+    def texts(self, plant: PWASystem) -> list[str]:
+        """Say what is not as the theorems assume, each in a few words; `plant` has the names."""
+        said = []
+        if self.parameters is not None:
+            said.append("plant with " + ", ".join(f"{name} = {value:g}" for name, value in self.parameters.items()))
+        if self.limits is not None:
+            said += [
+                f"{name} limited to [{low:g}, {high:g}]"
+                for name, (low, high) in zip(plant.inputs, self.limits.tolist(), strict=True)
+                if np.isfinite([low, high]).any()
+            ]
+        if self.disturbance is not None:
+            hit = [name for name, row in zip(plant.states, self.disturbance.Q, strict=True) if row.any()]
+            said.append(f"disturbance on d{', d'.join(hit)}/dt")
+        if self.noise is not None:
+            levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
+            said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
+        if self.sampling is not None:
+            said.append(f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})")
+        return said
+
+    @property
+    def nominal(self) -> bool:
+        """Whether the loop is the one that the proofs are about."""
+        return all(value is None for value in vars(self).values())
+
+
+NOMINAL = Conditions()

@@ -1,0 +1,51 @@
+"""Where each part of the closed loop sits in z."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
+from pwatrack.model.conditions import Conditions
+from pwatrack.model.pwa import PWASystem
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """z = (x, x̂, η̂, w, d, v, u, y, w', 1); what the conditions do not ask for is empty.
+
+    Attributes:
+        x, x_hat, eta_hat, w: Plant, observer, generator, exosystem.
+        d, v: Exosystem of the disturbances, noise.
+        u, y, w_held: What a sampled controller holds: the input, the measured output, a copy of w.
+        order: N, the length of z.
+    """
+
+    x: slice
+    x_hat: slice
+    eta_hat: slice
+    w: slice
+    d: slice
+    v: slice
+    u: slice
+    y: slice
+    w_held: slice
+    order: int
+
+    @staticmethod
+    def of(controller: Controller, conditions: Conditions) -> "Layout":
+        """Return the layout for these conditions."""
+        (n, m), q = controller.plant.B.shape, len(controller.plant.C)
+        p, s = controller.trajectory.rate.shape[1], len(controller.trajectory.exosystem.w0)
+        sizes = {"x": n, "x_hat": n, "eta_hat": p, "w": s}
+        sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
+        sizes["v"] = q if conditions.noise else 0
+        sizes |= {"u": m, "y": q, "w_held": s} if conditions.sampling else {"u": 0, "y": 0, "w_held": 0}
+        edges = np.cumsum([0, *sizes.values()]).tolist()
+        return Layout(**dict(zip(sizes, map(slice, edges[:-1], edges[1:]), strict=True)), order=edges[-1] + 1)
+
+    def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
+        """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""
+        F = np.zeros((self.order, self.order))
+        F[self.x], F[self.x_hat] = plant.B @ u, model.B @ u
+        return F

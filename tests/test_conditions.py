@@ -1,0 +1,284 @@
+"""Limits, other parameters, disturbances, noise and sampled controllers, against the same machine written by hand."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from pwatrack import PWASystem, Result, Spec, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.errors import InvalidSpec, OutsideTheory
+from pwatrack.model.conditions import Conditions, Noise, Sampling
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.report.plots import draw
+
+TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
+
+
+def loaded(spec: Spec, tmp_path: Path, extra: str, duration: float = 3.0) -> Spec:
+    """The spec with more under `simulation`, and shorter."""
+    text = spec.path.read_text().replace("duration: 60", f"duration: {duration}")
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.rstrip() + "\n" + extra)
+    return load_spec(path)
+
+
+def cell_of(plant: PWASystem, x: Array) -> int:
+    """The cell by its inequalities, with no regard to which one it was."""
+    sides = np.sign(plant.partition.H @ x + plant.partition.h)
+    return int(np.argmin((plant.partition.signs * sides < 0).sum(axis=1)))
+
+
+class Machine:
+    """The loop as an engineer would write it down: equations (1), (15), (16), (18), (19), one after the other."""
+
+    def __init__(self, result: Result) -> None:
+        self.controller, self.conditions, self.spec = result.controller, result.loop.conditions, result.spec
+        self.model = self.controller.plant
+        self.plant = self.conditions.plant or self.model
+        self.limits = self.conditions.limits
+        self.K, self.L = self.controller.design.K, self.controller.design.L
+        self.sizes = [4, 4, len(result.controller.trajectory.names)]
+
+    def desired(self, t: float, eta_hat: Array) -> tuple[Array, Array, int]:
+        trajectory = self.controller.trajectory
+        s = np.concatenate([eta_hat, trajectory.exosystem.states(np.array([t]))[0], [1.0]])
+        x_d = trajectory.x_d @ s
+        cell = cell_of(self.model, x_d)
+        return x_d, trajectory.u_ff[cell] @ s, cell
+
+    def generator(self, t: float, eta_hat: Array, cell: int) -> Array:
+        trajectory = self.controller.trajectory
+        s = np.concatenate([eta_hat, trajectory.exosystem.states(np.array([t]))[0], [1.0]])
+        rate: Array = trajectory.rate[cell] @ s
+        return rate
+
+    def input(self, t: float, x_hat: Array, eta_hat: Array) -> Array:
+        x_d, u_ff, _ = self.desired(t, eta_hat)
+        u: Array = u_ff + self.K @ (x_hat - x_d)
+        return u if self.limits is None else np.clip(u, self.limits[:, 0], self.limits[:, 1])
+
+    def observer(self, x_hat: Array, u: Array, y: Array) -> Array:
+        i = cell_of(self.model, x_hat)
+        rate: Array = self.model.A[i] @ x_hat + self.model.b[i] + self.model.B @ u
+        return rate + self.L @ (self.model.C @ x_hat - y)
+
+    def motion(self, t: float, x: Array, u: Array) -> Array:
+        i = cell_of(self.plant, x)
+        rate: Array = self.plant.A[i] @ x + self.plant.b[i] + self.plant.B @ u
+        return rate if self.conditions.disturbance is None else rate + self.conditions.disturbance(t)
+
+    def measured(self, x: Array, v: Array) -> Array:
+        y: Array = self.plant.C @ x
+        return y + v
+
+    def continuous(self, start: Array, span: tuple[float, float], v: Array, times: Array) -> Any:
+        def rhs(t: float, z: Array) -> Array:
+            x, x_hat, eta_hat = np.split(z, np.cumsum(self.sizes)[:-1])
+            u, cell = self.input(t, x_hat, eta_hat), self.desired(t, eta_hat)[2]
+            return np.concatenate(
+                [self.motion(t, x, u), self.observer(x_hat, u, self.measured(x, v)), self.generator(t, eta_hat, cell)]
+            )
+
+        return solve_ivp(rhs, span, start, t_eval=times, max_step=0.01, **TIGHT)
+
+
+def by_hand(result: Result) -> Array:
+    """(x, x̂, η̂) at every sample of a loop that is not sampled."""
+    machine, noise = Machine(result), result.loop.conditions.noise
+    z = result.response.trace.z[0, : sum(machine.sizes)]
+    t = result.response.t
+    edges = np.array([0.0, t[-1]]) if noise is None else np.append(np.arange(0.0, t[-1], noise.sample_time), t[-1])
+    draws = np.zeros((len(edges), 1))
+    if noise is not None:
+        draws = np.random.default_rng(noise.seed).normal(size=(len(edges), 1)) * noise.std
+    rows = []
+    for first, last, v in zip(edges[:-1], edges[1:], draws, strict=False):
+        inside = t[(t >= first - 1e-9) & (t < last - 1e-9)].clip(first, last)
+        found = machine.continuous(z, (first, last), v, np.append(inside, last))
+        rows += found.y.T[:-1].tolist()
+        z = found.y[:, -1]
+    return np.array([*rows, z])
+
+
+EXTRAS = {
+    "limits": "  actuator: {limits: {u: [-3, 4]}}\n",
+    "one limit": "  actuator: {limits: {u: [-.inf, 4]}}\n",
+    "parameters": "  plant: {parameters: {k2: 0.3, c1: 0.12, m1: 1.1}}\n",
+    "disturbance": "  disturbance: {v2: {sine: {amplitude: 0.3, frequency: 5}, constant: 0.1}, v1: 'exp(-t)'}\n",
+    "noise": "  noise: {std: {y: 0.01}, sample_time: 0.05, seed: 7}\n",
+}
+
+
+@pytest.mark.parametrize("extra", [*EXTRAS.values(), "".join(v for k, v in EXTRAS.items() if k != "one limit")])
+def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
+    extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
+) -> None:
+    result = simulate(loaded(paper_spec, tmp_path, extra, 1.0), paper.controller)
+    expected = by_hand(result)
+    np.testing.assert_allclose(result.response.trace.z[:, : expected.shape[1]], expected, atol=1e-8)
+    machine = Machine(result)
+    for k in range(0, len(result.response.t), 7):
+        u = machine.input(result.response.t[k], result.response.x_hat[k], result.response.eta_hat[k])
+        np.testing.assert_allclose(result.response.u[k], u, atol=1e-9)
+    if result.loop.conditions.limits is not None:
+        assert {
+            part for e in result.response.trace.events for part in np.flatnonzero(np.subtract(e.before, e.after))
+        } >= {3}
+
+
+@pytest.mark.parametrize("method", ["exponential", "euler"])
+@pytest.mark.parametrize("extra", ["", EXTRAS["limits"] + EXTRAS["parameters"] + EXTRAS["disturbance"]])
+def test_a_sampled_controller_is_the_program_written_by_hand(
+    method: str, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
+) -> None:
+    step = 0.02
+    extra += f"  controller: {{sample_time: {step}, method: {method}}}\n"
+    result = simulate(loaded(paper_spec, tmp_path, extra, 2.0), paper.controller)
+    machine = Machine(result)
+    x, x_hat, eta_hat = np.split(result.response.trace.z[0, : sum(machine.sizes)], np.cumsum(machine.sizes)[:-1])
+    for tick in range(100):
+        t = tick * step
+        row = result.response.t.tolist().index(pytest.approx(t, abs=1e-12))
+        np.testing.assert_allclose(result.response.x[row], x, atol=1e-8)
+        np.testing.assert_allclose(result.response.x_hat[row], x_hat, atol=1e-8)
+        np.testing.assert_allclose(result.response.eta_hat[row], eta_hat, atol=1e-8)
+        u, y = machine.input(t, x_hat, eta_hat), machine.measured(x, np.zeros(1))
+        np.testing.assert_allclose(result.response.u[row], u, atol=1e-7)
+        found = solve_ivp(machine.motion, (t, t + step), x, args=(u,), max_step=step / 4, **TIGHT)
+        x, cell = found.y[:, -1], machine.desired(t, eta_hat)[2]
+        if method == "euler":
+            x_hat = x_hat + step * machine.observer(x_hat, u, y)
+            eta_hat = eta_hat + step * machine.generator(t, eta_hat, cell)
+        else:
+            i = cell_of(machine.model, x_hat)
+            A = machine.model.A[i] + machine.L @ machine.model.C
+            c = machine.model.b[i] + machine.model.B @ u - machine.L @ y
+            x_hat = (expm(np.block([[A, c[:, None]], [np.zeros((1, 5))]]) * step) @ np.append(x_hat, 1.0))[:4]
+            eta_hat = solve_ivp(machine.generator, (t, t + step), eta_hat, args=(cell,), **TIGHT).y[:, -1]
+
+
+@pytest.mark.parametrize("method", ["exponential", "euler"])
+def test_a_sampled_controller_approaches_the_continuous_one_with_the_first_order(
+    method: Any, paper_spec: Spec, paper: Result
+) -> None:
+    """The held input is late by half a sample time on the average, so the difference halves with the sample time."""
+    short = replace(paper_spec, duration=3.0)
+    exact = simulate(short, paper.controller).response.x
+    gaps = []
+    for step in (4e-3, 2e-3, 1e-3, 5e-4):
+        conditions = Conditions(sampling=Sampling(sample_time=step, method=method))
+        gaps.append(np.abs(simulate(replace(short, conditions=conditions), paper.controller).response.x - exact).max())
+    np.testing.assert_allclose(np.divide(gaps[:-1], gaps[1:]), 2.0, atol=0.15)
+    assert gaps[-1] < 2e-3
+
+
+def test_limits_at_infinity_change_no_bit(paper_spec: Spec, paper: Result, tmp_path: Path) -> None:
+    spec = loaded(paper_spec, tmp_path, "  actuator: {limits: {u: [-.inf, .inf]}}\n", 60)
+    assert np.array_equal(simulate(spec, paper.controller).response.trace.z, paper.response.trace.z)
+
+
+def test_limits_out_of_reach_change_nothing_but_rounding(paper_spec: Spec, paper: Result) -> None:
+    far = replace(paper_spec, conditions=Conditions(limits=np.array([[-1e3, 1e3]])))
+    trace = simulate(far, paper.controller).response.trace
+    np.testing.assert_allclose(trace.z, paper.response.trace.z, atol=1e-11)
+    assert [e.after[:3] for e in trace.events] == [e.after for e in paper.response.trace.events]
+
+
+def test_a_limited_input_stays_at_its_limit_and_events_say_when(paper_spec: Spec, paper: Result) -> None:
+    limits = np.array([[-2.0, 1.5]])
+    result = simulate(replace(paper_spec, conditions=Conditions(limits=limits)), paper.controller)
+    u, part = result.response.u[:, 0], result.loop.flow.parts[3]
+    names = np.array(part.cells)[result.response.trace.modes[:, 3]]
+    assert u.min() == -2.0
+    assert u.max() == 1.5
+    assert set(names) == {"low", "linear", "high"}
+    assert (u[names == "low"] == -2.0).all()
+    assert (u[names == "high"] == 1.5).all()
+    assert ((u[names == "linear"] > -2.0) & (u[names == "linear"] < 1.5)).all()
+
+
+def test_two_inputs_are_limited_each_by_its_own_limits(specs: Path) -> None:
+    spec = load_spec(specs / "gallery/two_driven_carts.yaml")
+    assert len(spec.plant.inputs) == 2
+    free = simulate(spec)
+    sizes = np.abs(free.response.u).max(axis=0)
+    limits = np.array([[-np.inf, np.inf], [-0.5 * sizes[1], 0.5 * sizes[1]]])
+    result = simulate(replace(spec, conditions=Conditions(limits=limits)), free.controller)
+    assert np.abs(result.response.u[:, 1]).max() == pytest.approx(0.5 * sizes[1])
+    assert [part.name for part in result.loop.flow.parts][3:] == [f"actuator {spec.plant.inputs[1]}"]
+
+
+def test_noise_is_seeded_and_has_its_deviation(paper_spec: Spec, paper: Result) -> None:
+    runs = [
+        simulate(
+            replace(paper_spec, conditions=Conditions(noise=Noise(std=np.array([0.02]), sample_time=0.01, seed=s))),
+            paper.controller,
+        )
+        for s in (3, 3, 4)
+    ]
+    assert np.array_equal(runs[0].response.trace.z, runs[1].response.trace.z)
+    assert not np.array_equal(runs[0].response.trace.z, runs[2].response.trace.z)
+    v = runs[0].response.trace.z[:, runs[0].loop.at.v]
+    assert np.std(v) == pytest.approx(0.02, rel=0.05)
+    assert abs(np.corrcoef(v[:-1, 0], v[1:, 0])[0, 1]) < 0.05
+    gains = paper.controller.guarantees.gains
+    tail = runs[0].response.observer_error[-1000:]
+    assert 1e-4 < tail.max() < gains.noise_to_observer * np.abs(v).max()
+
+
+def test_a_disturbance_leaves_no_more_error_than_the_gains_say(paper_spec: Spec, paper: Result) -> None:
+    push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, 0.01, 0.0, -0.02)])
+    response = simulate(replace(paper_spec, conditions=Conditions(disturbance=push)), paper.controller).response
+    gains, size = paper.controller.guarantees.gains, float(np.hypot(0.01, 0.02))
+    assert 1e-3 < response.observer_error[-500:].max() < gains.disturbance_to_observer * size
+    assert np.linalg.norm(response.x - response.x_d, axis=1)[-500:].max() < gains.disturbance_to_tracking * size
+
+
+def test_every_fault_under_simulation_is_said_at_once_with_its_line(paper_spec: Spec, tmp_path: Path) -> None:
+    extra = (
+        "  actuator: {limits: {w: [-1, 1], u: [2, 1]}}\n"
+        "  disturbance: {q: 1.0}\n"
+        "  noise: {std: {y: -1, z9: 1}, sample_time: 0}\n"
+        "  controller: {sample_time: 0.01, method: heun}\n"
+    )
+    with pytest.raises(InvalidSpec) as caught:
+        loaded(paper_spec, tmp_path, extra)
+    text = str(caught.value)
+    for part in ("limit 2 is not below the upper one, 1", "-1 is negative", "0 is not positive", "method"):
+        assert part in text
+    extra = "  actuator: {limits: {w: [-1, 1]}}\n  disturbance: {q: 1.0}\n  plant: {parameters: {k9: 1}}\n"
+    with pytest.raises(InvalidSpec) as caught:
+        loaded(paper_spec, tmp_path, extra)
+    for part in ("'w' is no input (u)", "'q' is no state (z1, v1, z2, v2)", "'k9' is no parameter"):
+        assert part in str(caught.value)
+    assert all(p.place is not None and p.place.line > 60 for p in caught.value.problems)
+
+
+def test_a_plant_that_is_not_continuous_with_its_own_parameters_is_refused(specs: Path, tmp_path: Path) -> None:
+    text = (specs / "two_mass_backlash.yaml").read_text()
+    text = text.replace("omega: 2*pi", "jump: 0  # m\n  omega: 2*pi").replace("k2*c2/m2]", "k2*c2/m2 + jump]")
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.rstrip() + "\n  plant: {parameters: {jump: 0.1}}\n")
+    with pytest.raises(OutsideTheory, match=r"with the plant's own jump: .*must be continuous") as caught:
+        load_spec(path)
+    assert caught.value.problems[0].place is not None
+    path.write_text(text.rstrip() + "\n  plant: {parameters: {m1: 0}}\n")
+    with pytest.raises(InvalidSpec, match=r"with the plant's own m1: "):
+        load_spec(path)
+
+
+def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Result, tmp_path: Path) -> None:
+    extra = EXTRAS["limits"] + EXTRAS["noise"] + "  controller: {sample_time: 0.01}\n"
+    result = simulate(loaded(paper_spec, tmp_path, extra), paper.controller)
+    assert result.tracking_bound is None
+    for figure in draw(result).values():
+        title = figure.get_suptitle()
+        assert all(
+            text in title.replace("\n", " ") for text in ("u limited to [-3, 4]", "noise of 0.01 on y", "0.01 s")
+        )
