@@ -18,7 +18,8 @@ REFUSED = [path for path in ALL if expected_exit(path)]
 def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
     result = simulate(load_spec(path))
     desired = np.abs(result.response.y_d).max(axis=0)
-    assert result.final_error <= 1e-4 * max(desired.max(), np.abs(result.response.x_d).max())
+    small = 1e-4 if result.loop.conditions.nominal else 0.1
+    assert result.final_error <= small * max(desired.max(), np.abs(result.response.x_d).max())
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
