@@ -1,5 +1,6 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +25,13 @@ from pwatrack.model.reference import (
 )
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
-from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.flow import Mode
+from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
+
+_MOST_KEPT = 250_000  # samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +42,10 @@ class Result:
         spec: What was asked.
         controller: Gains, desired trajectory and their proofs.
         loop: The closed loop.
-        response: Its signals.
+        response: Its signals; of a run with more than a few hundred thousand samples only every so many-th, and
+            in events only what these show.
+        figures: What was measured over all samples.
+        start: z(0).
         steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
             or None if it has none.
     """
@@ -47,6 +54,8 @@ class Result:
     controller: Controller
     loop: ClosedLoop
     response: Response
+    figures: "Figures"
+    start: Array
     steady_state: SteadyState | None
 
     @property
@@ -88,8 +97,52 @@ class Result:
     @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
-        tail = -(-len(self.response.t) // 10)
-        return float(np.linalg.norm(self.response.tracking_error[-tail:], axis=1).max())
+        return self.figures.final_tracking_error
+
+    def blocks(self) -> Iterator[Response]:
+        """Yield the signals at all samples, with all events; a long run is simulated again, block by block."""
+        if len(self.response.t) == sample_count(self.spec.duration, self.spec.sample_time):
+            yield self.response
+        else:
+            yield from map(self.loop.response, _walk(self.spec, self.loop, self.start))
+
+
+@dataclass(kw_only=True)
+class Figures:
+    """Measures of a run, taken block by block.
+
+    Attributes:
+        final_tracking_error: Largest norm in the last tenth of the time.
+        largest_tracking_error: Largest norm.
+        final_observer_error: ‖x − x̂‖ at the end.
+        largest_input: Largest entry of u.
+        mode_changes: How many.
+        joint_modes: How many there were.
+    """
+
+    final_tracking_error: float = 0.0
+    largest_tracking_error: float = 0.0
+    final_observer_error: float = 0.0
+    largest_input: float = 0.0
+    mode_changes: int = 0
+    joint_modes: int = 0
+
+    @staticmethod
+    def of(blocks: Iterable[Response], samples: int) -> "Figures":
+        """Measure all blocks of a run of so many samples."""
+        figures, visited, number, tail = Figures(), set[Mode](), 0, samples - -(-samples // 10)
+        for block in blocks:
+            size = np.linalg.norm(block.tracking_error, axis=1)
+            figures.largest_tracking_error = max(figures.largest_tracking_error, float(size.max()))
+            last = size[max(0, tail - number) :]
+            figures.final_tracking_error = max(figures.final_tracking_error, float(last.max(initial=0.0)))
+            figures.final_observer_error = float(block.observer_error[-1])
+            figures.largest_input = max(figures.largest_input, float(np.abs(block.u).max()))
+            figures.mode_changes += len(block.trace.events)
+            visited |= block.trace.visited()
+            number += len(size)
+        figures.joint_modes = len(visited)
+        return figures
 
 
 def design(spec: Spec) -> Controller:
@@ -146,16 +199,43 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and _starts_periodic(spec):
             start[loop.at.eta_hat] = steady_state.z[0, :p]
-        trace = simulate_flow(
-            loop.flow,
-            start,
-            duration=spec.duration,
-            sample_time=spec.sample_time,
-            resets=loop.resets(spec.duration),
-        )
+        response, figures = _run(spec, loop, start)
         return Result(
-            spec=spec, controller=controller, loop=loop, response=loop.response(trace), steady_state=steady_state
+            spec=spec,
+            controller=controller,
+            loop=loop,
+            response=response,
+            figures=figures,
+            start=start,
+            steady_state=steady_state,
         )
+
+
+def _walk(spec: Spec, loop: ClosedLoop, start: Array) -> Iterator[Trace]:
+    return trace_blocks(
+        loop.flow,
+        start,
+        duration=spec.duration,
+        sample_time=spec.sample_time,
+        resets=loop.resets(spec.duration),
+        most=_MOST_KEPT,
+    )
+
+
+def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures]:
+    """Return the signals, thinned where they are too many to keep, and the figures of all."""
+    samples = sample_count(spec.duration, spec.sample_time)
+    step, kept = -(-samples // _MOST_KEPT), list[Trace]()
+
+    def blocks() -> Iterator[Response]:
+        number = 0
+        for trace in _walk(spec, loop, start):
+            kept.append(trace if step == 1 else trace.every(step, number))
+            number += len(trace.t)
+            yield loop.response(trace)
+
+    figures = Figures.of(blocks(), samples)
+    return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures
 
 
 def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:

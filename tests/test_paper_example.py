@@ -126,6 +126,23 @@ def test_the_certified_rates_are_the_best_ones(paper: Result) -> None:
     assert generator_of(paper.controller).certificate.rate == pytest.approx(0.058, abs=5e-4)
 
 
+@pytest.mark.parametrize("digits", [2, 3, 4])
+def test_fewer_printed_digits_of_the_gains_keep_a_rate_of_six_hundredths(paper_spec: Spec, digits: int) -> None:
+    def printed(X: Array) -> Array:
+        return np.array([[float(f"{v:.{digits - 1}e}") for v in row] for row in X])
+
+    assert paper_spec.controller.given is not None
+    assert paper_spec.observer.given is not None
+    given = replace(
+        paper_spec,
+        controller=Goal(given=printed(paper_spec.controller.given)),
+        observer=Goal(given=printed(paper_spec.observer.given)),
+    )
+    proofs = design(given).proofs
+    for part in ("controller", "observer"):
+        assert max(proof.rate for proof in proofs if proof.of == part) >= 0.06
+
+
 def test_the_steady_state_of_the_generator_has_period_one(paper: Result) -> None:
     trace = paper.steady_state
     assert trace is not None

@@ -1,6 +1,8 @@
 """Exact propagation, events and steady states, against scipy and closed forms."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import PWASystem, Result, Spec, design, simulate
+from pwatrack import PWASystem, Result, Spec, design, simulate, write_result
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
@@ -22,7 +24,7 @@ from pwatrack.model.signal import Signal
 from pwatrack.report.files import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow
+from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow, trace_blocks
 from pwatrack.simulation.steady_state import _monodromy, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
@@ -85,6 +87,36 @@ def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, 
     assert [e.after for e in ours.events] == [e.after for e in theirs.events]
     np.testing.assert_allclose([e.t for e in ours.events], [e.t for e in theirs.events], atol=1e-12)
     np.testing.assert_allclose(ours.z, theirs.z[::2], atol=1e-11)
+
+
+@given(st.integers(1, 50), st.sampled_from([0.01, 0.07]))
+@settings(deadline=None, max_examples=25)
+def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
+    kicks = [
+        StateReset(t=t, where=slice(1, 2), value=np.array([v])) for t, v in ((0.7, -2.0), (1.333, 1.0), (1.4, 0.5))
+    ]
+    arguments: dict[str, Any] = {"duration": 3.0, "sample_time": sample_time, "resets": kicks}
+    whole = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments)
+    blocks = list(trace_blocks(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments, most=most))
+    assert all(len(block.t) <= most for block in blocks)
+    for name in ("t", "z", "modes"):
+        assert np.array_equal(np.concatenate([getattr(block, name) for block in blocks]), getattr(whole, name))
+    assert tuple(event for block in blocks for event in block.events) == whole.events
+    assert tuple(stay for block in blocks for stay in block.unresolved) == whole.unresolved
+
+
+def test_a_long_run_is_written_in_full_and_kept_in_part(
+    paper: Result, paper_spec: Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pwatrack.pipeline._MOST_KEPT", 700)
+    result = simulate(paper_spec, paper.controller)
+    assert len(result.response.t) == 667  # every ninth of 6001
+    np.testing.assert_array_equal(result.response.x, paper.response.x[::9])
+    assert result.figures == paper.figures
+    for one, other in ((paper, "whole"), (result, "part")):
+        write_result(one, tmp_path / other)
+    for name in ("trace.csv", "events.csv"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "part" / name).read_bytes()
 
 
 @pytest.mark.parametrize("depth", [10.0**k for k in range(-11, -1)])
@@ -408,12 +440,12 @@ def test_a_crossing_right_at_a_sample_is_one_event_and_not_unresolved() -> None:
 def test_a_guard_just_crossed_counts_as_zero_however_rounding_leaves_it(velocity: float) -> None:
     """x is a thousand times the rounding bound on the wrong side: without this rule the walk would go back there."""
     for settling in (True, False):
-        walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 2, 0.1, [])
+        walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 2, 2, 0.1, [])
         walk.modes = type(walk.modes)(abs_oscillator(), walk.field.h, walk.field.doublings)
         walk.modes.add((int(velocity > 0),))
         walk.z[0] = -1e-11 * velocity
         walk.crossed[0] = True
         walk.state["settling"], walk.state["inside"] = settling, True
-        walk.run()
+        walk._run()
         assert walk.state[0]["events"] == 1
         assert walk.log.event_mode[0] == 0

@@ -3,7 +3,7 @@
 import csv
 import platform
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -22,9 +22,12 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
 from pwatrack.pipeline import Result
 from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
-from pwatrack.simulation.closed_loop import ClosedLoop
+from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
+
+_ROWS = 10_000  # that are turned to text at a time
 
 
 def write_design(
@@ -67,8 +70,7 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
 
     with run_folder(folder) as run:
         _design_files(run, result.spec, result.controller)
-        _trace(run, result)
-        _events(run, result)
+        _signals(run, result)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
             for name, figure in draw(result).items():
@@ -80,17 +82,9 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
 
 def measures(result: Result) -> dict[str, float]:
     """Return the figures of a simulation for run.json and the summary."""
-    response, steady_state = result.response, result.steady_state
+    steady_state = result.steady_state
     floquet = {} if steady_state is None else {"largest_multiplier": float(np.abs(steady_state.multipliers).max())}
-    return {
-        "final_tracking_error": result.final_error,
-        "largest_tracking_error": float(np.linalg.norm(response.tracking_error, axis=1).max()),
-        "final_observer_error": float(response.observer_error[-1]),
-        "largest_input": float(np.abs(response.u).max()),
-        "mode_changes": len(response.trace.events),
-        "joint_modes": len(response.trace.visited()),
-        **floquet,
-    }
+    return asdict(result.figures) | floquet
 
 
 def _gain_figures(controller: Controller) -> dict[str, float]:
@@ -218,9 +212,30 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
     pareto_fronts(spec.name, fronts).savefig(run.place("pareto.png"), format="png", dpi=150)
 
 
-def _trace(run: RunFolder, result: Result) -> None:
-    response, plant = result.response, result.spec.plant
-    blocks = (
+def _signals(run: RunFolder, result: Result) -> None:
+    """Write trace.csv and events.csv, block by block."""
+    columns = [name for names, _ in _columns(result, result.response) for name in names]
+    columns += ["cell_" + part.name.replace(" ", "_") for part in result.loop.flow.parts]
+    with (
+        run.place("trace.csv").open("w", encoding="utf-8", newline="") as traces,
+        run.place("events.csv").open("w", encoding="utf-8", newline="") as events,
+    ):
+        trace, event = csv.writer(traces), csv.writer(events)
+        trace.writerow(columns)
+        event.writerow(["t", "part", "from_cell", "to_cell", "guard"])
+        for block in result.blocks():
+            for first in range(0, len(block.t), _ROWS):
+                rows = slice(first, first + _ROWS)
+                values: Array = np.column_stack([values[rows] for _, values in _columns(result, block)])
+                for row, modes in zip(values.tolist(), block.trace.modes[rows].tolist(), strict=True):
+                    trace.writerow([*map(repr, row), *modes])
+            event.writerows(_event_rows(result.loop, block.trace))
+
+
+def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
+    """Return the names and values of all signals."""
+    plant = result.spec.plant
+    return (
         (["t"], response.t),
         (plant.states, response.x),
         ([f"{s}_hat" for s in plant.states], response.x_hat),
@@ -231,27 +246,14 @@ def _trace(run: RunFolder, result: Result) -> None:
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )
-    header = [name for names, _ in blocks for name in names] + [
-        f"cell_{part.name.replace(' ', '_')}" for part in result.loop.flow.parts
-    ]
-    columns: Array = np.column_stack([values for _, values in blocks])
-    with run.place("trace.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for row, modes in zip(columns.tolist(), response.trace.modes.tolist(), strict=True):
-            writer.writerow([*map(repr, row), *modes])
 
 
-def _events(run: RunFolder, result: Result) -> None:
-    loop = result.loop
-    with run.place("events.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["t", "part", "from_cell", "to_cell", "guard"])
-        for event in result.response.trace.events:
-            for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
-                if part.cells[before] != part.cells[after]:
-                    guard = _guard_text(loop, part, before, after)
-                    writer.writerow([repr(event.t), part.name, part.cells[before], part.cells[after], guard])
+def _event_rows(loop: ClosedLoop, trace: Trace) -> Iterator[list[str]]:
+    for event in trace.events:
+        for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
+            if part.cells[before] != part.cells[after]:
+                guard = _guard_text(loop, part, before, after)
+                yield [repr(event.t), part.name, part.cells[before], part.cells[after], guard]
 
 
 def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -> str:

@@ -143,7 +143,7 @@ def active_cells(result: Result) -> Figure:
     ]
     figure, panels = _canvas(
         result,
-        f"Active cells: {len(trace.events)} changes",
+        f"Active cells: {result.figures.mode_changes} changes",
         [[k] for k in range(len(parts))],
         height=1.4 + sum(max(0.9, 0.3 + 0.22 * len(names)) for names in rows),
         ratios=[max(0.9, 0.3 + 0.22 * len(names)) for names in rows],

@@ -124,6 +124,7 @@ class Log(NamedTuple):
 
 STATE = np.dtype(
     [
+        ("base", np.int64),  # number of the first sample that the log has room for
         ("k", np.int64),  # whole finest steps so far
         ("done", np.float64),  # part of the next one
         ("inside", np.bool_),  # within a step in which guards may be crossed
@@ -355,7 +356,7 @@ def walk(
     cells: IntArray,
     log: Log,
 ) -> int:
-    """Walk on from where the state says until the last sample, and say why it stops.
+    """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 
     Args:
         field, modes, resets: What is given; `known` modes are filled in.
@@ -369,7 +370,7 @@ def walk(
         DONE, NEW_MODE, FULL (no room for events) or STUCK.
     """
     s, K, N, D = state[0], len(crossed), len(z), field.doublings
-    end = (len(log.z) - 1) << D
+    end = (s.base + len(log.z) - 1) << D
     terms, values, pieces = np.empty((DEGREE + 1, N)), np.empty((K, DEGREE + 1)), np.empty((32, DEGREE + 3))
     now, slope, tolerance, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
     touched, near = np.empty(K), np.empty(K)
@@ -401,9 +402,9 @@ def walk(
             s.settling, s.tries = False, 0
             t = (s.k + s.done) * field.h
             if s.k & ((1 << D) - 1) == 0 and s.done == 0.0:
-                log.mode[s.k >> D] = m
+                log.mode[(s.k >> D) - s.base] = m
                 for i in range(N):
-                    log.z[s.k >> D, i] = z[i]
+                    log.z[(s.k >> D) - s.base, i] = z[i]
                 if s.k == 0 and s.events == 1:
                     log.event_mode[0] = m  # the start is no event
             if m != log.event_mode[s.events - 1]:  # changes within rounding of each other are one
@@ -508,6 +509,6 @@ def walk(
             s.k, s.done, s.inside = s.k + 1, 0.0, False
         if s.k & ((1 << D) - 1) == 0:
             for i in range(N):
-                log.z[s.k >> D, i] = z[i]
-            log.mode[s.k >> D] = s.m
+                log.z[(s.k >> D) - s.base, i] = z[i]
+            log.mode[(s.k >> D) - s.base] = s.m
     return DONE

@@ -4,7 +4,7 @@ The walk itself is compiled: see `kernel`. Here a flow is balanced, handed over
 as arrays, and what comes back becomes a trace.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,21 +59,51 @@ def simulate_flow(
         >>> round(float(trace.z[:, 0].max()), 12), len(trace.events)
         (0.2, 2)
     """
+    (trace,) = trace_blocks(flow, z0, duration=duration, sample_time=sample_time, resets=resets)
+    return trace
+
+
+def trace_blocks(
+    flow: Flow,
+    z0: Array,
+    *,
+    duration: float,
+    sample_time: float,
+    resets: Sequence[StateReset] = (),
+    most: int | None = None,
+) -> Iterator[Trace]:
+    """Do what `simulate_flow` does in blocks of at most so many samples: long runs need no more memory than short ones.
+
+    Each sample and each event is in one block. Args and raises: as `simulate_flow`.
+    """
     d = balancing(flow.size()[None])
-    samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
+    samples = sample_count(duration, sample_time)
     scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
-    walk = _Walk(flow.scaled(d), z0 / d, samples, sample_time, scaled)
-    walk.run()
-    return walk.trace(d)
+    walk = _Walk(flow.scaled(d), z0 / d, samples, min(samples, most or samples), sample_time, scaled)
+    while walk.first < samples:
+        yield walk.block(d)
+
+
+def sample_count(duration: float, sample_time: float) -> int:
+    """Return how many samples there are from t = 0 on.
+
+    Example:
+        >>> sample_count(0.3, 0.1), sample_count(0.35, 0.1)
+        (4, 4)
+    """
+    return int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
 
 
 class _Walk:
     """A trajectory in balanced coordinates: what the compiled kernel works on."""
 
-    def __init__(self, flow: Flow, z0: Array, samples: int, sample_time: float, resets: Sequence[StateReset]) -> None:
+    def __init__(
+        self, flow: Flow, z0: Array, samples: int, most: int, sample_time: float, resets: Sequence[StateReset]
+    ) -> None:
         from pwatrack.simulation import kernel  # imports numba, which takes a while
 
-        self.kernel, self.flow, self.sample_time = kernel, flow, sample_time
+        self.kernel, self.flow, self.sample_time, self.samples = kernel, flow, sample_time, samples
+        self.first = 0  # sample of the next block
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         doublings = _doublings(flow.size(), sample_time)
         h = sample_time / 2**doublings
@@ -95,8 +125,8 @@ class _Walk:
         self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
         self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
         self.log = kernel.Log(
-            z=np.empty((samples, len(z0))),
-            mode=np.zeros(samples, dtype=np.int64),
+            z=np.empty((min(samples, most + 1), len(z0))),  # one more than is given out: it may jump yet
+            mode=np.zeros(min(samples, most + 1), dtype=np.int64),
             event_time=np.zeros(64),
             event_mode=np.zeros(64, dtype=np.int64),
             near_time=np.zeros(4 * len(self.places)),
@@ -104,8 +134,25 @@ class _Walk:
         )
         self.log.z[0] = self.z
 
-    def run(self) -> None:
-        """Walk to the end, with a stop wherever a new mode is entered or more room is needed."""
+    def block(self, d: Array) -> Trace:
+        """Walk through the next block of samples and return it, in coordinates D z."""
+        self._run()
+        rows, state = len(self.log.z), self.state[0]
+        count = rows if self.first + rows == self.samples else rows - 1
+        trace = self._trace(d, count)
+        if count < rows:  # go on from the last row; the last event says from which mode
+            left = min(rows, self.samples - self.first - count)
+            last = int(state["events"]) - 1
+            self.log.event_time[0], self.log.event_mode[0] = self.log.event_time[last], self.log.event_mode[last]
+            mode = self.log.mode[-1]
+            self.log = self.log._replace(z=np.empty((left, len(self.z))), mode=np.zeros(left, dtype=np.int64))
+            self.log.z[0], self.log.mode[0] = self.z, mode
+            self.state[["base", "events", "nears"]] = self.first + count, 1, 0
+        self.first += count
+        return trace
+
+    def _run(self) -> None:
+        """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
         kernel, first = self.kernel, self.field.first[:-1]
         cells = first.copy()
         while True:
@@ -139,15 +186,15 @@ class _Walk:
                     )
                 )
 
-    def trace(self, d: Array) -> Trace:
-        """Return what was written down, in coordinates D z."""
+    def _trace(self, d: Array, count: int) -> Trace:
+        """Return so many rows of what was written down."""
         log, events, nears = self.log, int(self.state[0]["events"]), int(self.state[0]["nears"])
         entered = [self.modes.met[m] for m in log.event_mode[:events].tolist()]
         near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
         return Trace(
-            t=self.sample_time * np.arange(len(log.z), dtype=np.float64),
-            z=log.z * d,
-            modes=np.array(self.modes.met)[log.mode],
+            t=self.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
+            z=log.z[:count] * d,
+            modes=np.array(self.modes.met)[log.mode[:count]],
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
             unresolved=tuple(Unresolved(t=t, part=self.places[k][0], guard=self.places[k][1]) for t, k in near),
         )

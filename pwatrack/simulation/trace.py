@@ -1,6 +1,9 @@
 """What a simulation leaves: samples, modes and events."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.simulation.flow import Mode
@@ -44,6 +47,20 @@ class Trace:
     modes: IntArray
     events: tuple[Event, ...]
     unresolved: tuple[Unresolved, ...] = ()
+
+    @staticmethod
+    def coarse(blocks: Sequence["Trace"]) -> "Trace":
+        """Return blocks of samples as one trace whose events are the changes of mode from sample to sample."""
+        t, z, modes = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "z", "modes"))
+        changed = np.flatnonzero((modes[1:] != modes[:-1]).any(axis=1)) + 1
+        events = (Event(float(t[k]), tuple(modes[k - 1].tolist()), tuple(modes[k].tolist())) for k in changed)
+        unresolved = tuple(touch for block in blocks for touch in block.unresolved)
+        return Trace(t=t, z=z, modes=modes, events=tuple(events), unresolved=unresolved)
+
+    def every(self, step: int, number: int) -> "Trace":
+        """Return every so many-th sample where the first of the trace has this number; there are no events in it."""
+        rows = slice((-number) % step, None, step)
+        return replace(self, t=self.t[rows], z=self.z[rows].copy(), modes=self.modes[rows].copy(), events=())
 
     def stays(self) -> list[tuple[Mode, float, float]]:
         """Return (mode, from, to) for each stretch of time without a mode change."""
