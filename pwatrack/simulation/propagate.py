@@ -102,7 +102,7 @@ class _Walk:
     ) -> None:
         from pwatrack.simulation import kernel  # imports numba, which takes a while
 
-        self.kernel, self.flow, self.sample_time, self.samples = kernel, flow, sample_time, samples
+        self.kernel, self.flow, self.sample_time, self.samples, self.most = kernel, flow, sample_time, samples, most
         self.first = 0  # sample of the next block
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         doublings = _doublings(flow.size(), sample_time)
@@ -138,7 +138,7 @@ class _Walk:
         """Walk through the next block of samples and return it, in coordinates D z."""
         self._run()
         rows, state = len(self.log.z), self.state[0]
-        count = rows if self.first + rows == self.samples else rows - 1
+        count = rows if self.first + rows == self.samples and rows <= self.most else rows - 1
         trace = self._trace(d, count)
         if count < rows:  # go on from the last row; the last event says from which mode
             left = min(rows, self.samples - self.first - count)
