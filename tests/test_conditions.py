@@ -282,3 +282,15 @@ def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Resul
         assert all(
             text in title.replace("\n", " ") for text in ("u limited to [-3, 4]", "noise of 0.01 on y", "0.01 s")
         )
+
+
+def test_a_portrait_shows_the_facets_and_cells_that_can_be_seen_in_it(paper_spec: Spec, tmp_path: Path) -> None:
+    spec = loaded(paper_spec, tmp_path, "  portraits: [[z2 - z1, v2 - v1], [2*z1, v1 + 1]]\n")
+    figures = draw(simulate(spec))
+    across, own = figures["portrait_1.png"].axes[0], figures["portrait_2.png"].axes[0]
+    assert {text.get_text() for text in across.texts} == {"lower spring", "gap", "upper spring"}
+    assert (across.get_xlabel(), across.get_ylabel()) == ("z2 - z1 (m)", "v2 - v1 (m/s)")
+    assert not own.texts
+    assert np.ravel(across.lines[0].get_xdata())[0] == pytest.approx(-0.25)
+    with pytest.raises(InvalidSpec, match="two linear forms"):
+        loaded(paper_spec, tmp_path, "  portraits: [[z1]]\n")

@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
 from pwatrack.control.pareto import Front
+from pwatrack.model.pwa import linear_form_text
 from pwatrack.pipeline import Result
+from pwatrack.spec.expression import LinearForm
 
 # Dark solid and light dashed: told apart without colour too.
 _ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
@@ -39,6 +41,8 @@ def draw(result: Result) -> dict[str, Figure]:
         figures["internal_states.png"] = internal_states(result)
     if result.steady_state is not None:
         figures["steady_state.png"] = steady_state(result)
+    for k, forms in enumerate(result.spec.portraits):
+        figures[f"portrait_{k + 1}.png"] = portrait(result, forms)
     return figures
 
 
@@ -130,6 +134,48 @@ def steady_state(result: Result) -> Figure:
             _span(t),
         )
     _legend(panels[0])
+    return figure
+
+
+def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
+    """Draw two linear forms of the plant's state against each other, with the facets and cells that can be seen there.
+
+    A hyperplane is a line in the picture if its normal is a combination of the two forms.
+    """
+    plant, response = result.loop.plant, result.response
+    rows, constants = np.array([form.row for form in forms]), np.array([form.constant for form in forms])
+    names = [linear_form_text(form.row, plant.states) for form in forms]
+    figure, (axes,) = _canvas(result, f"Phase portrait: {names[1]} against {names[0]}", [[0]], height=5.6)
+    actual, desired = (x @ rows.T + constants for x in (response.x, response.x_d))
+    last = result.controller.trajectory.exosystem.period or response.t[-1] / 2
+    steady = response.t >= response.t[-1] - last
+    axes.plot(*actual.T, label="plant", **_ACTUAL | {"linewidth": 0.8})
+    axes.plot(*desired[steady].T, label=f"desired, last {last:.4g} s", **_DESIRED)
+    axes.plot(*actual[0], "o", color=_ACTUAL["color"], markersize=5, label="start")
+    normals = np.linalg.lstsq(rows.T, plant.partition.H.T, rcond=None)[0].T
+    seen = np.abs(normals @ rows - plant.partition.H).max(axis=1, initial=0.0) < 1e-9
+    offsets = plant.partition.h - normals @ constants
+    limits = np.array([axes.get_xlim(), axes.get_ylim()])
+    grid = np.stack(np.meshgrid(*np.linspace(limits[:, 0], limits[:, 1], 200).T), axis=-1)
+    sides = np.sign(grid @ normals.T + offsets)
+    for k in np.flatnonzero(seen):
+        style: dict[str, Any] = {"colors": "0.35", "linewidths": 0.9, "linestyles": ":"}
+        axes.contour(grid[..., 0], grid[..., 1], grid @ normals[k] + offsets[k], levels=[0.0], **style)
+    axes.plot([], [], color="0.35", linewidth=0.9, linestyle=":", label="facets") if seen.any() else None
+    for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True):
+        inside = (sides * signs >= 0).all(axis=-1)
+        if not signs[~seen].any() and inside.mean() > 0.01:
+            middle = grid[inside].mean(axis=0)
+            box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+            axes.text(middle[0], middle[1], _plain(name), fontsize=8, ha="center", va="center", bbox=box)
+    axes.set_ylim(*limits[1])
+    units = [{result.spec.units.get(plant.states[j], "") for j in np.flatnonzero(row)} for row in rows]
+    labels = [
+        f"{name} ({min(unit)})" if len(unit) == 1 and min(unit) else name
+        for name, unit in zip(names, units, strict=True)
+    ]
+    _label(axes, labels[0], labels[1], (limits[0, 0], limits[0, 1]))
+    _legend(axes, columns=4)
     return figure
 
 

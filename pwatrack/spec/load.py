@@ -17,7 +17,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
 from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference
-from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
+from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, number
 from pwatrack.spec.problems import (
     condition_problems,
     goal_problems,
@@ -50,6 +50,7 @@ class Spec:
         duration, sample_time: In s.
         x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
         conditions: What is not as the theorems assume when it is simulated.
+        portraits: Pairs of linear forms of the states to draw against each other.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -71,6 +72,7 @@ class Spec:
     x_hat0: Array | None
     eta_hat0: Array | None
     conditions: Conditions
+    portraits: tuple[tuple[LinearForm, LinearForm], ...]
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -150,6 +152,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         x_hat0=_optional(initial.observer),
         eta_hat0=_optional(initial.generator),
         conditions=conditions,
+        portraits=tuple((first, second) for first, second in simulation.portraits),
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )

@@ -96,6 +96,12 @@ def _positive(value: float) -> float:
     return value
 
 
+def _pair(values: list[LinearForm]) -> list[LinearForm]:
+    if len(values) != 2:
+        raise ValueError("two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]")
+    return values
+
+
 def _not_negative(value: float) -> float:
     if value < 0:
         raise ValueError(f"{value:g} is negative")
@@ -437,6 +443,7 @@ class SimulationSection(Section):
     disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
     noise: NoiseSection | None = None
     controller: SampledSection | None = None
+    portraits: list[Annotated[list[Annotated[LinearForm, PlainValidator(_form)]], AfterValidator(_pair)]] = []
 
 
 class ToleranceSection(Section):
