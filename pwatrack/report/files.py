@@ -83,8 +83,10 @@ def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, fl
 def measures(result: Result) -> dict[str, float]:
     """Return the figures of a simulation for run.json and the summary."""
     steady_state = result.steady_state
-    floquet = {} if steady_state is None else {"largest_multiplier": float(np.abs(steady_state.multipliers).max())}
-    return asdict(result.figures) | floquet
+    if steady_state is None:
+        return asdict(result.figures)
+    largest = float(np.abs(steady_state.multipliers).max())
+    return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
 
 
 def _gain_figures(controller: Controller) -> dict[str, float]:

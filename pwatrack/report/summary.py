@@ -195,6 +195,13 @@ def print_result(console: Console, result: Result) -> None:
         "largest input",
         f"{figures['largest_input']:.4g} {result.spec.units.get(result.spec.plant.inputs[0], '')}",
     )
+    if (steady := result.steady_state) is not None:
+        multipliers = ", ".join(complex_text(complex(value)) for value in steady.multipliers)
+        table.add_row(
+            "steady state",
+            f"of the generator, period {steady.t[-1]:.6g} s: Floquet multipliers {multipliers}; "
+            f"after one period it misses itself by {steady.residual:.0e}",
+        )
     for remark in result.remarks:
         table.add_row("remark", remark)
     console.print(table)
