@@ -1,5 +1,7 @@
 """The kernel inequality, the two solvers, and what counts as a proof."""
 
+from collections.abc import Callable
+
 import numpy as np
 import picos
 import pytest
@@ -7,17 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
+from benchmarks.corpus import feasible
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.control import convergence, synthesis
-from pwatrack.control.synthesis import Task
+from pwatrack.control.synthesis import Task, stabilising_gain
 from pwatrack.errors import Infeasible, Undecided
-from pwatrack.lmi import picos_model
+from pwatrack.lmi import picos_model, structured
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.lmi.program import Candidate, Program, largest_margin, least_condition, smallest_gain
 from pwatrack.lmi.rational import decimals
+from pwatrack.lmi.solve import solve
 
 seeds = st.integers(0, 10_000)
 CELLS = ("a", "b", "c", "d")
@@ -100,8 +105,36 @@ def test_the_clarabel_plugin_maximises_too() -> None:
     assert float(problem.value) == pytest.approx(2.0, abs=1e-6)
 
 
+@given(seed=seeds, n=st.integers(2, 7), m=st.integers(0, 4), cells=st.integers(1, 6))
+@settings(deadline=None, max_examples=40)
+def test_the_structured_solver_and_clarabel_find_the_same_optimum(seed: int, n: int, m: int, cells: int) -> None:
+    A, B = feasible(seed, n, max(m, 1), cells, 1e-2)
+    A = A if m else A + B @ stabilising_gain(Task(A=A, B=B, cells="abcdef"[:cells]))[0]
+    inequality = state_feedback(A, B) if m else lyapunov(A)
+    margin = solve(largest_margin(inequality))
+    assert margin is not None
+    compared: list[tuple[Program, Callable[[Candidate], float]]] = [
+        (largest_margin(inequality), lambda found: inequality.margin(found.P, found.Y))
+    ]
+    if m:
+        program = smallest_gain(inequality, np.eye(n), np.eye(m), margin)
+        compared.append(
+            (program, lambda found: float(np.linalg.norm(found.Y @ np.linalg.solve(found.P, found.Y.T), 2)))
+        )
+    else:
+        program = least_condition(inequality, np.eye(n), margin.P)
+        compared.append((program, lambda found: float(np.linalg.eigvalsh(found.P)[0])))
+    for program, measure in compared:
+        ours, theirs = structured.solve(program), picos_model.solve(program)
+        assert ours is not None
+        assert theirs is not None
+        assert measure(ours) == pytest.approx(measure(theirs), rel=1e-2, abs=1e-6)
+        assert max(float(np.linalg.eigvalsh(side).max()) for side in inequality.evaluate(ours.P, ours.Y)) < 0
+
+
 def test_a_nan_in_the_data_is_not_called_solved() -> None:
-    assert picos_model.largest_margin(lyapunov(np.array([[[np.nan]]]))) is None
+    assert solve(largest_margin(lyapunov(np.array([[[np.nan]]])))) is None
+    assert structured.solve(largest_margin(lyapunov(np.array([[[np.nan]]])))) is None
 
 
 @given(seed=seeds, n=st.integers(1, 5), m=st.integers(1, 2))
@@ -181,16 +214,17 @@ def test_a_marginal_case_is_not_feasible(A: Array, solver: str) -> None:
 
 
 def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    def liar(*_: object, **__: object) -> picos_model.Candidate:
-        return picos_model.Candidate(P=np.eye(2), Y=np.zeros((1, 2)))
+    def liar(*_: object, **__: object) -> Candidate:
+        return Candidate(P=np.eye(2), Y=np.zeros((1, 2)))
 
-    for name in ("largest_margin", "least_cost", "smallest_gain"):
+    for name in ("solve", "least_cost"):
         monkeypatch.setattr(picos_model, name, liar)
+    monkeypatch.setattr(structured, "solve", liar)
     monkeypatch.setattr(picos_model, "multipliers", lambda _, bases, *__, **___: [np.eye(Q.shape[1]) for Q in bases])
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
-    with pytest.raises(Undecided):
+    with pytest.raises(Undecided, match=r"the best margin found is -[1-9]"):
         synthesis.stabilising_gain(Task(A=stable_apart, B=np.zeros((2, 1)), cells="ab"))
 
 
@@ -218,7 +252,7 @@ def test_a_refutation_holds_only_for_what_it_speaks_of() -> None:
 def test_either_a_proof_or_a_refutation_exists(seed: int) -> None:
     """Random matrices are not marginal."""
     A = random_stack(seed, n=3, cells=2) - 1.5 * np.eye(3)
-    candidate = picos_model.largest_margin(lyapunov(A))
+    candidate = solve(largest_margin(lyapunov(A)))
     assert candidate is not None
     assert (prove(A, candidate.P) is not None) != (refute(A, np.zeros((3, 0))) is not None)
 

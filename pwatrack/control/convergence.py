@@ -13,13 +13,20 @@ from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
+from pwatrack.lmi.program import largest_margin, least_condition
+from pwatrack.lmi.solve import solve
 
-_STEPS = 14  # at most so many bisections of the rate
+_STEPS = 14  # at most so many rates are tried
+_CONVERGED = 1e-4  # relative distance to the next rate to try at which the search ends
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
 def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "clarabel") -> Certificate | None:
-    """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that bisection finds.
+    """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found.
+
+    The largest margin of M_i P + P M_iᵀ + 2αP is a convex function of the rate α and falls, so the line through
+    its values at two rates meets 0 below the largest rate: the secant method gets there from below. Where a
+    rate is too fast, the interval between it and the best one is halved.
 
     Args:
         M: (l, n, n), with all eigenvalues in the open left half plane.
@@ -29,28 +36,42 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    from pwatrack.lmi.picos_model import largest_margin
-
     matrices, T, inverse, speed = _good_coordinates(M, start)
     best = None if start is None else prove(M, start)
     ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
-    trial = 0.0 if best is None else best.rate
+    trial, margins = 0.0 if best is None else best.rate, list[tuple[float, float]]()
     for _ in range(_STEPS):
-        candidate = largest_margin(lyapunov(inverse @ matrices @ T / speed, trial / speed), solver)
+        inequality = lyapunov(inverse @ matrices @ T / speed, trial / speed)
+        candidate = solve(largest_margin(inequality), solver)
         found = None if candidate is None else prove(M, T @ candidate.P @ T.T)
-        if candidate is not None:
-            nearer, back = _centre(candidate.P)
-            T, inverse = T @ nearer, back @ inverse
         if found is not None and (best is None or found.rate > best.rate):
             best = found
-        if found is None or found.rate < trial:
-            failures += 1
-            if best is not None:
-                ceiling = min(ceiling, trial)
-        if ceiling - (best.rate if best else 0.0) <= 1e-3 * ceiling or (best is None and failures > _RECENTRED):
+        if candidate is not None and found is not None and best is not None and found.rate >= trial:
+            margins = [*margins, (trial, inequality.margin(candidate.P))][-2:]
+            trial = max(_root_of_chord(margins), best.rate)
+            if len(margins) == 2 and trial - best.rate <= _CONVERGED * best.rate:
+                break
+        else:
+            failures, margins = failures + 1, []
+            if best is None and failures > _RECENTRED:
+                break
+            if candidate is not None:
+                nearer, back = _centre(candidate.P)
+                T, inverse = T @ nearer, back @ inverse
+            ceiling = ceiling if best is None else min(ceiling, trial)
+        if best is not None and ceiling - best.rate <= 1e-3 * ceiling:
             break
-        trial = 0.0 if best is None else (best.rate + ceiling) / 2
+        if best is not None and trial >= ceiling:
+            trial = (best.rate + ceiling) / 2
     return best
+
+
+def _root_of_chord(points: list[tuple[float, float]]) -> float:
+    """Return where the line through two points meets 0; minus infinity if there is none to the right of them."""
+    if len(points) < 2 or not points[0][1] > points[1][1]:
+        return -np.inf
+    (a, high), (b, low) = points
+    return b + low * (b - a) / (high - low)
 
 
 def least_overshoot_certificate(
@@ -75,10 +96,10 @@ def least_overshoot_certificate(
         >>> float(np.linalg.cond(least_overshoot_certificate(M, 0.9).P).round(3))
         1.0
     """
-    from pwatrack.lmi.picos_model import least_condition
-
     matrices, T, inverse, speed = _good_coordinates(M, start)
-    candidate = least_condition(lyapunov(inverse @ matrices @ T / speed, rate / speed), inverse @ inverse.T, solver)
+    inequality = lyapunov(inverse @ matrices @ T / speed, rate / speed)
+    inside = None if start is None else inverse @ start @ inverse.T
+    candidate = solve(least_condition(inequality, inverse @ inverse.T, inside), solver)
     return None if candidate is None else prove(M, T @ candidate.P @ T.T)
 
 

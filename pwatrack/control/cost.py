@@ -10,7 +10,9 @@ from pwatrack.control.synthesis import Task
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import centre, distinct
+from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.rational import decimals, is_positive_definite, scalar
+from pwatrack.lmi.solve import solve
 
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 
@@ -35,8 +37,6 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         >>> cost_bound(task, -np.eye(1), np.eye(1), np.eye(1)).round(4).tolist()
         [[1.0]]
     """
-    from pwatrack.lmi.picos_model import least_trace
-
     closed, weight = task.A + task.B @ K, Q + K.T @ R @ K
     matrices, _ = distinct(closed)
     n, speed = len(Q), float(np.linalg.norm(closed, 2, axis=(1, 2)).max())
@@ -51,7 +51,8 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         V = inverse = np.eye(n)
     inside = V.T @ (weight + slack) @ V
     size = float(np.linalg.norm(inside, 2))
-    candidate = least_trace(weighted(np.swapaxes(inverse @ matrices @ V, 1, 2) / speed, inside / size), task.solver)
+    inequality = weighted(np.swapaxes(inverse @ matrices @ V, 1, 2) / speed, inside / size)
+    candidate = solve(least_trace(inequality), task.solver)
     if candidate is not None:
         X = inverse.T @ candidate.P @ inverse * size / speed
         for room in _ROOM:

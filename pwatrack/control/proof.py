@@ -54,6 +54,6 @@ def _prove(of: str, M: Sequence[Rational], certificate: Certificate, solver: Sol
                 hint="the case is marginal; ask for less, or try the other solver",
             )
         )
-    found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, solver=solver)
+    found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, start=certificate.P, solver=solver)
     second = None if found is None else prove_exactly(of, M, found.P, _KEPT * found.rate)
     return [best] if second is None else [best, second]

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
@@ -14,17 +13,17 @@ from pwatrack.control.goal import DEFAULT, Goal
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.exact import RATE_GIVEN
-from pwatrack.lmi.inequality import Solver, quadratic_cost, state_feedback
+from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
+from pwatrack.lmi.program import Candidate, largest_margin, smallest_gain
+from pwatrack.lmi.solve import LARGE, solve
 from pwatrack.model.pwa import PWASystem
-
-if TYPE_CHECKING:
-    from pwatrack.lmi.picos_model import Candidate
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
 _COSTLY = 30_000  # cells times states cubed: with more, the inequality of the cost takes minutes
+_BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
 _MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
 
 
@@ -172,7 +171,7 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
         if found is not None and _norm(found[0]) > goal.bound:
             found = search.smallest_gain(goal.least_rate)
     if found is None:
-        raise _refusal(task, goal.least_rate, search.refuted(goal.least_rate))
+        raise _refusal(task, goal.least_rate, search.refuted(goal.least_rate), search.best_margin)
     if _norm(found[0]) > goal.bound:
         raise _too_large(task, goal, _norm(found[0]))
     return found
@@ -187,6 +186,7 @@ class Search:
         self.A, _ = distinct(self.scaling.system(task.A))
         self.B = self.scaling.input(task.B)
         self.mean = self.A.mean(axis=0)
+        self.best_margin = -np.inf  # found for (8), where A and P have size 1
 
     @cache  # noqa: B019 - a search lives as long as its one question
     def refuted(self, rate: float) -> Refutation | None:
@@ -262,12 +262,13 @@ class Search:
     def _smallest(
         self, trial: float, d: Array, e: Array, rate: float, below: float = np.inf
     ) -> tuple[Array, Certificate] | None:
-        from pwatrack.lmi.picos_model import smallest_gain
-
+        """Minimise the norm of E⁻¹ K D at a trial rate, in scaled time."""
+        large = len(d) >= LARGE
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            candidate = smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), self.task.solver)
+            start = solve(largest_margin(inequality, _most(inequality)), self.task.solver) if large else None
+            candidate = solve(smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), start), self.task.solver)
             if candidate is None or self._size(self._gain_of(candidate, W)) > below:
                 return None
             found = self._candidate(candidate, W, W_inverse, rate)
@@ -278,20 +279,29 @@ class Search:
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
         """Maximise the margin; the proof is the first that comes, its rate not the best one."""
-        from pwatrack.lmi.picos_model import largest_margin
-
-        W = W_inverse = np.eye(len(self.mean))
-        for _ in range(2 * _RECENTRED):
-            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, rate * (1 + 1e-3) / self.scaling.speed)
-            candidate = largest_margin(inequality, self.task.solver)
-            if candidate is None:
-                return None
-            K = _short(self._gain_of(candidate, W))
-            P = self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
-            certificate = prove(self.task.A + self.task.B @ K, P) if np.isfinite(K).all() else None
-            if certificate is not None and _reaches(certificate, rate):
-                return K, certificate
-            W, W_inverse = _recentred(W, W_inverse, candidate.P)
+        eye, trial = np.eye(len(self.mean)), rate * (1 + 1e-3) / self.scaling.speed
+        large = len(eye) >= LARGE
+        for factor in _BOUNDS_OF_Y if large else (np.inf,):
+            W, W_inverse = _riccati_coordinates(self.mean + trial * eye, self.B, eye) if large else (eye, eye)
+            for _ in range(2 * _RECENTRED):
+                inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
+                most = _most(inequality, factor) if large else None
+                candidate = solve(largest_margin(inequality, most), self.task.solver)
+                if candidate is None:
+                    return None
+                K = _short(self._gain_of(candidate, W))
+                P = self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
+                certificate = prove(self.task.A + self.task.B @ K, P) if np.isfinite(K).all() else None
+                if certificate is not None and _reaches(certificate, rate):
+                    return K, certificate
+                margin = inequality.margin(candidate.P, candidate.Y)
+                self.best_margin = max(self.best_margin, margin)
+                if margin < 0:
+                    if self.refuted(rate) is not None:
+                        return None
+                    if factor < _BOUNDS_OF_Y[-1]:
+                        break
+                W, W_inverse = _recentred(W, W_inverse, candidate.P)
         return None
 
     def _cost_gain(
@@ -307,7 +317,7 @@ class Search:
         return self._candidate(candidate, W, W_inverse, rate)
 
     def _candidate(
-        self, candidate: "Candidate | None", W: Array, W_inverse: Array, rate: float
+        self, candidate: Candidate | None, W: Array, W_inverse: Array, rate: float
     ) -> tuple[Array, Certificate] | None:
         """Prove the gain Y P⁻¹ of a solution in z = W x."""
         if candidate is None:
@@ -316,7 +326,7 @@ class Search:
             self._gain_of(candidate, W), rate, self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
         )
 
-    def _gain_of(self, candidate: "Candidate", W: Array) -> Array:
+    def _gain_of(self, candidate: Candidate, W: Array) -> Array:
         """Return Y P⁻¹ in the units given; not a number where P is singular to working precision."""
         if np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
             return np.full((self.B.shape[1], len(W)), np.nan)
@@ -346,11 +356,13 @@ def _recentred(W: Array, W_inverse: Array, P: Array) -> tuple[Array, Array]:
     return inverse @ W, W_inverse @ V
 
 
-def _refusal(task: Task, rate: float, refutation: Refutation | None) -> PwatrackError:
+def _refusal(task: Task, rate: float, refutation: Refutation | None, margin: float) -> PwatrackError:
     """Return the refusal with the proof that no gain reaches the rate, or say that there is neither gain nor proof."""
     goal, subject = (f" at a rate of {rate:g} 1/s", ("design", task.of, "rate")) if rate else ("", task.subject)
     if refutation is None:
         message = f"{task.claim}{goal} is undecided: no gain with a proof was found, and no proof that there is none"
+        if np.isfinite(margin):
+            message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
         hint = "another actuator or measured output may help, or the other solver: --solver cvxopt"
         return Undecided(Problem(message=message, subject=subject, hint=hint))
     slower = ", or a slower rate" if rate else ""
@@ -420,6 +432,12 @@ def _riccati_coordinates(A: Array, B: Array, Q: Array, R: Array | None = None) -
         return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError):
         return np.eye(len(A)), np.eye(len(A))
+
+
+def _most(inequality: Inequality, factor: float = 10.0) -> float:
+    """Return a bound of Y in (8) for P ⪯ I: a multiple of ‖A‖ / ‖B‖."""
+    size = np.linalg.norm(inequality.L, 2, axis=(1, 2)).max(initial=0.0)
+    return factor * float(size) / max(float(np.linalg.norm(inequality.M[0], 2)), 1e-300)
 
 
 def _root(Q: Array) -> Array:

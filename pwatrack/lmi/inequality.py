@@ -25,6 +25,7 @@ class Inequality:
         L, R: (l, N, n) and (l, n, N), for P (n, n).
         M, N: (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y.
         constant: C_i, (l, N, N), symmetric.
+        T: Coefficients T_i of a scalar t, (l, N, N), symmetric, where a term t T_i is added; see `program`.
 
     Example:
         >>> decay = lyapunov(np.array([[[-1.0]]]))
@@ -37,6 +38,7 @@ class Inequality:
     M: Array
     N: Array
     constant: Array
+    T: Array | None = None
 
     @property
     def n(self) -> int:
@@ -51,6 +53,11 @@ class Inequality:
     def evaluate(self, P: Array, Y: Array) -> Array:
         """Return the left-hand sides, (l, N, N)."""
         return symmetric_part(self.L @ P @ self.R) + symmetric_part(self.M @ Y @ self.N) + self.constant
+
+    def margin(self, P: Array, Y: Array | None = None) -> float:
+        """Return the largest t with left-hand sides ⪯ −t I and P ⪰ t I."""
+        sides = self.evaluate(P, np.zeros((self.m, self.n)) if Y is None else Y)
+        return float(min(-np.linalg.eigvalsh(sides).max(), np.linalg.eigvalsh(P)[0]))
 
 
 def lyapunov(M: Array, rate: float = 0.0) -> Inequality:

@@ -18,8 +18,10 @@ import numpy as np
 from scipy.linalg import qr, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi import structured
+from pwatrack.lmi.inequality import Inequality, Solver
 from pwatrack.lmi.presolve import Scaling
+from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.rational import (
     Rational,
     decimals,
@@ -34,10 +36,12 @@ from pwatrack.lmi.rational import (
     stacked,
     unreachable,
 )
+from pwatrack.lmi.solve import LARGE
 
 _BITS = 48  # of the entries of a rounded multiplier
 _SINGULAR = 1e-5  # eigenvalues below this share of the largest are taken for 0 when faces are guessed
 _SIMPLE = 1000  # denominators of guessed directions
+
 _LIGHT = 1e-3  # a cell with less than this share of the weight is tried without
 
 
@@ -171,8 +175,6 @@ def _lyapunov_map(M: Rational) -> Rational:
 
 def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, solver: Solver) -> Refutation | None:
     """Refute by multipliers for several cells, none of which is stuck alone."""
-    from pwatrack.lmi.picos_model import multipliers
-
     scaling = Scaling.of(A, B)
     D = decimals(np.diag(scaling.d))
     scaled, exact_A, exact_B = scaling.system(A), [D.inv() * A_i * D for A_i in exact_A], D.inv() * exact_B
@@ -182,14 +184,14 @@ def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, so
         if not cells or not all(N[i].nrows() for i in cells):
             return None
         bases = [np.linalg.qr(floats(N_i).T)[0] for N_i in N]
-        U = multipliers(scaled[cells], [bases[i] for i in cells], floats(R), interior=False, solver=solver)
+        U = _multipliers(scaled[cells], [bases[i] for i in cells], floats(R), interior=False, solver=solver)
         weight = np.array([np.trace(U_i) for U_i in U or ()])
         if U is None or not weight.max() > 0:  # or not a number
             return None
         heavy = [i for i, w in zip(cells, weight, strict=True) if w > _LIGHT * weight.max()]
         for some in (heavy, cells):
             part = [exact_A[i] for i in some], [N[i] for i in some], [bases[i] for i in some]
-            inside = multipliers(scaled[some], part[2], floats(R), interior=True, solver=solver)
+            inside = _multipliers(scaled[some], part[2], floats(R), interior=True, solver=solver)
             Z = None if inside is None else _exact_multipliers(*part, R, inside)
             if Z is not None and refutes(part[0], exact_B, dict(enumerate(Z))):
                 back = {i: D.inv() * Z_i * D.inv() for i, Z_i in zip(some, Z, strict=True)}
@@ -197,6 +199,28 @@ def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, so
         R, N = _guessed_faces(scaled, N, bases, dict(zip(cells, U, strict=True)))
         cells = heavy
     return None
+
+
+def _multipliers(
+    A: Array, bases: Sequence[Array], blind: Array, *, interior: bool, solver: Solver
+) -> list[Array] | None:
+    """Look for multipliers: see `picos_model.multipliers`; those of a large plant come from its dual.
+
+    Where the Z_i see all that B does not reach, Q is a basis of that and B̂ of the rest, they are the multipliers of
+    sym(Qᵀ A_i Q P + Qᵀ A_i B̂ Y) ⪯ t I with the least t; they are inside their cone.
+    """
+    Q, n = bases[0], A.shape[1]
+    whole = Q.shape[1] + blind.shape[1] == n and all(np.array_equal(Q, other) for other in bases)
+    if n >= LARGE and solver == "clarabel" and whole:
+        reached = np.linalg.qr(blind)[0]
+        eye = np.broadcast_to(np.eye(Q.shape[1]), (len(A), Q.shape[1], Q.shape[1]))
+        inequality = Inequality(L=Q.T @ A @ Q, R=eye, M=Q.T @ A @ reached, N=eye, constant=np.zeros(eye.shape))
+        candidate = structured.solve(least_violation(inequality))
+        if candidate is not None and candidate.multipliers is not None:
+            return list(candidate.multipliers)
+    from pwatrack.lmi.picos_model import multipliers  # imports PICOS, which takes a while
+
+    return multipliers(A, bases, blind, interior=interior, solver=solver)
 
 
 def _guessed_faces(

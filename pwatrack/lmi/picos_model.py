@@ -5,7 +5,6 @@ looked at it, whatever the solver says of it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,28 +13,20 @@ import picos
 from pwatrack.arrays import Array
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.inequality import Inequality, Solver
+from pwatrack.lmi.program import Candidate, Program
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Matrices that a solver returned for an inequality: P (n, n) and Y (m, n)."""
-
-    P: Array
-    Y: Array
-
-
-def largest_margin(inequality: Inequality, solver: Solver = "clarabel") -> Candidate | None:
-    """Maximise t subject to F_i(P, Y) ⪯ −t I for all cells and t I ⪯ P ⪯ I.
+def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
+    """Solve a program.
 
     Returns:
-        The maximiser, or None if the solver gave nothing.
+        The minimiser, or None if the solver gave nothing.
     """
-    problem, P, Y = _problem(inequality)
+    problem, P, Y = _problem(program)
     t = picos.RealVariable("t")
-    eye = np.eye(inequality.n)
-    problem.add_list_of_constraints([F << -t * np.eye(F.size[0]) for F in _left_sides(inequality, P, Y)])
-    problem.add_list_of_constraints([P >> t * eye, P << eye, t <= 1])
-    problem.set_objective("max", t)
+    for constraint in program.constraints:
+        problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t)])
+    problem.set_objective("min", program.price * t if program.price else picos.trace(P))
     return _solve(problem, P, Y, solver)
 
 
@@ -56,70 +47,6 @@ def least_cost(inequality: Inequality, weight: Array, solver: Solver = "clarabel
     problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
     problem.add_constraint(((W & V) // (V.T & P)) >> 0)
     problem.set_objective("min", picos.trace(W))
-    return _solve(problem, P, Y, solver)
-
-
-def least_condition(inequality: Inequality, unit: Array, solver: Solver = "clarabel") -> Candidate | None:
-    """Minimise κ subject to F_i(P, Y) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
-
-    Args:
-        inequality: What P must satisfy.
-        unit: U (n, n), positive definite: the P that would be the identity in the units that count.
-        solver: Which interior-point solver to ask.
-
-    Returns:
-        The minimiser, or None if the solver gave nothing.
-    """
-    problem, P, Y = _problem(inequality)
-    t = picos.RealVariable("t")
-    values, vectors = np.linalg.eigh(unit)
-    if not values[0] > 0:
-        return None
-    # κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1
-    narrow = vectors / np.sqrt(values / values[0])
-    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
-    problem.add_list_of_constraints([P >> t * (unit / values[-1]), narrow.T * P * narrow << np.eye(len(unit))])
-    problem.set_objective("max", t)
-    return _solve(problem, P, Y, solver)
-
-
-def least_trace(inequality: Inequality, solver: Solver = "clarabel") -> Candidate | None:
-    """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0.
-
-    Returns:
-        The minimiser, or None if the solver gave nothing.
-    """
-    problem, P, Y = _problem(inequality)
-    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
-    problem.add_constraint(P >> 0)
-    problem.set_objective("min", picos.trace(P))
-    return _solve(problem, P, Y, solver)
-
-
-def smallest_gain(
-    inequality: Inequality, metric: Array, input_root: Array, solver: Solver = "clarabel"
-) -> Candidate | None:
-    """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
-
-    Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
-
-    Args:
-        inequality: From `state_feedback`.
-        metric: G ≻ 0, (n, n).
-        input_root: E (m, m).
-        solver: Which interior-point solver to ask.
-
-    Returns:
-        The minimiser, or None if the solver gave nothing.
-    """
-    problem, P, Y = _problem(inequality)
-    size = float(np.linalg.norm(metric, 2))
-    bound = picos.RealVariable("bound")
-    EY = input_root * Y
-    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
-    problem.add_constraint(P >> metric / size)
-    problem.add_constraint(((bound * np.eye(inequality.m) & EY) // (EY.T & P)) >> 0)
-    problem.set_objective("min", bound)
     return _solve(problem, P, Y, solver)
 
 
@@ -176,19 +103,20 @@ def _complement(columns: Array) -> Array:
     return complement
 
 
-def _problem(inequality: Inequality) -> tuple[Any, Any, Any]:
-    P = picos.SymmetricVariable("P", inequality.n)
-    Y = picos.RealVariable("Y", (inequality.m, inequality.n)) if inequality.m else None
+def _problem(unknowns: Program | Inequality) -> tuple[Any, Any, Any]:
+    P = picos.SymmetricVariable("P", unknowns.n)
+    Y = picos.RealVariable("Y", (unknowns.m, unknowns.n)) if unknowns.m else None
     return picos.Problem(), P, Y
 
 
-def _left_sides(inequality: Inequality, P: Any, Y: Any) -> list[Any]:
+def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any = None) -> list[Any]:
     sides = []
-    for L, R, M, N, constant in zip(
-        inequality.L, inequality.R, inequality.M, inequality.N, inequality.constant, strict=True
+    for i, (L, R, M, N, constant) in enumerate(
+        zip(inequality.L, inequality.R, inequality.M, inequality.N, inequality.constant, strict=True)
     ):
-        half = L * P * R if Y is None else L * P * R + M * Y * N
-        sides.append(half + half.T + constant)
+        halves = ([L * P * R] if L.any() else []) + ([M * Y * N] if M.any() else [])
+        side = picos.sum([half + half.T for half in halves]) + constant if halves else constant
+        sides.append(side if inequality.T is None else side + t * inequality.T[i])
     return sides
 
 

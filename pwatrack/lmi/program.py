@@ -1,0 +1,186 @@
+"""What is asked of P and Y beside the inequality. Each program is described once, as data; solvers read it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.lmi.inequality import Inequality
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Matrices that a solver returned for an inequality: P (n, n) and Y (m, n).
+
+    `multipliers` are those of the inequality, (l, N, N), where the solver gives them.
+    """
+
+    P: Array
+    Y: Array
+    multipliers: Array | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """Minimise price · t, or the trace of P, subject to inequalities in P, Y and a scalar t.
+
+    Attributes:
+        constraints: The inequalities; all have the same P, Y and t.
+        price: Of t: −1 makes it large, 1 small; 0 makes the trace of P small.
+        start: P, Y, t that satisfy all of them strictly, where that is known.
+        gap: Share of the objective that may be missed; P, Y and the multipliers are further inside where it is larger.
+        fixed_trace: Whether the trace of P is to stay what it is at the start.
+    """
+
+    constraints: tuple[Inequality, ...]
+    price: float
+    start: tuple[Array, Array, float] | None = None
+    gap: float = 1e-4
+    fixed_trace: bool = False
+
+    @property
+    def n(self) -> int:
+        """Order of P."""
+        return self.constraints[0].n
+
+    @property
+    def m(self) -> int:
+        """Number of rows of Y."""
+        return self.constraints[0].m
+
+
+def largest_margin(inequality: Inequality, most: float | None = None) -> Program:
+    """Maximise t subject to F_i(P, Y) ⪯ −t I for all cells and t I ⪯ P ⪯ I, t ≤ 1, and ‖Y‖ ≤ most where that is given.
+
+    Without a bound Y may become large for a margin that is hardly better.
+    """
+    n, N = inequality.n, inequality.L.shape[1]
+    P, Y = np.eye(n) / 2, np.zeros((inequality.m, n))
+    below = -float(np.linalg.norm(inequality.evaluate(P, Y), axis=(1, 2)).max())
+    return Program(
+        constraints=(
+            replace(inequality, T=np.broadcast_to(np.eye(N), inequality.constant.shape)),
+            of_P(inequality, -1.0, np.eye(n), T=np.eye(n)),
+            of_P(inequality, 1.0, np.eye(n), constant=-np.eye(n)),
+            of_P(inequality, 1.0, np.zeros((1, n)), constant=-np.eye(1), T=np.eye(1)),
+            *([] if most is None or not inequality.m else [norm_of_Y(inequality, most)]),
+        ),
+        price=-1.0,
+        start=(P, Y, below - 1.0),
+    )
+
+
+def least_violation(inequality: Inequality) -> Program:
+    """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, P ⪰ 0 and tr P = 1.
+
+    Where the least t is positive, the multipliers U_i have Σ tr U_i F_i(P, Y) ≥ t tr P for any P ⪰ 0 and Y.
+    """
+    n, N = inequality.n, inequality.L.shape[1]
+    P, Y = np.eye(n) / n, np.zeros((inequality.m, n))
+    above = float(np.linalg.norm(inequality.evaluate(P, Y), axis=(1, 2)).max())
+    violated = replace(inequality, T=np.broadcast_to(-np.eye(N), inequality.constant.shape))
+    return Program(
+        constraints=(violated, of_P(inequality, -1.0, np.eye(n))),
+        price=1.0,
+        start=(P, Y, 2 * above + 1e-6),
+        gap=0.3,
+        fixed_trace=True,
+    )
+
+
+def least_condition(inequality: Inequality, unit: Array, start: Array | None = None) -> Program:
+    """Minimise κ subject to F_i(P) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
+
+    κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1.
+
+    Args:
+        inequality: What P must satisfy.
+        unit: U (n, n), positive definite: the P that would be the identity in the units that count.
+        start: A P (n, n) that satisfies the inequality strictly.
+
+    Raises:
+        numpy.linalg.LinAlgError: If U is not positive definite.
+    """
+    values, vectors = np.linalg.eigh(unit)
+    if not values[0] > 0:
+        raise np.linalg.LinAlgError("U is not positive definite")
+    narrow = vectors / np.sqrt(values / values[0])
+    if start is not None:
+        start = start / (2 * np.linalg.eigvalsh(narrow.T @ start @ narrow)[-1])
+    least = 0.0 if start is None else float(np.linalg.eigvalsh(start)[0])
+    return Program(
+        constraints=(
+            inequality,
+            of_P(inequality, -1.0, np.eye(inequality.n), T=unit / values[-1]),
+            of_P(inequality, 1.0, narrow.T, constant=-np.eye(len(unit))),
+        ),
+        price=-1.0,
+        start=None if start is None else (start, np.zeros((0, len(unit))), least / 2),
+    )
+
+
+def least_trace(inequality: Inequality) -> Program:
+    """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
+    return Program(constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))), price=0.0)
+
+
+def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, start: Candidate | None = None) -> Program:
+    """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
+
+    Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
+
+    Args:
+        inequality: From `state_feedback`.
+        metric: G ≻ 0, (n, n).
+        input_root: E (m, m).
+        start: P and Y that satisfy the inequality strictly.
+    """
+    n, m = inequality.n, inequality.m
+    metric = metric / np.linalg.norm(metric, 2)
+    low, right = np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
+    corner = np.zeros((m + n, m + n))
+    corner[:m, :m] = -np.eye(m)
+    point = None
+    if start is not None:
+        scale = 2.0 / np.linalg.eigvalsh(start.P)[0]
+        EY = input_root @ start.Y * scale
+        bound = np.linalg.norm(EY @ np.linalg.solve(start.P * scale, EY.T), 2)
+        point = start.P * scale, start.Y * scale, 2.0 * float(bound) + 1.0
+    gain = Inequality(
+        L=-low[None] / 2,
+        R=right[None],
+        M=-np.vstack([input_root, np.zeros((n, m))])[None],
+        N=right[None],
+        constant=np.zeros((1, m + n, m + n)),
+        T=corner[None],
+    )
+    return Program(
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(n), constant=metric), gain), price=1.0, start=point
+    )
+
+
+def of_P(
+    like: Inequality, sign: float, V: Array, *, constant: Array | None = None, T: Array | None = None
+) -> Inequality:
+    """Return sign · V P Vᵀ + constant + t T ⪯ 0 for the P of an inequality."""
+    N = len(V)
+    return Inequality(
+        L=sign / 2 * V[None],
+        R=V.T[None],
+        M=np.zeros((1, N, like.m)),
+        N=np.zeros((1, like.n, N)),
+        constant=np.zeros((1, N, N)) if constant is None else constant[None],
+        T=None if T is None else T[None],
+    )
+
+
+def norm_of_Y(like: Inequality, most: float) -> Inequality:
+    """Return ‖Y‖ ≤ most for the Y of an inequality, as [most I, Y; Yᵀ, most I] ⪰ 0."""
+    n, m = like.n, like.m
+    return Inequality(
+        L=np.zeros((1, m + n, n)),
+        R=np.zeros((1, n, m + n)),
+        M=-np.eye(m + n, m)[None],
+        N=np.hstack([np.zeros((n, m)), np.eye(n)])[None],
+        constant=-most * np.eye(m + n)[None],
+    )
