@@ -11,10 +11,12 @@ one product of an n² × 2l by a 2l × n² matrix for all cells together, O(l n�
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import brentq
+from threadpoolctl import ThreadpoolController
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.lmi.inequality import Inequality
@@ -37,8 +39,17 @@ def solve(program: Program) -> Candidate | None:
     """
     if program.start is None:
         return None
-    P, Y, t = program.start
-    if not all(np.isfinite(part).all() for part in program.start):
+    with _threads().limit(limits=1, user_api="blas"):
+        return _solve(program, *program.start)
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
+    if not all(np.isfinite(part).all() for part in (P, Y, t)):
         return None
     space = _Space(replace(program, constraints=(*program.constraints, *_bounds(program, P, Y))))
     v = space.vector(P, Y, t)
