@@ -39,9 +39,9 @@ _R = TypeVar("_R")
 
 def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     try:
-        return njit(cache=True)(function)
+        return njit(cache=True, nogil=True)(function)
     except RuntimeError:  # no folder for the cache is writable
-        return njit()(function)
+        return njit(nogil=True)(function)
 
 
 class Field(NamedTuple):

@@ -6,6 +6,7 @@ as arrays, and what comes back becomes a trace.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -59,33 +60,63 @@ def simulate_flow(
         >>> round(float(trace.z[:, 0].max()), 12), len(trace.events)
         (0.2, 2)
     """
-    d = balancing(flow.size()[None])
-    samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
-    scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
-    walk = _Walk(flow.scaled(d), z0 / d, samples, sample_time, scaled)
-    walk.run()
-    return walk.trace(d)
+    return Propagator(flow, duration=duration, sample_time=sample_time).walk(z0, resets).trace()
 
 
-class _Walk:
-    """A trajectory in balanced coordinates: what the compiled kernel works on."""
+class Propagator:
+    """A flow made ready for the kernel: balanced, its grid of steps, and what is known of each mode met so far.
 
-    def __init__(self, flow: Flow, z0: Array, samples: int, sample_time: float, resets: Sequence[StateReset]) -> None:
+    Any number of trajectories may share one, from several threads at a time: what
+    is known of a mode depends on the flow alone, so no trajectory depends on another.
+
+    Args:
+        flow, duration, sample_time: As for `simulate_flow`.
+    """
+
+    def __init__(self, flow: Flow, *, duration: float, sample_time: float) -> None:
         from pwatrack.simulation import kernel  # imports numba, which takes a while
 
-        self.kernel, self.flow, self.sample_time = kernel, flow, sample_time
+        self.d = balancing(flow.size()[None])
+        self.flow = flow = flow.scaled(self.d)
+        self.sample_time = sample_time
+        self.samples = int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         doublings = _doublings(flow.size(), sample_time)
-        h = sample_time / 2**doublings
         self.field = kernel.Field(
             first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
             guards=np.ascontiguousarray(flow.guards().T),
             signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
-            h=h,
+            h=sample_time / 2**doublings,
             doublings=doublings,
         )
+        self.modes = _Modes(flow, self.field.h, doublings)
+
+    def walk(self, z0: Array, resets: Sequence[StateReset] = ()) -> "Walk":
+        """Return the trajectory from z0 (N,).
+
+        Raises:
+            CheckFailed: If more than 1,000 events happen without progress in time.
+        """
+        scaled = [StateReset(t=r.t, where=r.where, value=r.value / self.d[r.where]) for r in resets]
+        walk = Walk(self, z0 / self.d, scaled)
+        walk.run()
+        return walk
+
+
+class Walk:
+    """A trajectory in balanced coordinates: what the compiled kernel works on.
+
+    Attributes:
+        log: What was written down; `log.z` are the samples in coordinates D⁻¹ z.
+    """
+
+    def __init__(self, propagator: Propagator, z0: Array, resets: Sequence[StateReset]) -> None:
+        from pwatrack.simulation import kernel
+
+        self.kernel, self.propagator = kernel, propagator
+        flow, places = propagator.flow, propagator.places
         self.resets = kernel.Resets(
-            step=np.array([_snapped(reset.t / h) for reset in resets], dtype=np.float64),
+            step=np.array([_snapped(reset.t / propagator.field.h) for reset in resets], dtype=np.float64),
             start=np.array([reset.where.start for reset in resets], dtype=np.int64),
             stop=np.array([reset.where.stop for reset in resets], dtype=np.int64),
             values=np.zeros((len(resets), len(z0))),
@@ -96,30 +127,39 @@ class _Walk:
         self.z = z0.copy()
         for reset in resets[:early]:
             self.z[reset.where] = reset.value
-        self.modes = _Modes(flow, h, doublings)
-        self.modes.add(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
+        first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
         self.state: Any = np.zeros(1, kernel.STATE)
-        self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
-        self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
+        self.state[["resets", "settling", "events", "last", "m"]] = early, True, 1, -1.0, first
+        self.near_since, self.crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
         self.log = kernel.Log(
-            z=np.empty((samples, len(z0))),
-            mode=np.zeros(samples, dtype=np.int64),
+            z=np.empty((propagator.samples, len(z0))),
+            mode=np.zeros(propagator.samples, dtype=np.int64),
             event_time=np.zeros(64),
             event_mode=np.zeros(64, dtype=np.int64),
-            near_time=np.zeros(4 * len(self.places)),
-            near_guard=np.zeros(4 * len(self.places), dtype=np.int64),
+            near_time=np.zeros(4 * len(places)),
+            near_guard=np.zeros(4 * len(places), dtype=np.int64),
         )
         self.log.z[0] = self.z
 
+    @property
+    def events(self) -> int:
+        """Mode changes after the start."""
+        return int(self.state[0]["events"]) - 1
+
+    @property
+    def unresolved(self) -> int:
+        """Touches of a guard that rounding could not decide."""
+        return int(self.state[0]["nears"])
+
     def run(self) -> None:
         """Walk to the end, with a stop wherever a new mode is entered or more room is needed."""
-        kernel, first = self.kernel, self.field.first[:-1]
+        kernel, field, modes = self.kernel, self.propagator.field, self.propagator.modes
+        first = field.first[:-1]
         cells = first.copy()
         while True:
             stop = kernel.walk(
-                self.field,
-                self.modes.arrays,
-                len(self.modes.met),
+                field,
+                *modes.known(),
                 self.resets,
                 self.state,
                 self.z,
@@ -131,12 +171,12 @@ class _Walk:
             if stop == kernel.DONE:
                 return
             if stop == kernel.NEW_MODE:
-                self.modes.add(tuple((cells - first).tolist()))
+                modes.number(tuple((cells - first).tolist()))
             elif stop == kernel.FULL:
                 self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
             else:
                 at = self.state[0]
-                part, guard = self.places[at["guard"]]
+                part, guard = self.propagator.places[at["guard"]]
                 raise CheckFailed(
                     Problem(
                         message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
@@ -146,17 +186,18 @@ class _Walk:
                     )
                 )
 
-    def trace(self, d: Array) -> Trace:
-        """Return what was written down, in coordinates D z."""
-        log, events, nears = self.log, int(self.state[0]["events"]), int(self.state[0]["nears"])
-        entered = [self.modes.met[m] for m in log.event_mode[:events].tolist()]
+    def trace(self) -> Trace:
+        """Return what was written down."""
+        log, on, met = self.log, self.propagator, self.propagator.modes.met
+        events, nears = self.events + 1, self.unresolved
+        entered = [met[m] for m in log.event_mode[:events].tolist()]
         near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
         return Trace(
-            t=self.sample_time * np.arange(len(log.z), dtype=np.float64),
-            z=log.z * d,
-            modes=np.array(self.modes.met)[log.mode],
+            t=on.sample_time * np.arange(len(log.z), dtype=np.float64),
+            z=log.z * on.d,
+            modes=np.array(met)[log.mode],
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
-            unresolved=tuple(Unresolved(t=t, part=self.places[k][0], guard=self.places[k][1]) for t, k in near),
+            unresolved=tuple(Unresolved(t=t, part=on.places[k][0], guard=on.places[k][1]) for t, k in near),
         )
 
 
@@ -170,6 +211,7 @@ class _Modes:
         self.flow, self.h = flow, h
         self.first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])[:-1]
         self.met: list[Mode] = []
+        self._lock = Lock()
         self.arrays = Modes(
             cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
             sides=np.zeros((1, K), dtype=np.int64),
@@ -180,12 +222,22 @@ class _Modes:
             rounding=np.zeros((1, N, K)),
         )
 
-    def add(self, mode: Mode) -> None:
-        """Fill in one more mode."""
+    def known(self) -> tuple[Any, int]:
+        """Return the arrays, and how many modes are filled in; what is filled in later changes none of these."""
+        with self._lock:
+            return self.arrays, len(self.met)
+
+    def number(self, mode: Mode) -> int:
+        """Return the number of a mode; one that is new is filled in first."""
+        with self._lock:
+            if mode not in self.met:
+                self._add(mode)
+            return self.met.index(mode)
+
+    def _add(self, mode: Mode) -> None:
         m = len(self.met)
         if m == len(self.arrays.cells):
             self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
-        self.met.append(mode)
         arrays, guards = self.arrays, np.abs(self.flow.guards().T)
         F = self.flow.matrix(mode).T * self.h
         eye, growth = np.eye(len(F)), np.zeros_like(F)
@@ -207,6 +259,7 @@ class _Modes:
             second = 2.0**d * first + second + second @ stretch
             first = first + first @ stretch
             growth = 2 * growth + growth @ growth
+        self.met.append(mode)
 
 
 def _doublings(size: Array, sample_time: float) -> int:
