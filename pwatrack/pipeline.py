@@ -26,7 +26,7 @@ from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
-from pwatrack.simulation.trace import Trace
+from pwatrack.simulation.trace import Trace, last_tenth
 from pwatrack.spec.load import Spec
 
 
@@ -79,8 +79,8 @@ class Result:
     @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
-        tail = -(-len(self.response.t) // 10)
-        return float(np.linalg.norm(self.response.tracking_error[-tail:], axis=1).max())
+        tail = last_tenth(self.response.t)
+        return float(np.linalg.norm(self.response.tracking_error[tail], axis=1).max())
 
 
 def design(spec: Spec) -> Controller:

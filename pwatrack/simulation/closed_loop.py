@@ -61,6 +61,12 @@ class ClosedLoop:
             tracking_error=x - x_d if self.controller.generator is None else y - y_d,
         )
 
+    @property
+    def tracking_error(self) -> Array:
+        """Rows with e = rows z for what goes to 0: y − y_d for output tracking, x − x_d for state tracking, (q, N)."""
+        rows = np.eye(self.x_d.shape[1])[self.x] - self.x_d
+        return rows if self.controller.generator is None else np.asarray(self.controller.plant.C @ rows)
+
     def generator_flow(self) -> Flow:
         """Return the flow of (η̂, w, 1) alone: no other part acts on it."""
         return self.flow.subsystem("generator", np.arange(self.eta_hat.start, self.x_d.shape[1]))

@@ -186,6 +186,10 @@ class Walk:
                     )
                 )
 
+    def norms(self, rows: Array, result: Array) -> None:
+        """Write ‖rows z‖ at every sample to `result`, (K,), for rows (q, N)."""
+        self.kernel.norms(np.ascontiguousarray(rows * self.propagator.d), self.log.z, result)
+
     def trace(self) -> Trace:
         """Return what was written down."""
         log, on, met = self.log, self.propagator, self.propagator.modes.met
@@ -217,6 +221,7 @@ class _Modes:
             sides=np.zeros((1, K), dtype=np.int64),
             F=np.zeros((1, N, N)),
             growth=np.zeros((1, D, N, N)),
+            margin=np.zeros((1, D, N, K)),
             first=np.zeros((1, D, N, K)),
             second=np.zeros((1, D, N, K)),
             rounding=np.zeros((1, N, K)),
@@ -238,26 +243,29 @@ class _Modes:
         m = len(self.met)
         if m == len(self.arrays.cells):
             self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
-        arrays, guards = self.arrays, np.abs(self.flow.guards().T)
+        arrays, guards = self.arrays, self.flow.guards().T
         F = self.flow.matrix(mode).T * self.h
-        eye, growth = np.eye(len(F)), np.zeros_like(F)
-        for j in range(_DEGREE, 0, -1):  # e^{F h} − 1 by Horner's rule: it keeps the digits that e^{F h} would lose
-            growth = (F + F @ growth) / j
-        absolute = np.abs(F)
-        term = size = first = eye
-        second = eye / 2
-        for j in range(1, _DEGREE + 1):
-            term = term @ absolute / j
-            size, first, second = size + term, first + term / (j + 1), second + term / ((j + 1) * (j + 2))
+        eye, both = np.eye(len(F)), np.array([F, np.abs(F)])
+        series = np.zeros_like(both)  # Σ Fʲ / (j + 2)!, by Horner's rule
+        for j in range(_DEGREE, 1, -1):
+            series = (eye + both @ series) / j
+        growth = F + F @ F @ series[0]  # e^F − 1 by itself: it keeps the digits that e^F would lose
+        absolute, second = both[1], series[1]
+        first = eye + absolute @ second
+        size = reach = eye + absolute @ first  # bounds on e^{Fσ}, for every σ up to the step
+        bend = np.abs(F @ F @ guards) + _ROUNDING * absolute @ absolute @ np.abs(guards)
+        guards = np.abs(guards)
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
         arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d] = growth
+            arrays.margin[m, d] = _OUTWARD * reach @ (_ROUNDING * guards + 4.0**d / 8 * bend)
             arrays.first[m, d] = _OUTWARD * first @ guards
             arrays.second[m, d] = _OUTWARD * second @ guards
             stretch = np.abs(eye + growth)
             second = 2.0**d * first + second + second @ stretch
             first = first + first @ stretch
+            reach = np.maximum(reach, reach @ stretch)
             growth = 2 * growth + growth @ growth
         self.met.append(mode)
 
