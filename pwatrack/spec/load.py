@@ -15,13 +15,15 @@ from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
-from pwatrack.spec.build import build_goal, build_plant, build_reference
+from pwatrack.simulation.region import Region
+from pwatrack.spec.build import build_goal, build_plant, build_reference, build_regions
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, number
 from pwatrack.spec.problems import (
     goal_problems,
     name_problems,
     plant_problems,
     reference_problems,
+    region_problems,
     sampling_problems,
     shape_problems,
     validation_problems,
@@ -47,6 +49,7 @@ class Spec:
         reference: What to track.
         duration, sample_time: In s.
         x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
+        regions: Where the members of an ensemble start, by part; empty where the file says nothing.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -67,6 +70,7 @@ class Spec:
     x0: Array | None
     x_hat0: Array | None
     eta_hat0: Array | None
+    regions: Mapping[str, Region]
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -107,6 +111,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         *problems,
         *shape_problems(document.data, context),
         *name_problems(document.data, context),
+        *region_problems(document.data, context),
         *sampling_problems(document.data, context),
     ]
     try:
@@ -118,6 +123,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
+    x0, x_hat0 = _optional(initial.plant), _optional(initial.observer)
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
@@ -137,9 +143,10 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         reference=reference,
         duration=simulation.duration,
         sample_time=simulation.sample_time,
-        x0=_optional(initial.plant),
-        x_hat0=_optional(initial.observer),
+        x0=x0,
+        x_hat0=x_hat0,
         eta_hat0=_optional(initial.generator),
+        regions=build_regions(simulation.ensemble.initial, plant.states, {"plant": x0, "observer": x_hat0}),
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
