@@ -141,6 +141,7 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
                 ("mode_changes", kept.mode_changes),
             )
         },
+        "settled_below": kept.settled_below,
         "settled": int(np.isfinite(kept.settling_time).sum()),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
     }

@@ -18,7 +18,6 @@ from pwatrack.control.guarantees import Contraction, Guarantees
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import ensemble_measures, error_unit, measures
-from pwatrack.simulation.ensemble import SETTLED
 from pwatrack.spec.load import Spec
 from pwatrack.variation import EnsembleResult
 
@@ -219,7 +218,11 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     for name, label, form in (
         ("largest_error", f"largest error{f' ({unit})' if unit else ''}", ".2e"),
         ("final_error", "… in the last tenth of the time", ".2e"),
-        ("settling_time", f"below {SETTLED:.0%} of its largest for good (s)", ".4g"),
+        (
+            "settling_time",
+            f"below {figures['settled_below']:.2e}{f' {unit}' if unit else ''} for good after (s)",
+            ".4g",
+        ),
         ("mode_changes", "mode changes", ".0f"),
     ):
         values = figures[name]

@@ -13,7 +13,7 @@ from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import Propagator, StateReset
 from pwatrack.simulation.trace import last_tenth
 
-SETTLED = 0.01  # of the largest error of a member
+_SETTLED = 0.01  # of the median of the largest errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +62,14 @@ class Ensemble:
         return np.asarray(self.error[:, last_tenth(self.t)].max(axis=1))
 
     @property
+    def settled_below(self) -> float:
+        """The size of ‖e‖ that counts as settled: 1 % of the median of the largest ones."""
+        return _SETTLED * float(np.median(self.largest))
+
+    @property
     def settling_time(self) -> Array:
-        """When ‖e‖ falls below 1 % of the member's largest for good, in s; infinity where it does not, (M,)."""
-        above = self.error > SETTLED * self.largest[:, None]
+        """When ‖e‖ falls to `settled_below` or less for good, in s; infinity where it does not, (M,)."""
+        above = self.error > self.settled_below
         samples = self.error.shape[1]
         first = np.where(above.any(axis=1), samples - np.argmax(above[:, ::-1], axis=1), 0)
         return np.asarray(np.append(self.t, np.inf)[first])
