@@ -127,5 +127,6 @@ def _check_generator(result: Result, entries: int) -> None:
         message = f"{where}: the reference itself says where the desired trajectory starts"
         raise InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
     if entries != expected:
-        message = f"{where}: {entries} intervals, expected {expected}, one for each state of the generator"
+        found = f"{entries} interval" + "s" * (entries != 1)
+        message = f"{where}: {found}, expected {expected}, one for each state of the generator"
         raise InvalidSpec(Problem(message=message, subject=subject))
