@@ -56,6 +56,7 @@ class Field(NamedTuple):
         signs: Side of each guard that each cell is on; 0 for guards of other parts, (C, K).
         h: The finest step in s.
         doublings: The longest step, from sample to sample, is 2^doublings finest ones.
+        degree: Taylor terms of e^{F h} beyond it are rounding, in every mode and entry.
     """
 
     first: IntArray
@@ -63,6 +64,7 @@ class Field(NamedTuple):
     signs: IntArray
     h: float
     doublings: int
+    degree: int
 
 
 class Resets(NamedTuple):
@@ -238,8 +240,6 @@ def _root(power: Array, start: int, low: float, high: float) -> float:
             break
         step = value / slope
         x -= step
-        if not low < x < high:
-            break
         width = 2.0**-52 * max(1.0, 4 * x)
         if abs(step) <= width:
             for edge in (x - width, x + width):
@@ -248,6 +248,8 @@ def _root(power: Array, start: int, low: float, high: float) -> float:
                         high = edge
                     else:
                         low = edge
+            break
+        if not low < x < high:
             break
     while high - low > 2.0**-53 * max(1.0, 4 * high):
         x = 0.5 * (low + high)
@@ -300,11 +302,11 @@ def _number(known_cells: IntArray, known: int, cells: IntArray) -> int:
 
 
 @_compiled
-def _expand(F: Array, z: Array, length: float, terms: Array) -> None:
-    """Write the Taylor terms of z(τ length), (16, N)."""
+def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> None:
+    """Write the Taylor terms of z(τ length) up to a degree, (16, N)."""
     for i in range(len(z)):
         terms[0, i] = z[i]
-    for j in range(1, DEGREE + 1):
+    for j in range(1, degree + 1):
         _apply(F, terms[j - 1], terms[j])
         for i in range(len(z)):
             terms[j, i] *= length / j
@@ -325,11 +327,11 @@ def _seen(guards: Array, k: int, terms: Array, power: Array) -> None:
 
 
 @_compiled
-def _arrive(terms: Array, tau: float, z: Array) -> None:
+def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
     """Write z(τ) by Horner's rule."""
     for i in range(len(z)):
         z[i] = 0.0
-    for j in range(DEGREE, 0, -1):
+    for j in range(degree, 0, -1):
         for i in range(len(z)):
             z[i] = (z[i] + terms[j, i]) * tau
     for i in range(len(z)):
@@ -448,7 +450,7 @@ def walk(
     """
     s, K, N, D = state[0], len(crossed), len(z), field.doublings
     end = (len(log.z) - 1) << D
-    terms, power, pieces = np.empty((DEGREE + 1, N)), np.empty(DEGREE + 1), np.empty((32, DEGREE + 3))
+    terms, power, pieces = np.zeros((DEGREE + 1, N)), np.empty(DEGREE + 1), np.empty((32, DEGREE + 3))
     now, then, slope, reach, tolerance = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K)
     beyond, touched, near, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
     v, following, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
@@ -535,7 +537,7 @@ def walk(
             length = (max(s.done, resets.step[s.resets] - s.k) if falls else 1.0) - s.done
             known_now = False
             _apply(modes.rounding[m], size, tolerance)
-            _expand(modes.F[m], z, length, terms)
+            _expand(modes.F[m], z, length, field.degree, terms)
             _apply(field.guards, z, now)
             for i in range(N):
                 speed[i] = abs(terms[1, i])
@@ -570,7 +572,7 @@ def walk(
                     s.nears += 1
                 if near[i] < tau:
                     near_since[i] = (s.k + s.done + near[i] * length) * field.h
-            _arrive(terms, min(tau, 1.0), z)
+            _arrive(terms, field.degree, min(tau, 1.0), z)
             if guard >= 0:
                 s.done += tau * length
                 if tau * length >= 1e-15:

@@ -19,6 +19,7 @@ from pwatrack.simulation.trace import Event, Trace, Unresolved
 
 _DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)  # of the size of its terms: a smaller sum may be 0
+_NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard")
 
@@ -88,6 +89,7 @@ class Propagator:
             signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
             h=sample_time / 2**doublings,
             doublings=doublings,
+            degree=_degree(flow.size() * sample_time / 2**doublings),
         )
         self.modes = _Modes(flow, self.field.h, doublings)
 
@@ -273,6 +275,19 @@ class _Modes:
 def _doublings(size: Array, sample_time: float) -> int:
     norm = float(np.linalg.norm(size, 2)) * sample_time
     return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
+
+
+def _degree(size: Array) -> int:
+    """Return the degree from which on the Taylor terms of e^F are rounding in every entry, for any |F| ≤ size."""
+    terms = [np.eye(len(size))]
+    for j in range(1, 2 * _DEGREE):
+        terms.append(terms[-1] @ size / j)
+    whole, rest = sum(terms), np.zeros_like(size)
+    for j in range(2 * _DEGREE - 1, 0, -1):
+        rest = rest + terms[j]
+        if j <= _DEGREE and (rest > _NEGLIGIBLE * whole).any():
+            return j
+    return 1
 
 
 def _snapped(step: float) -> float:
