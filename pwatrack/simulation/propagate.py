@@ -213,8 +213,8 @@ class _Modes:
     def __init__(self, flow: Flow, h: float, doublings: int) -> None:
         from pwatrack.simulation.kernel import Modes
 
-        N, K, D = len(flow.F0), len(flow.guards()), doublings + 1
-        self.flow, self.h = flow, h
+        self.flow, self.h, self.guards = flow, h, flow.guards().T
+        (N, K), D = self.guards.shape, doublings + 1
         self.first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])[:-1]
         self.met: list[Mode] = []
         self._lock = Lock()
@@ -245,7 +245,7 @@ class _Modes:
         m = len(self.met)
         if m == len(self.arrays.cells):
             self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
-        arrays, guards = self.arrays, self.flow.guards().T
+        arrays, guards = self.arrays, np.abs(self.guards)
         F = self.flow.matrix(mode).T * self.h
         eye, both = np.eye(len(F)), np.array([F, np.abs(F)])
         series = np.zeros_like(both)  # Σ Fʲ / (j + 2)!, by Horner's rule
@@ -255,8 +255,7 @@ class _Modes:
         absolute, second = both[1], series[1]
         first = eye + absolute @ second
         size = reach = eye + absolute @ first  # bounds on e^{Fσ}, for every σ up to the step
-        bend = np.abs(F @ F @ guards) + _ROUNDING * absolute @ absolute @ np.abs(guards)
-        guards = np.abs(guards)
+        bend = np.abs(F @ F @ self.guards) + _ROUNDING * absolute @ absolute @ guards
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
         arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
         for d in range(arrays.growth.shape[1]):
