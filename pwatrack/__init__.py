@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pwatrack.report.files import write_result as write_result
     from pwatrack.spec.load import Spec as Spec
     from pwatrack.spec.load import load_spec as load_spec
+    from pwatrack.variation import ensemble as ensemble
 
 __version__ = "0.1.0"
 
@@ -33,6 +34,7 @@ _HOME = {
     "Result": "pwatrack.pipeline",
     "Spec": "pwatrack.spec.load",
     "design": "pwatrack.pipeline",
+    "ensemble": "pwatrack.variation",
     "load_spec": "pwatrack.spec.load",
     "simulate": "pwatrack.pipeline",
     "write_design": "pwatrack.report.files",

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -83,9 +83,17 @@ def design(
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
-def simulate(spec_path: SpecPath, out: Out = None, parameters: Set = None, solver: SolverName = None) -> None:
+def simulate(
+    spec_path: SpecPath,
+    out: Out = None,
+    parameters: Set = None,
+    solver: SolverName = None,
+    ensemble: Annotated[int | None, typer.Option(min=1, metavar="M", help="Also run M variations of the loop.")] = None,
+    over: Annotated[Literal["initial"], typer.Option(help="What differs between them.")] = "initial",
+    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers that they are drawn with.")] = 1,
+) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
-    _run(spec_path, out, parameters, solver, simulated=True)
+    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, over=over, seed=seed)
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --junit report.xml")
@@ -130,11 +138,9 @@ def _run(
     out: Path | None,
     parameters: list[str] | None,
     solver: "Solver | None",
-    *,
-    simulated: bool,
-    fronts: bool = False,
+    **options: Any,
 ) -> None:
     with refusals():
         from pwatrack.report.session import run
 
-        run(path, out or Path("runs") / path.stem, parameters or [], solver, simulated=simulated, fronts=fronts)
+        run(path, out or Path("runs") / path.stem, parameters or [], solver, **options)

@@ -95,6 +95,11 @@ class Result:
         return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
 
     @property
+    def generator_start_fixed(self) -> bool:
+        """Whether the reference itself says where the desired trajectory starts."""
+        return self.controller.trajectory.eta0 is not None or _starts_periodic(self.spec)
+
+    @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
         return self.figures.final_tracking_error

@@ -24,7 +24,7 @@ from pwatrack.model.signal import Signal
 from pwatrack.report.files import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateReset, _Walk, simulate_flow, trace_blocks
+from pwatrack.simulation.propagate import Propagator, StateReset, Walk, simulate_flow, trace_blocks
 from pwatrack.simulation.steady_state import _monodromy, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
@@ -441,12 +441,13 @@ def test_a_crossing_right_at_a_sample_is_one_event_and_not_unresolved() -> None:
 def test_a_guard_just_crossed_counts_as_zero_however_rounding_leaves_it(velocity: float) -> None:
     """x is a thousand times the rounding bound on the wrong side: without this rule the walk would go back there."""
     for settling in (True, False):
-        walk = _Walk(abs_oscillator(), np.array([0.0, velocity, 1.0]), 2, 2, 0.1, [])
-        walk.modes = type(walk.modes)(abs_oscillator(), walk.field.h, walk.field.doublings)
-        walk.modes.add((int(velocity > 0),))
+        propagator = Propagator(abs_oscillator(), duration=0.1, sample_time=0.1)
+        assert propagator.modes.number((int(velocity > 0),)) == 0
+        walk = Walk(propagator, np.array([0.0, velocity, 1.0]), [])
+        walk.state["m"] = 0
         walk.z[0] = -1e-11 * velocity
         walk.crossed[0] = True
         walk.state["settling"], walk.state["inside"] = settling, True
-        walk._run()
+        walk.run()
         assert walk.state[0]["events"] == 1
         assert walk.log.event_mode[0] == 0

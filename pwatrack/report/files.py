@@ -24,8 +24,10 @@ from pwatrack.pipeline import Result
 from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.region import Box, Region
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
+from pwatrack.variation import EnsembleResult
 
 _ROWS = 10_000  # that are turned to text at a time
 
@@ -61,22 +63,39 @@ def write_design(
     return Path(folder)
 
 
-def write_result(result: Result, folder: str | Path, *, seconds: Mapping[str, float] | None = None) -> Path:
+def write_result(
+    result: Result,
+    folder: str | Path,
+    *,
+    many: EnsembleResult | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> Path:
     """Write the files of `write_design` and trace.csv, events.csv and the plots.
 
-    Args and raises: as `write_design`.
+    Args:
+        result: What `simulate(spec)` returned.
+        folder: As for `write_design`.
+        many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
+        seconds: As for `write_design`.
+
+    Returns and raises: as `write_design`.
     """
-    from pwatrack.report.plots import draw
+    from pwatrack.report.plots import draw, fan
 
     with run_folder(folder) as run:
         _design_files(run, result.spec, result.controller)
         _signals(run, result)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
-            for name, figure in draw(result).items():
+            pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
+            for name, figure in pictures.items():
                 figure.savefig(run.place(name), format="png", dpi=150)
         figures = _gain_figures(result.controller) | measures(result)
-        _index(run, result.spec, seconds, figures, result.loop.conditions.texts(result.spec.plant))
+        more: dict[str, Any] = {"conditions": result.loop.conditions.texts(result.spec.plant)}
+        if many:
+            _ensemble(run, many)
+            more["ensemble"] = ensemble_measures(many)
+        _index(run, result.spec, seconds, figures, more)
     return Path(folder)
 
 
@@ -87,6 +106,58 @@ def measures(result: Result) -> dict[str, float]:
         return asdict(result.figures)
     largest = float(np.abs(steady_state.multipliers).max())
     return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
+
+
+def error_unit(result: Result) -> str:
+    """Return the unit of the tracking error, or '' if its entries differ in unit."""
+    plant = result.spec.plant
+    names = plant.outputs if result.controller.generator is not None else plant.states
+    units = {result.spec.units.get(name, "") for name in names}
+    return units.pop() if len(units) == 1 else ""
+
+
+def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
+    """Return what is said of an ensemble; members count from 1, and a time that never comes is None."""
+    kept, plant = many.ensemble, many.nominal.spec.plant
+    names = {"plant": plant.states, "observer": [f"{s}_hat" for s in plant.states]}
+    return {
+        "members": len(kept.error),
+        "seed": many.seed,
+        "over": many.over,
+        "given": many.given,
+        "regions": {part: _region(region, names.get(part)) for part, region in many.regions.items()},
+        **{
+            name: {
+                "median": _finite(np.quantile(values, 0.5, method="lower")),
+                "95 %": _finite(np.quantile(values, 0.95, method="higher")),
+                "worst": _finite(values.max()),
+                "member": int(np.argmax(values)) + 1,
+            }
+            for name, values in (
+                ("largest_error", kept.largest),
+                ("final_error", kept.final),
+                ("settling_time", kept.settling_time),
+                ("mode_changes", kept.mode_changes),
+            )
+        },
+        "settled_below": kept.settled_below,
+        "settled": int(np.isfinite(kept.settling_time).sum()),
+        "unresolved": int(np.count_nonzero(kept.unresolved)),
+    }
+
+
+def _region(region: Region, names: Sequence[str] | None) -> dict[str, Any]:
+    """Return what of a region varies, by name."""
+    box = isinstance(region, Box)
+    first, second = (region.low, region.high) if isinstance(region, Box) else (region.center, region.radii)
+    labels = names or [f"eta_hat{k + 1}" for k in range(len(first))]
+    entries = zip(labels, first.tolist(), second.tolist(), strict=True)
+    varied = {name: [a, b] for name, a, b in entries if (a < b if box else b > 0)}
+    return {"box" if box else "ellipsoid": varied}
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _gain_figures(controller: Controller) -> dict[str, float]:
@@ -269,12 +340,27 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(f"{name} = {limit:g}" for segment, limit in beyond if segment in segments)
 
 
+def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
+    """Write one row for each member; a settling time that never comes is left empty."""
+    kept, loop, states = many.ensemble, many.nominal.loop, many.nominal.spec.plant.states
+    etas = [f"eta_hat{k + 1}" for k in range(loop.at.eta_hat.stop - loop.at.eta_hat.start)]
+    starts = np.hstack([kept.z0[:, part] for part in (loop.at.x, loop.at.x_hat, loop.at.eta_hat)])
+    header = ["member", *states, *(f"{s}_hat" for s in states), *etas]
+    with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([*header, "largest_error", "final_error", "settling_time", "mode_changes", "unresolved"])
+        errors = np.column_stack([kept.largest, kept.final, kept.settling_time]).tolist()
+        counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
+        for number, (start, values, numbers) in enumerate(zip(starts.tolist(), errors, counts, strict=True), 1):
+            writer.writerow([number, *map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers])
+
+
 def _index(
     run: RunFolder,
     spec: Spec,
     seconds: Mapping[str, float] | None,
     figures: Mapping[str, float],
-    conditions: Sequence[str] = (),
+    more: Mapping[str, Any] | None = None,
 ) -> None:
     run.json(
         INDEX,
@@ -285,8 +371,8 @@ def _index(
             "parameters": dict(spec.parameters),
             "verdict": "proved",
             "solver": spec.solver,
-            "conditions": list(conditions),
             "figures": dict(figures),
+            **(more or {}),
             "seconds": dict(seconds or {}),
             "versions": {
                 "pwatrack": __version__,

@@ -13,14 +13,18 @@ from pwatrack.arrays import Array
 from pwatrack.control.pareto import Front
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.pipeline import Result
+from pwatrack.report.files import error_unit
 from pwatrack.spec.expression import LinearForm
+from pwatrack.variation import EnsembleResult
 
 # Dark solid and light dashed: told apart without colour too.
 _ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
 _DESIRED: dict[str, Any] = {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))}
 _BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6, 2))}
+_WORST: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (3, 1.5))}
 _STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
+_COLUMNS = 2000  # quantiles at more times than this cannot be told apart in print
 _ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 
 
@@ -52,8 +56,7 @@ def tracking_error(result: Result) -> Figure:
     names = plant.outputs if result.controller.generator is not None else plant.states
     error = result.response.tracking_error
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
-    units = {result.spec.units.get(name, "") for name in names}
-    unit = units.pop() if len(units) == 1 else ""
+    unit = error_unit(result)
     title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
     size = np.asarray(np.linalg.norm(error, axis=1))
     return _error(result, curves, size, result.tracking_bound, unit, title)
@@ -90,6 +93,46 @@ def internal_states(result: Result) -> Figure:
         axes.plot(response.t, response.eta_hat[:, k], label=_desired_label(result), **_DESIRED)
         _label(axes, "time t (s)" if k == len(names) - 1 else "", _labelled(result, name), _span(response.t))
     _legend(panels[0])
+    return figure
+
+
+def fan(many: EnsembleResult) -> Figure:
+    """Draw how the tracking error of an ensemble spreads over time, linear until half have settled, and logarithmic."""
+    kept, result = many.ensemble, many.nominal
+    unit = error_unit(result)
+    title = (
+        f"{len(kept.error):,} members: tracking error at most {kept.final.max():.1e} {unit}".rstrip()
+        + " in the last tenth of the time"
+    )
+    figure, (linear, logarithmic) = _canvas(result, title, [[0], [1]], height=6.2)
+    floor = _ROUNDING * np.abs(result.response.x).max()
+    size = "|y − y_d|" if result.controller.generator else "‖x − x_d‖"
+    slowest = int(np.lexsort((kept.final, kept.settling_time))[-1])
+    falling = kept.t[kept.error.max(axis=0) > floor][-1:]  # until the last error is rounding
+    ends = (np.quantile(kept.settling_time, 0.5, method="lower"), 1.2 * falling[0] if len(falling) else 0.0)
+    for axes, end, member, name in (
+        (linear, ends[0], int(np.argmax(kept.largest)), "largest"),
+        (logarithmic, ends[1], slowest, "last to settle"),
+    ):
+        columns = np.flatnonzero(kept.t <= max(end, kept.t[1]))
+        columns = columns[:: max(1, len(columns) // _COLUMNS)]
+        t, error = kept.t[columns], kept.error[:, columns]
+        low, quarter, middle, three_quarters, high = np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
+        axes.fill_between(t, low, high, color="0.82", linewidth=0, label="90 % of the members")
+        axes.fill_between(t, quarter, three_quarters, color="0.6", linewidth=0, label="50 %")
+        axes.plot(t, middle, label="median", **_ACTUAL)
+        axes.plot(t, error[member], label=f"{name}: member {member + 1}", **_WORST)
+        _legend(axes, columns=4)
+        _label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), _span(t))
+        bottom = float(low.min()) / 3
+    linear.set_ylim(bottom=0)
+    logarithmic.set_yscale("log")
+    logarithmic.set_ylim(bottom=max(bottom, floor / 10))
+    if bottom < floor:
+        logarithmic.axhspan(logarithmic.get_ylim()[0], floor, color="0.92", linewidth=0)
+        logarithmic.annotate(
+            "rounding", (logarithmic.get_xlim()[1], floor), ha="right", va="top", fontsize=8, color="0.3"
+        )
     return figure
 
 

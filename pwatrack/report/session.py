@@ -1,10 +1,12 @@
 """One run of one spec as the command line does it: progress, files, summary."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+
+from rich.status import Status
 
 from pwatrack import pipeline
 from pwatrack.control.controller import Controller
@@ -16,6 +18,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.report import files, summary
 from pwatrack.report.terminal import console
 from pwatrack.spec.load import Spec, assignments, load_spec
+from pwatrack.variation import Over, ensemble
 
 
 def run(
@@ -26,6 +29,9 @@ def run(
     *,
     simulated: bool,
     fronts: bool = False,
+    members: int | None = None,
+    over: Over = "initial",
+    seed: int = 1,
 ) -> None:
     """Design, simulate if asked, write the files, and print what came out.
 
@@ -36,6 +42,7 @@ def run(
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
         fronts: Whether to find what other rates would cost; only without a simulation.
+        members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses.
@@ -57,12 +64,28 @@ def run(
             status.update("Simulating the closed loop")
             with _timed(seconds, "simulate"):
                 result = pipeline.simulate(spec, controller)
+            many = None
+            if members:
+                with _timed(seconds, "ensemble"):
+                    many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
             status.update("Writing traces and plots")
-            files.write_result(result, folder, seconds=seconds)
+            files.write_result(result, folder, many=many, seconds=seconds)
     summary.print_design(screen, spec, controller)
     if simulated:
         summary.print_result(screen, result)
+        if many:
+            summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
+
+
+def _shown(status: Status, members: int) -> Callable[[int], object]:
+    """Return what shows the progress of an ensemble, in whole percents."""
+
+    def show(done: int) -> None:
+        if done * 100 // members > (done - 1) * 100 // members:
+            status.update(f"Simulating the ensemble: {done:,} of {members:,} members")
+
+    return show
 
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:

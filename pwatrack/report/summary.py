@@ -17,8 +17,9 @@ from pwatrack.control.goal import Goal
 from pwatrack.control.guarantees import Contraction, Guarantees
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
-from pwatrack.report.files import measures
+from pwatrack.report.files import ensemble_measures, error_unit, measures
 from pwatrack.spec.load import Spec
+from pwatrack.variation import EnsembleResult
 
 
 def print_plant(console: Console, name: str, report: Applicability) -> None:
@@ -207,12 +208,43 @@ def print_result(console: Console, result: Result) -> None:
     console.print(table)
 
 
-def error_unit(result: Result) -> str:
-    """Return the unit of the tracking error, or '' if its entries differ in unit."""
-    plant = result.spec.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
-    units = {result.spec.units.get(name, "") for name in names}
-    return units.pop() if len(units) == 1 else ""
+def print_ensemble(console: Console, many: EnsembleResult) -> None:
+    """Say how the members of an ensemble went."""
+    figures, unit = ensemble_measures(many), error_unit(many.nominal)
+    table = _titled(None)
+    table.add_row("ensemble", f"{figures['members']:,} members, seed {figures['seed']}, from other initial states")
+    for part, region in figures["regions"].items():
+        for kind, entries in region.items():
+            table.add_row("", f"{part}: " + ", ".join(_varied(kind, *entry) for entry in entries.items()))
+    if not many.given:
+        said = "the spec has no simulation.ensemble.initial: each state of the plant starts within the largest size"
+        table.add_row("", f"{said} that it has in the run above of where that run starts")
+    console.print(table)
+    spread = Table(box=None, padding=(0, 2, 0, 0))
+    spread.add_column("")
+    for heading in ("median", "95 % below", "worst", "member"):
+        spread.add_column(heading, justify="right")
+    for name, label, form in (
+        ("largest_error", f"largest error{f' ({unit})' if unit else ''}", ".2e"),
+        ("final_error", "… in the last tenth of the time", ".2e"),
+        (
+            "settling_time",
+            f"below {figures['settled_below']:.2e}{f' {unit}' if unit else ''} for good after (s)",
+            ".4g",
+        ),
+        ("mode_changes", "mode changes", ".0f"),
+    ):
+        values = figures[name]
+        shown = (values[key] for key in ("median", "95 %", "worst"))
+        spread.add_row(label, *("never" if v is None else format(v, form) for v in shown), str(values["member"]))
+    console.print(spread)
+    if figures["unresolved"]:
+        console.print(f"In {figures['unresolved']} members a hyperplane is touched within rounding.")
+
+
+def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
+    first, second = entry
+    return f"{first:.4g} ≤ {name} ≤ {second:.4g}" if kind == "box" else f"{name} = {first:.4g} ± {second:.4g}"
 
 
 def print_files(console: Console, folder: Path) -> None:

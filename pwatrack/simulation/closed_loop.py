@@ -86,6 +86,14 @@ class ClosedLoop:
             tracking_error=x - x_d if self.controller.generator is None else y - y_d,
         )
 
+    @property
+    def tracking_error(self) -> Array:
+        """Rows with e = rows z for what goes to 0: y − y_d for output tracking, x − x_d for state tracking, (q, N)."""
+        x = np.eye(self.at.order)[self.at.x]
+        if self.controller.generator is None:
+            return np.asarray(x - self.x_d)
+        return np.asarray(self.plant.C @ x - self.controller.plant.C @ self.x_d)
+
     def generator_flow(self) -> Flow:
         """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled: nothing else acts on it."""
         keep = np.r_[self.at.eta_hat, self.at.w, self.at.order - 1]

@@ -3,11 +3,13 @@
 Inside a mode ż = F z. The finest step is so short that 16 Taylor terms are e^{F h}
 to rounding; longer ones, up to the sample time, come from it by doubling.
 
-A step is taken at once if no guard g can reach 0 on it. With v = F z, a = F v,
+A step of length h is taken at once if no guard g can reach 0 on it. A guard differs
+from the chord between its ends by at most h²/8 sup |g F² e^{Fσ}| |z|, which is bounded
+once per mode and step length; where that does not settle it, with v = F z, a = F v,
 
     g z(τ) ≥ g z − ∫|g e^{Fσ}|dσ |v|,   g z(τ) ≥ min(g z, g z + h g v) − ∫(h − σ)|g e^{Fσ}|dσ |a|,
 
-and the integrals are bounded once per mode and step length. If even the finest
+and the integrals are bounded like that too. If even the finest
 step may meet a guard, the guard is a Taylor polynomial in τ ∈ [0, 1] there. Its
 Bernstein coefficients enclose it, and those of its derivative tell where it is
 monotone, so a crossing is isolated, excluded, or reported as within rounding of
@@ -19,6 +21,7 @@ cache of compiled code is renewed when the file of a function changes, but not
 when that of a function it calls does.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
@@ -39,9 +42,9 @@ _R = TypeVar("_R")
 
 def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     try:
-        return njit(cache=True)(function)
+        return njit(cache=True, nogil=True)(function)
     except RuntimeError:  # no folder for the cache is writable
-        return njit()(function)
+        return njit(nogil=True)(function)
 
 
 class Field(NamedTuple):
@@ -53,6 +56,7 @@ class Field(NamedTuple):
         signs: Side of each guard that each cell is on; 0 for guards of other parts, (C, K).
         h: The finest step in s.
         doublings: The longest step, from sample to sample, is 2^doublings finest ones.
+        degree: Taylor terms of e^{F h} beyond it are rounding, in every mode and entry.
     """
 
     first: IntArray
@@ -60,6 +64,7 @@ class Field(NamedTuple):
     signs: IntArray
     h: float
     doublings: int
+    degree: int
 
 
 class Resets(NamedTuple):
@@ -88,6 +93,7 @@ class Modes(NamedTuple):
         sides: Side of every guard, 0 where it does not bound the mode, (M, K).
         F: F h, (M, N, N).
         growth: e^{F h 2^d} − 1 for d doublings, (M, D, N, N).
+        margin: |z| times it is how far from 0 a guard must be at both ends of a step, (M, D, N, K).
         first, second: Bounds on the two integrals above, (M, D, N, K).
         rounding: |z| times it is the size below which a guard cannot be told from 0, (M, N, K).
         jumps: The maps of the clock, (M, J, N, N).
@@ -97,6 +103,7 @@ class Modes(NamedTuple):
     sides: IntArray
     F: Array
     growth: Array
+    margin: Array
     first: Array
     second: Array
     rounding: Array
@@ -233,27 +240,65 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
 
 @_compiled
 def _root(power: Array, start: int, low: float, high: float) -> float:
-    """Return the root of a polynomial that falls through 0 on [low, high], to 2⁻⁵³."""
-    while high - low > 2.0**-53 * max(1.0, 4 * high):
-        middle = 0.5 * (low + high)
-        value = 0.0
-        for j in range(DEGREE, start - 1, -1):
-            value = value * middle + power[j]
+    """Return the root of a polynomial that falls through 0 on [low, high], to 2⁻⁵³: Newton, then bisection."""
+    x = 0.5 * (low + high)
+    for _ in range(8):
+        value, slope = _evaluate(power, start, x)
         if value < 0:
-            high = middle
+            high = x
         else:
-            low = middle
+            low = x
+        if slope >= 0:
+            break
+        step = value / slope
+        x -= step
+        width = 2.0**-52 * max(1.0, 4 * x)
+        if abs(step) <= width:
+            for edge in (x - width, x + width):
+                if low < edge < high:
+                    if _evaluate(power, start, edge)[0] < 0:
+                        high = edge
+                    else:
+                        low = edge
+            break
+        if not low < x < high:
+            break
+    while high - low > 2.0**-53 * max(1.0, 4 * high):
+        x = 0.5 * (low + high)
+        if _evaluate(power, start, x)[0] < 0:
+            high = x
+        else:
+            low = x
     return low
 
 
 @_compiled
+def _evaluate(power: Array, start: int, x: float) -> tuple[float, float]:
+    """Return Σ power_j x^(j − start) over j ≥ start, and its derivative."""
+    value = slope = 0.0
+    for j in range(DEGREE, start - 1, -1):
+        slope = slope * x + value
+        value = value * x + power[j]
+    return value, slope
+
+
+@_compiled
 def _apply(transposed: Array, z: Array, result: Array) -> None:
-    """Write M z to `result` for M given as its transpose."""
+    """Write M z to `result` for M given as its transpose; four rows at a time, so that results are stored less."""
+    n, j = len(z), 0
     for i in range(len(result)):
         result[i] = 0.0
-    for j in range(len(z)):
+    while j + 4 <= n:
+        z0, z1, z2, z3 = z[j], z[j + 1], z[j + 2], z[j + 3]
+        for i in range(len(result)):
+            result[i] += (transposed[j, i] * z0 + transposed[j + 1, i] * z1) + (
+                transposed[j + 2, i] * z2 + transposed[j + 3, i] * z3
+            )
+        j += 4
+    while j < n:
         for i in range(len(result)):
             result[i] += transposed[j, i] * z[j]
+        j += 1
 
 
 @_compiled
@@ -269,31 +314,68 @@ def _number(known_cells: IntArray, known: int, cells: IntArray) -> int:
 
 
 @_compiled
-def _expand(F: Array, guards: Array, z: Array, length: float, terms: Array, values: Array) -> None:
-    """Write the Taylor terms of z(τ length) and of the guards on it, (16, N) and (K, 16)."""
-    N, K = guards.shape
-    for i in range(N):
+def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> None:
+    """Write the Taylor terms of z(τ length) up to a degree, (16, N)."""
+    for i in range(len(z)):
         terms[0, i] = z[i]
-    for j in range(1, DEGREE + 1):
+    for j in range(1, degree + 1):
         _apply(F, terms[j - 1], terms[j])
-        for i in range(N):
+        for i in range(len(z)):
             terms[j, i] *= length / j
-    for j in range(DEGREE + 1):
-        for k in range(K):
-            values[k, j] = 0.0
-        for i in range(N):
-            for k in range(K):
-                values[k, j] += guards[i, k] * terms[j, i]
 
 
 @_compiled
-def _arrive(terms: Array, tau: float, z: Array) -> None:
+def _seen(guards: Array, k: int, terms: Array, power: Array) -> None:
+    """Write the Taylor terms of guard k, (16,); four at a time, so that sums do not wait for each other."""
+    for j in range(0, DEGREE + 1, 4):
+        p0 = p1 = p2 = p3 = 0.0
+        for i in range(len(guards)):
+            g = guards[i, k]
+            p0 += g * terms[j, i]
+            p1 += g * terms[j + 1, i]
+            p2 += g * terms[j + 2, i]
+            p3 += g * terms[j + 3, i]
+        power[j], power[j + 1], power[j + 2], power[j + 3] = p0, p1, p2, p3
+
+
+@_compiled
+def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
     """Write z(τ) by Horner's rule."""
     for i in range(len(z)):
-        total = 0.0
-        for j in range(DEGREE, 0, -1):
-            total = (total + terms[j, i]) * tau
-        z[i] = terms[0, i] + total
+        z[i] = 0.0
+    for j in range(degree, 0, -1):
+        for i in range(len(z)):
+            z[i] = (z[i] + terms[j, i]) * tau
+    for i in range(len(z)):
+        z[i] += terms[0, i]
+
+
+@_compiled
+def _sides(
+    F: Array, guards: Array, tolerance: Array, crossed: Any, z: Array, term: Array, seen: Array, sides: IntArray
+) -> None:
+    """Write on which side of each guard the trajectory goes on, 0 where rounding hides it.
+
+    A guard at 0 counts by its first derivative that is not 0: the field is
+    continuous, so that derivative is the same on both sides.
+    """
+    open_ = len(sides)
+    for k in range(len(sides)):
+        sides[k] = 0
+    for j in range(DEGREE + 1):
+        if j == 0:
+            term[0] = z
+        else:
+            _apply(F, term[(j - 1) % 2], term[j % 2])
+            for i in range(len(z)):
+                term[j % 2, i] *= 1.0 / j
+        _apply(guards, term[j % 2], seen)
+        for k in range(len(sides)):
+            if sides[k] == 0 and abs(seen[k]) > tolerance[k] and not (j == 0 and crossed[k]):
+                sides[k] = 1 if seen[k] > 0 else -1
+                open_ -= 1
+        if open_ == 0:
+            return
 
 
 @_compiled
@@ -321,10 +403,19 @@ def _fit(first: IntArray, signs: IntArray, sides: IntArray, cells: IntArray) -> 
 
 
 @_compiled
+def _apart(sides: IntArray, now: Array, then: Array, margin: Array) -> bool:
+    """Say that no guard that bounds the mode is within its margin of 0 at either end of a step, or beyond."""
+    apart = True
+    for k in range(len(now)):
+        apart = apart and (sides[k] == 0 or min(sides[k] * now[k], sides[k] * then[k]) > margin[k])
+    return apart
+
+
+@_compiled
 def _clear(
     sides: IntArray, now: Array, slope: Array, first: Array, speed: Array, second: Array, bend: Array, length: int
 ) -> bool:
-    """Say that no guard that bounds the mode can reach 0 on a step."""
+    """Say, more carefully, that no guard that bounds the mode can reach 0 on a step."""
     for k in range(len(now)):
         side = sides[k]
         if side == 0:
@@ -371,25 +462,20 @@ def walk(
     """
     s, K, N, D = state[0], len(crossed), len(z), field.doublings
     end = (s.base + len(log.z) - 1) << D
-    terms, values, pieces = np.empty((DEGREE + 1, N)), np.empty((K, DEGREE + 1)), np.empty((32, DEGREE + 3))
-    now, slope, tolerance, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
-    touched, near = np.empty(K), np.empty(K)
-    v, a, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
+    terms, power, pieces = np.zeros((DEGREE + 1, N)), np.empty(DEGREE + 1), np.empty((32, DEGREE + 3))
+    now, then, slope, reach, tolerance = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K)
+    beyond, touched, near, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
+    v, following, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
+    known_now = False  # `now` are the guards at z
     while s.k < end or s.settling:
         m = s.m
         for i in range(N):
             size[i] = abs(z[i])
-        _apply(modes.rounding[m], size, tolerance)
 
         if s.settling:
-            # A guard at 0 counts by its first derivative that is not 0: the field
-            # is continuous, so that derivative is the same on both sides.
-            _expand(modes.F[m], field.guards, z, 1.0, terms, values)
-            for i in range(K):
-                if crossed[i]:
-                    values[i, 0] = 0.0
-                j = leading(values[i], tolerance[i])
-                sides[i] = 0 if j > DEGREE else 1 if values[i, j] > 0 else -1
+            known_now = False
+            _apply(modes.rounding[m], size, tolerance)
+            _sides(modes.F[m], field.guards, tolerance, crossed, z, terms, now, sides)
             for p in range(len(cells)):
                 cells[p] = modes.cells[m, p]
             if s.tries <= K and _fit(field.first, field.signs, sides, cells):
@@ -426,42 +512,67 @@ def walk(
             d = min(s.d + 1, D)
             while d >= 0 and (s.k & ((1 << d) - 1) != 0 or 1 << d > free):
                 d -= 1
-            _apply(modes.F[m], z, v)
-            _apply(modes.F[m], v, a)
-            _apply(field.guards, z, now)
-            _apply(field.guards, v, slope)
-            for i in range(N):
-                speed[i], bend[i] = abs(v[i]), abs(a[i])
-            for i in range(K):
-                now[i] -= modes.sides[m, i] * tolerance[i]
-            while d >= 0 and not _clear(
-                modes.sides[m], now, slope, modes.first[m, d], speed, modes.second[m, d], bend, 1 << d
-            ):
+            if not known_now:
+                _apply(field.guards, z, now)
+                known_now = True
+            careful = False
+            while d >= 0:
+                _apply(modes.growth[m, d], z, v)
+                for i in range(N):
+                    following[i] = z[i] + v[i]
+                _apply(field.guards, following, then)
+                _apply(modes.margin[m, d], size, reach)
+                if _apart(modes.sides[m], now, then, reach):
+                    break
+                if not careful:
+                    careful = True
+                    _apply(modes.rounding[m], size, tolerance)
+                    _apply(modes.F[m], z, speed)
+                    _apply(modes.F[m], speed, bend)
+                    _apply(field.guards, speed, slope)
+                    for i in range(N):
+                        speed[i], bend[i] = abs(speed[i]), abs(bend[i])
+                    for i in range(K):
+                        beyond[i] = now[i] - modes.sides[m, i] * tolerance[i]
+                if _clear(modes.sides[m], beyond, slope, modes.first[m, d], speed, modes.second[m, d], bend, 1 << d):
+                    break
                 d -= 1
             s.d = max(d, 0)
             if d < 0:
                 s.inside, s.done = True, 0.0
                 continue
-            _apply(modes.growth[m, d], z, v)
             for i in range(N):
-                z[i] += v[i]
+                z[i] = following[i]
+            for i in range(K):
+                now[i] = then[i]
             s.k += 1 << d
         else:  # up to the first crossing, reset or the end of a finest step
             falls = s.resets < len(resets.step) and resets.step[s.resets] < s.k + 1
             length = (max(s.done, resets.step[s.resets] - s.k) if falls else 1.0) - s.done
-            _expand(modes.F[m], field.guards, z, length, terms, values)
+            known_now = False
+            _apply(modes.rounding[m], size, tolerance)
+            _expand(modes.F[m], z, length, field.degree, terms)
+            _apply(field.guards, z, now)
+            for i in range(N):
+                speed[i] = abs(terms[1, i])
+            _apply(modes.first[m, 0], speed, reach)
             tau, guard = np.inf, -1
             for i in range(K):
-                touched[i] = near[i] = np.inf
-                if modes.sides[m, i] == 0:
+                touched[i] = near[i] = crossing = np.inf
+                side, away = modes.sides[m, i], False
+                if side == 0:
                     near_since[i] = np.inf
                     continue
-                if crossed[i]:
-                    values[i, 0] = 0.0
-                for j in range(DEGREE + 1):
-                    values[i, j] *= modes.sides[m, i]
-                crossing, touched[i], near[i] = first_crossing(values[i], tolerance[i], pieces)
-                if near_since[i] < np.inf and leading(values[i], tolerance[i]) <= DEGREE:
+                if not crossed[i] and side * now[i] > reach[i] + 2 * tolerance[i]:
+                    away = True  # it stays beyond the tolerance
+                else:
+                    _seen(field.guards, i, terms, power)
+                    if crossed[i]:
+                        power[0] = 0.0
+                    for j in range(DEGREE + 1):
+                        power[j] *= side
+                    crossing, touched[i], near[i] = first_crossing(power, tolerance[i], pieces)
+                if near_since[i] < np.inf and (away or leading(power, tolerance[i]) <= DEGREE):
                     if crossing > 0.0:
                         log.near_time[s.nears], log.near_guard[s.nears] = near_since[i], i
                         s.nears += 1
@@ -475,7 +586,7 @@ def walk(
                     s.nears += 1
                 if near[i] < tau:
                     near_since[i] = (s.k + s.done + near[i] * length) * field.h
-            _arrive(terms, min(tau, 1.0), z)
+            _arrive(terms, field.degree, min(tau, 1.0), z)
             if guard >= 0:
                 s.done += tau * length
                 if tau * length >= 1e-15:
@@ -512,3 +623,16 @@ def walk(
                 log.z[(s.k >> D) - s.base, i] = z[i]
             log.mode[(s.k >> D) - s.base] = s.m
     return DONE
+
+
+@_compiled
+def norms(rows: Array, z: Array, result: Array) -> None:
+    """Write ‖rows z‖ for each row of samples z (S, N), rows being (q, N)."""
+    for k in range(len(z)):
+        total = 0.0
+        for q in range(len(rows)):
+            entry = 0.0
+            for i in range(z.shape[1]):
+                entry += rows[q, i] * z[k, i]
+            total += entry * entry
+        result[k] = math.sqrt(total)

@@ -6,6 +6,7 @@ as arrays, and what comes back becomes a trace.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from pwatrack.simulation.trace import Event, Trace, Unresolved
 
 _DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)  # of the size of its terms: a smaller sum may be 0
+_NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard")
 
@@ -59,8 +61,7 @@ def simulate_flow(
         >>> round(float(trace.z[:, 0].max()), 12), len(trace.events)
         (0.2, 2)
     """
-    (trace,) = trace_blocks(flow, z0, duration=duration, sample_time=sample_time, resets=resets)
-    return trace
+    return Propagator(flow, duration=duration, sample_time=sample_time).walk(z0, resets).trace()
 
 
 def trace_blocks(
@@ -70,18 +71,17 @@ def trace_blocks(
     duration: float,
     sample_time: float,
     resets: Sequence[StateReset] = (),
-    most: int | None = None,
+    most: int,
 ) -> Iterator[Trace]:
     """Do what `simulate_flow` does in blocks of at most so many samples: long runs need no more memory than short ones.
 
     Each sample and each event is in one block. Args and raises: as `simulate_flow`.
     """
-    d = balancing(flow.size()[None])
-    samples = sample_count(duration, sample_time)
-    scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
-    walk = _Walk(flow.scaled(d), z0 / d, samples, min(samples, most or samples), sample_time, scaled)
-    while walk.first < samples:
-        yield walk.block(d)
+    propagator = Propagator(flow, duration=duration, sample_time=sample_time)
+    walk = Walk(propagator, z0, resets, most)
+    while walk.first < propagator.samples:
+        walk.run()
+        yield walk.block()
 
 
 def sample_count(duration: float, sample_time: float) -> int:
@@ -94,72 +94,101 @@ def sample_count(duration: float, sample_time: float) -> int:
     return int(np.floor(duration / sample_time * (1 + 1e-12))) + 1
 
 
-class _Walk:
-    """A trajectory in balanced coordinates: what the compiled kernel works on."""
+class Propagator:
+    """A flow made ready for the kernel: balanced, its grid of steps, and what is known of each mode met so far.
 
-    def __init__(
-        self, flow: Flow, z0: Array, samples: int, most: int, sample_time: float, resets: Sequence[StateReset]
-    ) -> None:
+    Any number of trajectories may share one, from several threads at a time: what
+    is known of a mode depends on the flow alone, so no trajectory depends on another.
+
+    Args:
+        flow, duration, sample_time: As for `simulate_flow`.
+    """
+
+    def __init__(self, flow: Flow, *, duration: float, sample_time: float) -> None:
         from pwatrack.simulation import kernel  # imports numba, which takes a while
 
-        self.kernel, self.flow, self.sample_time, self.samples, self.most = kernel, flow, sample_time, samples, most
-        self.first = 0  # sample of the next block
+        self.d = balancing(flow.size()[None])
+        self.flow = flow = flow.scaled(self.d)
+        self.sample_time = sample_time
+        self.samples = sample_count(duration, sample_time)
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         doublings = _doublings(flow.size(), sample_time)
-        h = sample_time / 2**doublings
         self.field = kernel.Field(
             first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
             guards=np.ascontiguousarray(flow.guards().T),
             signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
-            h=h,
+            h=sample_time / 2**doublings,
             doublings=doublings,
+            degree=_degree(flow.size() * sample_time / 2**doublings),
         )
-        self.resets = _schedule(flow, h, (samples - 1) * sample_time, resets)
+        self.modes = _Modes(flow, self.field.h, doublings)
+
+    def walk(self, z0: Array, resets: Sequence[StateReset] = ()) -> "Walk":
+        """Return the trajectory from z0 (N,).
+
+        Raises:
+            CheckFailed: If more than 1,000 events happen without progress in time.
+        """
+        walk = Walk(self, z0, resets)
+        walk.run()
+        return walk
+
+
+class Walk:
+    """A trajectory in balanced coordinates: what the compiled kernel works on.
+
+    Attributes:
+        log: What was written down; `log.z` are the samples in coordinates D⁻¹ z.
+        first: Number of the first sample in the log.
+    """
+
+    def __init__(
+        self, propagator: Propagator, z0: Array, resets: Sequence[StateReset], most: int | None = None
+    ) -> None:
+        from pwatrack.simulation import kernel
+
+        self.kernel, self.propagator = kernel, propagator
+        flow, places, d, samples = propagator.flow, propagator.places, propagator.d, propagator.samples
+        scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
+        self.resets = _schedule(flow, propagator.field.h, (samples - 1) * propagator.sample_time, scaled)
         early = sum(reset.t <= 0 for reset in resets)
-        self.z = z0.copy()
-        for reset in resets[:early]:
+        self.first, self.most = 0, samples if most is None else min(most, samples)
+        self.z = z0 / d
+        for reset in scaled[:early]:
             self.z[reset.where] = reset.value
-        self.modes = _Modes(flow, h, doublings)
-        self.modes.add(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
+        first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
         self.state: Any = np.zeros(1, kernel.STATE)
-        self.state[["resets", "settling", "events", "last"]] = early, True, 1, -1.0
-        self.near_since, self.crossed = np.full(len(self.places), np.inf), np.zeros(len(self.places), dtype=np.bool_)
+        self.state[["resets", "settling", "events", "last", "m"]] = early, True, 1, -1.0, first
+        self.near_since, self.crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
         self.log = kernel.Log(
-            z=np.empty((min(samples, most + 1), len(z0))),  # one more than is given out: it may jump yet
-            mode=np.zeros(min(samples, most + 1), dtype=np.int64),
+            z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
+            mode=np.zeros(min(samples, self.most + 1), dtype=np.int64),
             event_time=np.zeros(64),
             event_mode=np.zeros(64, dtype=np.int64),
-            near_time=np.zeros(4 * len(self.places)),
-            near_guard=np.zeros(4 * len(self.places), dtype=np.int64),
+            near_time=np.zeros(4 * len(places)),
+            near_guard=np.zeros(4 * len(places), dtype=np.int64),
         )
         self.log.z[0] = self.z
 
-    def block(self, d: Array) -> Trace:
-        """Walk through the next block of samples and return it, in coordinates D z."""
-        self._run()
-        rows, state = len(self.log.z), self.state[0]
-        count = rows if self.first + rows == self.samples and rows <= self.most else rows - 1
-        trace = self._trace(d, count)
-        if count < rows:  # go on from the last row; the last event says from which mode
-            left = min(rows, self.samples - self.first - count)
-            last = int(state["events"]) - 1
-            self.log.event_time[0], self.log.event_mode[0] = self.log.event_time[last], self.log.event_mode[last]
-            mode = self.log.mode[-1]
-            self.log = self.log._replace(z=np.empty((left, len(self.z))), mode=np.zeros(left, dtype=np.int64))
-            self.log.z[0], self.log.mode[0] = self.z, mode
-            self.state[["base", "events", "nears"]] = self.first + count, 1, 0
-        self.first += count
-        return trace
+    @property
+    def events(self) -> int:
+        """Mode changes after the start."""
+        return int(self.state[0]["events"]) - 1
 
-    def _run(self) -> None:
+    @property
+    def unresolved(self) -> int:
+        """Touches of a guard that rounding could not decide."""
+        return int(self.state[0]["nears"])
+
+    def run(self) -> None:
         """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
-        kernel, first = self.kernel, self.field.first[:-1]
+        kernel, field, modes = self.kernel, self.propagator.field, self.propagator.modes
+        first = field.first[:-1]
         cells = first.copy()
         while True:
             stop = kernel.walk(
-                self.field,
-                self.modes.arrays,
-                len(self.modes.met),
+                field,
+                *modes.known(),
                 self.resets,
                 self.state,
                 self.z,
@@ -171,12 +200,12 @@ class _Walk:
             if stop == kernel.DONE:
                 return
             if stop == kernel.NEW_MODE:
-                self.modes.add(tuple((cells - first).tolist()))
+                modes.number(tuple((cells - first).tolist()))
             elif stop == kernel.FULL:
                 self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
             else:
                 at = self.state[0]
-                part, guard = self.places[at["guard"]]
+                part, guard = self.propagator.places[at["guard"]]
                 raise CheckFailed(
                     Problem(
                         message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
@@ -186,18 +215,37 @@ class _Walk:
                     )
                 )
 
-    def _trace(self, d: Array, count: int) -> Trace:
-        """Return so many rows of what was written down."""
-        log, events, nears = self.log, int(self.state[0]["events"]), int(self.state[0]["nears"])
-        entered = [self.modes.met[m] for m in log.event_mode[:events].tolist()]
+    def norms(self, rows: Array, result: Array) -> None:
+        """Write ‖rows z‖ at every sample to `result`, (K,), for rows (q, N)."""
+        self.kernel.norms(np.ascontiguousarray(rows * self.propagator.d), self.log.z, result)
+
+    def trace(self, count: int | None = None) -> Trace:
+        """Return what was written down, or so many samples of it."""
+        log, on, met = self.log, self.propagator, self.propagator.modes.met
+        events, nears, count = self.events + 1, self.unresolved, len(log.z) if count is None else count
+        entered = [met[m] for m in log.event_mode[:events].tolist()]
         near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
         return Trace(
-            t=self.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
-            z=log.z[:count] * d,
-            modes=np.array(self.modes.met)[log.mode[:count]],
+            t=on.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
+            z=log.z[:count] * on.d,
+            modes=np.array(met)[log.mode[:count]],
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
-            unresolved=tuple(Unresolved(t=t, part=self.places[k][0], guard=self.places[k][1]) for t, k in near),
+            unresolved=tuple(Unresolved(t=t, part=on.places[k][0], guard=on.places[k][1]) for t, k in near),
         )
+
+    def block(self) -> Trace:
+        """Return the samples in the log, and make room for the next ones."""
+        rows, log, samples = len(self.log.z), self.log, self.propagator.samples
+        count = rows if self.first + rows == samples and rows <= self.most else rows - 1
+        trace = self.trace(count)
+        if count < rows:  # go on from the last row; the last event says from which mode
+            last, left = self.events, min(rows, samples - self.first - count)
+            log.event_time[0], log.event_mode[0] = log.event_time[last], log.event_mode[last]
+            self.log = log._replace(z=np.empty((left, len(self.z))), mode=np.full(left, log.mode[-1]))
+            self.log.z[0] = self.z
+            self.state[["base", "events", "nears"]] = self.first + count, 1, 0
+        self.first += count
+        return trace
 
 
 class _Modes:
@@ -206,50 +254,65 @@ class _Modes:
     def __init__(self, flow: Flow, h: float, doublings: int) -> None:
         from pwatrack.simulation.kernel import Modes
 
-        N, K, D = len(flow.F0), len(flow.guards()), doublings + 1
-        self.flow, self.h = flow, h
+        self.flow, self.h, self.guards = flow, h, flow.guards().T
+        (N, K), D = self.guards.shape, doublings + 1
         self.first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])[:-1]
         self.met: list[Mode] = []
+        self._lock = Lock()
         self.arrays = Modes(
             cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
             sides=np.zeros((1, K), dtype=np.int64),
             F=np.zeros((1, N, N)),
             growth=np.zeros((1, D, N, N)),
+            margin=np.zeros((1, D, N, K)),
             first=np.zeros((1, D, N, K)),
             second=np.zeros((1, D, N, K)),
             rounding=np.zeros((1, N, K)),
             jumps=np.zeros((1, len(flow.clock.maps) if flow.clock else 0, N, N)),
         )
 
-    def add(self, mode: Mode) -> None:
-        """Fill in one more mode."""
+    def known(self) -> tuple[Any, int]:
+        """Return the arrays, and how many modes are filled in; what is filled in later changes none of these."""
+        with self._lock:
+            return self.arrays, len(self.met)
+
+    def number(self, mode: Mode) -> int:
+        """Return the number of a mode; one that is new is filled in first."""
+        with self._lock:
+            if mode not in self.met:
+                self._add(mode)
+            return self.met.index(mode)
+
+    def _add(self, mode: Mode) -> None:
         m = len(self.met)
         if m == len(self.arrays.cells):
             self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
-        self.met.append(mode)
-        arrays, guards = self.arrays, np.abs(self.flow.guards().T)
+        arrays, guards = self.arrays, np.abs(self.guards)
         F = self.flow.matrix(mode).T * self.h
-        eye, growth = np.eye(len(F)), np.zeros_like(F)
-        for j in range(_DEGREE, 0, -1):  # e^{F h} − 1 by Horner's rule: it keeps the digits that e^{F h} would lose
-            growth = (F + F @ growth) / j
-        absolute = np.abs(F)
-        term = size = first = eye
-        second = eye / 2
-        for j in range(1, _DEGREE + 1):
-            term = term @ absolute / j
-            size, first, second = size + term, first + term / (j + 1), second + term / ((j + 1) * (j + 2))
+        eye, both = np.eye(len(F)), np.array([F, np.abs(F)])
+        series = np.zeros_like(both)  # Σ Fʲ / (j + 2)!, by Horner's rule
+        for j in range(_DEGREE, 1, -1):
+            series = (eye + both @ series) / j
+        growth = F + F @ F @ series[0]  # e^F − 1 by itself: it keeps the digits that e^F would lose
+        absolute, second = both[1], series[1]
+        first = eye + absolute @ second
+        size = reach = eye + absolute @ first  # bounds on e^{Fσ}, for every σ up to the step
+        bend = np.abs(F @ F @ self.guards) + _ROUNDING * absolute @ absolute @ guards
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
         arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
         for number in range(arrays.jumps.shape[1]):
             arrays.jumps[m, number] = self.flow.jump(number, mode).T
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d] = growth
+            arrays.margin[m, d] = _OUTWARD * reach @ (_ROUNDING * guards + 4.0**d / 8 * bend)
             arrays.first[m, d] = _OUTWARD * first @ guards
             arrays.second[m, d] = _OUTWARD * second @ guards
             stretch = np.abs(eye + growth)
             second = 2.0**d * first + second + second @ stretch
             first = first + first @ stretch
+            reach = np.maximum(reach, reach @ stretch)
             growth = 2 * growth + growth @ growth
+        self.met.append(mode)
 
 
 def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateReset]) -> Any:
@@ -283,6 +346,19 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateReset]) ->
 def _doublings(size: Array, sample_time: float) -> int:
     norm = float(np.linalg.norm(size, 2)) * sample_time
     return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
+
+
+def _degree(size: Array) -> int:
+    """Return the degree from which on the Taylor terms of e^F are rounding in every entry, for any |F| ≤ size."""
+    terms = [np.eye(len(size))]
+    for j in range(1, 2 * _DEGREE):
+        terms.append(terms[-1] @ size / j)
+    whole, rest = sum(terms), np.zeros_like(size)
+    for j in range(2 * _DEGREE - 1, 0, -1):
+        rest = rest + terms[j]
+        if j <= _DEGREE and (rest > _NEGLIGIBLE * whole).any():
+            return j
+    return 1
 
 
 def _snapped(step: float) -> float:

@@ -76,3 +76,8 @@ class Trace:
     def visited(self) -> set[Mode]:
         """Return the joint modes that occur."""
         return {self.first_mode} | {event.after for event in self.events}
+
+
+def last_tenth(t: Array) -> slice:
+    """Return which samples are the last tenth of the time: what a final error is taken over."""
+    return slice(len(t) - -(-len(t) // 10), None)

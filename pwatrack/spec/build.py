@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,17 +25,49 @@ from pwatrack.model.reference import (
     total_signal,
 )
 from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.problems import path_text
 from pwatrack.spec.schema import (
     CourseSection,
+    EllipsoidSection,
     GoalSection,
     ReferenceSection,
     SimulationSection,
+    StartRegionsSection,
     StepSection,
     SystemSection,
     TableSection,
     TrapezoidSection,
 )
+
+
+def build_regions(
+    section: StartRegionsSection | None, states: Sequence[str], nominal: Mapping[str, Array | None]
+) -> dict[str, Region]:
+    """Return where the members of an ensemble start, by part; entries that are not named stay at their nominal value.
+
+    Args:
+        section: None for nothing.
+        states: Names of the states of plant and observer.
+        nominal: Initial states of both by part; None for zero.
+    """
+    regions: dict[str, Region] = {}
+    for part in ("plant", "observer"):
+        asked, start = getattr(section, part, None), nominal[part]
+        if asked is None:
+            continue
+        center = dict(zip(states, [0.0] * len(states) if start is None else start.tolist(), strict=True))
+        if isinstance(asked, EllipsoidSection):
+            center |= asked.ellipsoid.center
+            radii = [asked.ellipsoid.radii.get(name, 0.0) for name in states]
+            regions[part] = Ellipsoid(center=readonly(list(center.values())), radii=readonly(radii))
+        else:
+            bounds = [asked.get(name, [value, value]) for name, value in center.items()]
+            regions[part] = Box(low=readonly([low for low, _ in bounds]), high=readonly([high for _, high in bounds]))
+    if section is not None and section.generator is not None:
+        low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
+        regions["generator"] = Box(low=readonly(low), high=readonly(high))
+    return regions
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:

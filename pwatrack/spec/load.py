@@ -16,7 +16,8 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
-from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference
+from pwatrack.simulation.region import Region
+from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference, build_regions
 from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, number
 from pwatrack.spec.problems import (
     condition_problems,
@@ -24,6 +25,7 @@ from pwatrack.spec.problems import (
     name_problems,
     plant_problems,
     reference_problems,
+    region_problems,
     sampling_problems,
     shape_problems,
     validation_problems,
@@ -51,6 +53,7 @@ class Spec:
         x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
         conditions: What is not as the theorems assume when it is simulated.
         portraits: Pairs of linear forms of the states to draw against each other.
+        regions: Where the members of an ensemble start, by part; empty where the file says nothing.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -73,6 +76,7 @@ class Spec:
     eta_hat0: Array | None
     conditions: Conditions
     portraits: tuple[tuple[LinearForm, LinearForm], ...]
+    regions: Mapping[str, Region]
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -113,6 +117,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         *problems,
         *shape_problems(document.data, context),
         *name_problems(document.data, context),
+        *region_problems(document.data, context),
         *sampling_problems(document.data, context),
     ]
     try:
@@ -125,6 +130,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
+    x0, x_hat0 = _optional(initial.plant), _optional(initial.observer)
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
@@ -148,11 +154,12 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         reference=reference,
         duration=simulation.duration,
         sample_time=simulation.sample_time,
-        x0=_optional(initial.plant),
-        x_hat0=_optional(initial.observer),
+        x0=x0,
+        x_hat0=x_hat0,
         eta_hat0=_optional(initial.generator),
         conditions=conditions,
         portraits=tuple((first, second) for first, second in simulation.portraits),
+        regions=build_regions(simulation.ensemble.initial, plant.states, {"plant": x0, "observer": x_hat0}),
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )

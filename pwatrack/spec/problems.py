@@ -212,6 +212,28 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     return problems
 
 
+def region_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that the start regions of an ensemble name states of the plant, and are not empty."""
+    subject: Subject = ("simulation", "ensemble", "initial")
+    regions = _at(data, subject)
+    if not isinstance(regions, dict):
+        return []
+    problems = []
+    if not any(regions.values()):
+        message = f"{path_text(subject)}: nothing is varied"
+        problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
+    for part in ("plant", "observer"):
+        where = (*subject, part)
+        inside = (*where, "ellipsoid")
+        for at in (where,) if not isinstance(_at(data, inside), dict) else ((*inside, "radii"), (*inside, "center")):
+            names = _at(data, at)
+            for name in names if isinstance(names, dict) and context.states else ():
+                if name not in context.states:
+                    message = f"{path_text((*at, name))}: '{name}' is no state; states: {', '.join(context.states)}"
+                    problems.append(Problem(message=message, subject=(*at, name)))
+    return problems
+
+
 def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check that the samples are neither too many nor too few, where both numbers can be read."""
     try:

@@ -12,8 +12,10 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     PlainValidator,
+    Tag,
     ValidationInfo,
 )
 
@@ -158,6 +160,19 @@ def _names(values: tuple[str, ...]) -> tuple[str, ...]:
     return values
 
 
+def _interval(values: list[float]) -> list[float]:
+    if len(values) != 2:
+        raise ValueError("two numbers [low, high] are expected")
+    if values[0] > values[1]:
+        raise ValueError(f"low {values[0]:g} is above high {values[1]:g}")
+    return values
+
+
+def _region_kind(value: Any) -> str:
+    """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
+    return "ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "box"
+
+
 def _listed(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
@@ -169,6 +184,7 @@ Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
 Vector = list[Number]
 Rows = list[list[Number]]
+Interval = Annotated[list[Number], AfterValidator(_interval)]
 
 
 class Section(BaseModel):
@@ -432,6 +448,39 @@ class SampledSection(Section):
     method: Method = "exponential"
 
 
+class RadiiSection(Section):
+    """By name: the radius of each entry that varies, and where the centre is not the nominal one."""
+
+    radii: Annotated[dict[str, Positive], Field(min_length=1)]
+    center: dict[str, Number] = {}
+
+
+class EllipsoidSection(Section):
+    """Start states with Σ ((x − center) / radius)² ≤ 1."""
+
+    ellipsoid: RadiiSection
+
+
+Region = Annotated[
+    Annotated[dict[str, Interval], Tag("box")] | Annotated[EllipsoidSection, Tag("ellipsoid")],
+    Discriminator(_region_kind),
+]
+
+
+class StartRegionsSection(Section):
+    """Where x(0), x̂(0) and η̂(0) may be; what is not named stays at its nominal value."""
+
+    plant: Region | None = None
+    observer: Region | None = None
+    generator: list[Interval] | None = None
+
+
+class EnsembleSection(Section):
+    """What differs between the members of an ensemble."""
+
+    initial: StartRegionsSection | None = None
+
+
 class SimulationSection(Section):
     """How long, how finely, from where, and what is not as the theorems assume."""
 
@@ -444,6 +493,7 @@ class SimulationSection(Section):
     noise: NoiseSection | None = None
     controller: SampledSection | None = None
     portraits: list[Annotated[list[Annotated[LinearForm, PlainValidator(_form)]], AfterValidator(_pair)]] = []
+    ensemble: EnsembleSection = EnsembleSection()
 
 
 class ToleranceSection(Section):

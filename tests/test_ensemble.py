@@ -1,0 +1,274 @@
+"""Ensembles: members are single runs, whatever their number and order, and start where they should."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pwatrack import Result, ensemble, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
+from pwatrack.simulation.flow import Flow, SwitchedPart
+from pwatrack.simulation.propagate import StateReset, simulate_flow
+from pwatrack.simulation.region import Box, Ellipsoid, Region
+from pwatrack.variation import other_starts
+from tests.test_cli import call, refused, shortened
+
+seeds = st.integers(0, 2**32)
+sizes = st.floats(1e-6, 1e6)
+places = st.floats(-1e6, 1e6)
+
+
+@pytest.fixture(scope="module")
+def short(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """Return four seconds of the paper's example."""
+    path = tmp_path_factory.mktemp("short") / "plant.yaml"
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("duration: 60", "duration: 4"), encoding="utf-8")
+    return simulate(load_spec(path))
+
+
+def members_of(result: Result, count: int) -> list[Member]:
+    regions: dict[str, Region] = {
+        "plant": Box(low=np.array([-0.3, -1, 0, 0]), high=np.array([0.3, 1, 0.1, 0])),
+        "observer": Ellipsoid(center=np.zeros(4), radii=np.array([0.1, 0.2, 0.0, 0.3])),
+        "generator": Box(low=np.array([0.0, -0.1]), high=np.array([0.3, 0.1])),
+    }
+    return other_starts(result, regions, count, seed=7)
+
+
+@given(bounds=st.lists(st.tuples(places, places), min_size=1, max_size=5), seed=seeds)
+def test_a_box_holds_what_is_drawn_from_it(bounds: list[tuple[float, float]], seed: int) -> None:
+    low, high = (np.array(side) for side in zip(*map(sorted, bounds), strict=True))
+    points = Box(low=low, high=high).draw(np.random.default_rng(seed), 50)
+    assert points.shape == (50, len(bounds))
+    assert ((low <= points) & (points <= high)).all()
+
+
+@given(
+    entries=st.lists(st.tuples(places, st.one_of(st.just(0.0), sizes)), min_size=1, max_size=5),
+    seed=seeds,
+)
+def test_an_ellipsoid_holds_what_is_drawn_from_it(entries: list[tuple[float, float]], seed: int) -> None:
+    center, radii = (np.array(side) for side in zip(*entries, strict=True))
+    points = Ellipsoid(center=center, radii=radii).draw(np.random.default_rng(seed), 50)
+    varied = radii > 0
+    away = (points - center)[:, varied] / radii[varied]
+    rounding = (1e-15 * (np.abs(center) + radii)[varied] / radii[varied]).sum()
+    assert (np.linalg.norm(away, axis=1) <= 1 + 1e-12 + rounding).all()
+    assert (points[:, ~varied] == center[~varied]).all()
+
+
+@given(seed=seeds, n=st.integers(1, 4))
+@settings(max_examples=20)
+def test_boxes_and_ellipsoids_are_filled_evenly(seed: int, n: int) -> None:
+    """The share of points in a half as large a copy is 2⁻ⁿ, and no direction is preferred."""
+    count = 4000
+    box = Box(low=-np.ones(n), high=np.ones(n)).draw(np.random.default_rng(seed), count)
+    ball = Ellipsoid(center=np.zeros(n), radii=np.ones(n)).draw(np.random.default_rng(seed), count)
+    for inside, points in (
+        (np.abs(box).max(axis=1) <= 0.5, box),
+        (np.linalg.norm(ball, axis=1) <= 0.5, ball),
+    ):
+        assert abs(inside.mean() - 0.5**n) < 0.05
+        assert np.abs(points.mean(axis=0)).max() < 0.06
+        assert abs(points.max() - 1) < 0.35
+
+
+@given(seed=seeds, fewer=st.integers(1, 20))
+@settings(max_examples=20)
+def test_fewer_points_are_the_first_of_more(seed: int, fewer: int) -> None:
+    for region in (
+        Box(low=np.zeros(3), high=np.ones(3)),
+        Ellipsoid(center=np.zeros(3), radii=np.array([1.0, 0.0, 2.0])),
+    ):
+        few, many = (region.draw(np.random.default_rng(seed), count) for count in (fewer, 20))
+        assert few.tobytes() == many[:fewer].tobytes()
+
+
+def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
+    members = members_of(short, 8)
+    N = len(members[0].z0)
+    ran = [
+        simulate_ensemble([replace(m, error=row[None]) for m in members], duration=4.0, sample_time=0.01)
+        for row in np.eye(N)
+    ]
+    for number, member in enumerate(members):
+        trace = simulate_flow(member.flow, member.z0, duration=4.0, sample_time=0.01, resets=member.resets)
+        for k, one in enumerate(ran):
+            assert one.error[number].tobytes() == np.ascontiguousarray(np.abs(trace.z[:, k])).tobytes()
+        assert ran[0].mode_changes[number] == len(trace.events)
+        assert ran[0].unresolved[number] == len(trace.unresolved)
+    assert ran[0].t.tobytes() == trace.t.tobytes()
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_neither_workers_nor_order_change_a_bit(short: Result, backwards: bool) -> None:
+    members = members_of(short, 24)
+    one = simulate_ensemble(members, duration=4.0, sample_time=0.01, workers=1)
+    order = slice(None, None, -1 if backwards else 1)
+    for workers in (2, 5):
+        other = simulate_ensemble(members[order], duration=4.0, sample_time=0.01, workers=workers)
+        for name in ("z0", "error", "mode_changes", "unresolved"):
+            assert getattr(one, name)[order].tobytes() == getattr(other, name).tobytes(), name
+
+
+def test_members_may_have_flows_and_jumps_of_their_own(short: Result) -> None:
+    """What another variation needs: nothing is shared between different flows."""
+    members = members_of(short, 4)
+    softer = replace(members[1].flow, F0=members[1].flow.F0 * 0.9)
+    members[1] = replace(members[1], flow=softer)
+    members[2] = replace(members[2], flow=softer, resets=(StateReset(t=1.0, where=slice(0, 1), value=np.zeros(1)),))
+    kept = simulate_ensemble(members, duration=2.0, sample_time=0.01)
+    for number, m in enumerate(members):
+        z = simulate_flow(m.flow, m.z0, duration=2.0, sample_time=0.01, resets=m.resets).z
+        assert np.allclose(kept.error[number], np.abs(z @ m.error[0]), rtol=0, atol=1e-14)
+
+
+def test_the_kept_error_is_the_tracking_error_of_the_run(short: Result) -> None:
+    nominal = Member(flow=short.loop.flow, z0=short.response.trace.z[0], error=short.loop.tracking_error)
+    kept = simulate_ensemble([nominal], duration=4.0, sample_time=0.01)
+    assert np.allclose(kept.error[0], np.abs(short.response.tracking_error[:, 0]), rtol=0, atol=1e-15)
+    assert kept.final[0] == pytest.approx(short.final_error, rel=1e-9)
+
+
+def test_a_seed_gives_the_same_members_again_and_another_seed_others(short: Result) -> None:
+    first, again, other = (ensemble(short, 3, seed=seed).ensemble for seed in (1, 1, 2))
+    assert first.error.tobytes() == again.error.tobytes()
+    assert not np.isclose(first.z0[:, :4], other.z0[:, :4]).any()
+    more = ensemble(short, 5, seed=1).ensemble
+    assert more.error[:3].tobytes() == first.error.tobytes()
+
+
+def test_without_a_region_states_start_within_their_size_in_the_nominal_run(short: Result) -> None:
+    many = ensemble(short, 200)
+    x = short.response.x
+    away = np.abs(many.ensemble.z0[:, short.loop.at.x] - x[0]).max(axis=0) / np.abs(x).max(axis=0)
+    assert not many.given
+    assert (away <= 1).all()
+    assert (away > 0.9).all()
+    assert (many.ensemble.z0[:, short.loop.at.x_hat] == 0).all()
+
+
+def of(error: Array) -> Ensemble:
+    count = np.zeros(len(error), dtype=np.int64)
+    t = np.arange(error.shape[1], dtype=float)
+    return Ensemble(t=t, z0=np.zeros((len(error), 1)), error=error, mode_changes=count, unresolved=count)
+
+
+def test_settling_is_for_good_at_the_sample_after_the_last_large_error() -> None:
+    rows = np.full((3, 20), 1e-3)
+    rows[:, 0] = 1.0
+    rows[1, 5] = 0.5
+    rows[2, -1] = 0.5
+    kept = of(rows)
+    assert kept.settled_below == pytest.approx(0.01)
+    assert kept.settling_time.tolist() == [1.0, 6.0, np.inf]
+    assert kept.final.tolist() == [1e-3, 1e-3, 0.5]
+    assert of(np.zeros((2, 5))).settling_time.tolist() == [0.0, 0.0]
+
+
+def test_a_member_without_progress_is_named() -> None:
+    """A field that points to the guard from both sides: only the members that reach it chatter."""
+    part = SwitchedPart(
+        name="part",
+        cells=("left", "right"),
+        guards=np.array([[1.0, 0.0]]),
+        signs=np.array([[-1], [1]]),
+        F=np.array([[[0.0, 1.0], [0, 0]], [[0.0, -1.0], [0, 0]]]),
+    )
+    flow = Flow(F0=np.zeros((2, 2)), parts=(part,))
+    members = [Member(flow=flow, z0=np.array([x, 1.0]), error=np.eye(2)) for x in (5.0, 0.5, 0.25)]
+    with pytest.raises(CheckFailed, match=r"member 2: the part crosses guard 1 at t = 0\.5 s"):
+        simulate_ensemble(members, duration=1.0, sample_time=0.1)
+
+
+def test_too_much_to_keep_is_refused(short: Result) -> None:
+    with pytest.raises(InvalidSpec, match="1,000,000 members with 401 samples each"):
+        ensemble(short, 1_000_000)
+
+
+def regions(path: Path, text: str) -> Path:
+    return shortened(
+        Path("specs/two_mass_paper_gains.yaml").absolute(),
+        path,
+        ("  initial:", f"  ensemble: {{initial: {{{text}}}}}\n  initial:"),
+    )
+
+
+def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_path: Path) -> None:
+    text = "plant: {z1: [-0.3, 0.3], v1: [-1, 1]}, observer: {ellipsoid: {radii: {z2: 0.1}, center: {v1: 2}}}"
+    path = regions(tmp_path / "plant.yaml", text + ", generator: [[0, 0.2], [0, 0]]")
+    run = call("simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    assert "12 members, seed 3" in run.stdout
+    assert "-0.3 ≤ z1 ≤ 0.3" in run.stdout
+    assert "z2_hat = 0 ± 0.1" in run.stdout
+    assert "last tenth" in run.stdout
+    assert run.stderr == ""
+    with (tmp_path / "out" / "ensemble.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["member"] for row in rows] == [str(k) for k in range(1, 13)]
+    assert all(abs(float(row["z1"])) <= 0.3 and row["z2"] == "0.0" and row["v1_hat"] == "2.0" for row in rows)
+    assert all(abs(float(row["z2_hat"])) <= 0.1 and 0 <= float(row["eta_hat1"]) <= 0.2 for row in rows)
+    index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert {"ensemble.csv", "ensemble.png"} < set(index["files"])
+    worst = index["ensemble"]["largest_error"]
+    assert repr(worst["worst"]) == rows[worst["member"] - 1]["largest_error"]
+    assert index["ensemble"]["regions"]["observer"] == {"ellipsoid": {"z2_hat": [0.0, 0.1]}}
+    assert "ensemble" in index["seconds"]
+    call("simulate", path, "--out", tmp_path / "out")
+    assert not (tmp_path / "out" / "ensemble.csv").exists()
+
+
+def test_a_default_region_is_said(tmp_path: Path, specs: Path) -> None:
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml")
+    run = call("simulate", path, "--ensemble", 1, "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    assert "the spec has no simulation.ensemble.initial" in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("generator: [[0, 1]]", "simulation.ensemble.initial.generator: 1 interval, expected 2"),
+        ("plant: {z9: [0, 1]}", "simulation.ensemble.initial.plant.z9: 'z9' is no state; states: z1, v1, z2, v2"),
+        ("plant: {z1: [1, 0]}", "simulation.ensemble.initial.plant.z1: low 1 is above high 0"),
+        ("plant: {z1: [1]}", "simulation.ensemble.initial.plant.z1: two numbers [low, high] are expected"),
+        ("plant: {z1: 0.1}", "simulation.ensemble.initial.plant.z1: a list is expected"),
+        ("plant: [[0, 1]]", "simulation.ensemble.initial.plant: a mapping is expected"),
+        ("plant: {}", "simulation.ensemble.initial: nothing is varied"),
+        ("plant: {ellipsoid: {radii: {z1: -1}}}", "plant.ellipsoid.radii.z1: -1 is not positive"),
+        ("plant: {ellipsoid: {radii: {q: 1}}}", "plant.ellipsoid.radii.q: 'q' is no state"),
+        ("plant: {ellipsoid: {center: {z1: 1}}}", "plant.ellipsoid.radii is missing"),
+        ("plant: {ellipsoid: {radius: {z1: 1}}}", "unknown key; did you mean 'radii'?"),
+        ("plants: {z1: [0, 1]}", "simulation.ensemble.initial.plants: unknown key; did you mean 'plant'?"),
+    ],
+)
+def test_a_wrong_region_is_refused_with_its_line_and_rule(tmp_path: Path, text: str, message: str) -> None:
+    path = regions(tmp_path / "plant.yaml", text)
+    error = refused(call("simulate", path, "--ensemble", 2, "--out", tmp_path / "out"), 2)
+    line = 1 + path.read_text(encoding="utf-8").split("  ensemble:")[0].count("\n")
+    assert f"plant.yaml:{line}:" in error
+    assert message in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_all_wrong_entries_are_said_at_once(tmp_path: Path) -> None:
+    path = regions(tmp_path / "plant.yaml", "plant: {z9: [0, 1], z1: [2, x], v1: [2, 1]}, observer: {z2: [1, 2, 3]}")
+    error = refused(call("simulate", path, "--out", tmp_path / "out"), 2)
+    assert error.count("error: ") == 4
+
+
+def test_a_region_for_a_generator_whose_start_is_fixed_is_refused(tmp_path: Path, specs: Path) -> None:
+    text = (specs / "gallery" / "two_rooms.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "rooms.yaml"
+    path.write_text(text.replace("simulation:", "simulation:\n  ensemble: {initial: {generator: [[0, 1]]}}"), "utf-8")
+    error = refused(call("simulate", path, "--ensemble", 2, "--out", tmp_path / "out"), 2)
+    assert "generator" in error
