@@ -89,7 +89,9 @@ def simulate(
     parameters: Set = None,
     solver: SolverName = None,
     ensemble: Annotated[int | None, typer.Option(min=1, metavar="M", help="Also run M variations of the loop.")] = None,
-    over: Annotated[Literal["initial"], typer.Option(help="What differs between them.")] = "initial",
+    over: Annotated[
+        Literal["initial", "parameters", "noise"], typer.Option(help="What differs between them.")
+    ] = "initial",
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers that they are drawn with.")] = 1,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""

@@ -1,20 +1,50 @@
 """A closed loop varied: many members of one design, and what became of them."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from pwatrack.arrays import Array, IntArray
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.pipeline import Result
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
 
-Over = Literal["initial"]
+Over = Literal["initial", "parameters", "noise"]
 
 _MOST_KEPT = 250_000_000  # tracking errors: 2 GB
+_SPREAD = 0.05  # of the value of a parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variation:
+    """What differs between the members of an ensemble.
+
+    Attributes:
+        over: The kind of what differs.
+        given: Whether the spec says how much; else it is the default.
+        regions: What the members are drawn from, by part.
+        names: Of the entries of each region.
+        values: What was drawn, by name, one for each member.
+        member: Returns a member by its index.
+    """
+
+    over: Over
+    given: bool
+    regions: Mapping[str, Region]
+    names: Mapping[str, tuple[str, ...]]
+    values: Mapping[str, Array | IntArray]
+    member: Callable[[int], Member]
+
+    @property
+    def text(self) -> str:
+        """What differs, in words that go after "members"."""
+        words = {"initial": "from other initial states", "parameters": "with other parameters"}
+        return words.get(self.over, "with other noise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,17 +53,13 @@ class EnsembleResult:
 
     Attributes:
         nominal: The run that was varied.
-        over: What differs between members.
-        regions: Where they start, by part.
-        given: Whether the spec says where; else it is the default.
+        variation: What differs.
         seed: Of the random numbers.
         ensemble: The members; number k in files and messages is index k − 1.
     """
 
     nominal: Result
-    over: Over
-    regions: dict[str, Region]
-    given: bool
+    variation: Variation
     seed: int
     ensemble: Ensemble
 
@@ -52,15 +78,18 @@ def ensemble(
     Args:
         result: What `simulate(spec)` returned.
         count: How many members; the first members of a larger ensemble are the same.
-        over: What differs: "initial", the initial states, drawn uniformly from the regions of the spec. Where it
+        over: What differs. "initial": the initial states, drawn uniformly from the regions of the spec; where it
             says none, each state of the plant starts within the largest size it has in `result` of its nominal start.
+            "parameters": those of the plant, drawn uniformly from the intervals of the spec; where it says none, from
+            5 % around each value that matters to the plant. "noise": the seed of the noise.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
         progress: Called with the number of members done, after each.
 
     Raises:
-        InvalidSpec: If there is too much to keep, or a region does not fit the generator.
-        CheckFailed: If a member has more than 1,000 events without progress in time.
+        InvalidSpec: If there is too much to keep, nothing to vary, or a region does not fit the generator.
+        OutsideTheory: If the plant of a member is not of class (1).
+        CheckFailed: If a member chatters or grows without bound.
 
     Example:
         >>> from pwatrack import load_spec, simulate
@@ -77,31 +106,36 @@ def ensemble(
             Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: events stay exact")
         )
     with spec.located():
-        regions = dict(spec.regions) or _around(result)
-        return EnsembleResult(
-            nominal=result,
-            over=over,
-            regions=regions,
-            given=bool(spec.regions),
-            seed=seed,
-            ensemble=simulate_ensemble(
-                other_starts(result, regions, count, seed),
-                duration=spec.duration,
-                sample_time=spec.sample_time,
-                workers=workers,
-                progress=progress,
-            ),
+        variation = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}[over](
+            result, count, seed
         )
+        kept = simulate_ensemble(
+            variation.member,
+            count,
+            duration=spec.duration,
+            sample_time=spec.sample_time,
+            workers=workers,
+            progress=progress,
+        )
+        return EnsembleResult(nominal=result, variation=variation, seed=seed, ensemble=kept)
 
 
-def other_starts(result: Result, regions: dict[str, Region], count: int, seed: int) -> list[Member]:
+def other_starts(result: Result, count: int, seed: int) -> Variation:
     """Return the loop from initial states drawn from regions; parts without one start as in `result`.
 
     Raises:
         InvalidSpec: If there is a region for a generator whose start is fixed or has another number of entries.
     """
-    loop, starts = result.loop, np.tile(result.start, (count, 1))
+    loop, spec = result.loop, result.spec
+    regions = dict(spec.regions) or _around(result)
     places = {"plant": loop.at.x, "observer": loop.at.x_hat, "generator": loop.at.eta_hat}
+    states, etas = spec.plant.states, range(loop.at.eta_hat.stop - loop.at.eta_hat.start)
+    names = {
+        "plant": tuple(states),
+        "observer": tuple(f"{state}_hat" for state in states),
+        "generator": tuple(f"eta_hat{k + 1}" for k in etas),
+    }
+    starts = np.tile(result.start, (count, 1))
     for number, (part, where) in enumerate(places.items()):
         if part not in regions:
             continue
@@ -110,8 +144,76 @@ def other_starts(result: Result, regions: dict[str, Region], count: int, seed: i
         if part == "generator":
             _check_generator(result, drawn.shape[1])
         starts[:, where] = drawn
-    error, resets = loop.tracking_error, tuple(loop.resets(result.spec.duration))
-    return [Member(flow=loop.flow, z0=z0, error=error, resets=resets) for z0 in starts]
+    member = _member(result, loop)
+    return Variation(
+        over="initial",
+        given=bool(spec.regions),
+        regions=regions,
+        names=names,
+        values={name: x for part, at in places.items() for name, x in zip(names[part], starts[:, at].T, strict=True)},
+        member=lambda number: replace(member, z0=starts[number]),
+    )
+
+
+def other_parameters(result: Result, count: int, seed: int) -> Variation:
+    """Return the loop with plants whose parameters are drawn from intervals, and the controller as designed.
+
+    Raises:
+        InvalidSpec: If the plant depends on no parameter.
+        PwatrackError: If the plant is not of class (1) with other values; members raise it too.
+    """
+    loop, spec = result.loop, result.spec
+    intervals = dict(spec.intervals) or _near(result)
+    names = tuple(intervals)
+    low, high = np.array(list(intervals.values())).T
+    box = Box(low=low, high=high)
+    drawn = box.draw(np.random.default_rng([seed, 3]), count)
+
+    def member(number: int) -> Member:
+        values = dict(zip(names, drawn[number].tolist(), strict=True))
+        plant, _ = spec.recipe.plant(_changed(result, values), _OVER)
+        varied = closed_loop(loop.controller, replace(loop.conditions, plant=plant))
+        text = "with " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        return replace(_member(result, varied), text=text)
+
+    return Variation(
+        over="parameters",
+        given=bool(spec.intervals),
+        regions={"plant": box},
+        names={"plant": names},
+        values=dict(zip(names, drawn.T, strict=True)),
+        member=member,
+    )
+
+
+def other_noise(result: Result, count: int, seed: int) -> Variation:
+    """Return the loop with other random numbers for its noise.
+
+    Raises:
+        InvalidSpec: If there is no noise.
+    """
+    loop = result.loop
+    noise = loop.conditions.noise
+    if noise is None:
+        message = "the spec has no simulation.noise: without it all members are the same"
+        hint = f"for example noise: {{std: {{{result.spec.plant.outputs[0]}: 1e-3}}, sample_time: 0.01}}"
+        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+    seeds = np.random.default_rng([seed, 4]).integers(2**53, size=count)
+    first = _member(result, loop)
+
+    def member(number: int) -> Member:
+        conditions = replace(loop.conditions, noise=replace(noise, seed=int(seeds[number])))
+        return replace(first, resets=tuple(replace(loop, conditions=conditions).resets(result.spec.duration)))
+
+    return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
+
+
+_OVER: Subject = ("simulation", "ensemble", "parameters")
+
+
+def _member(result: Result, loop: ClosedLoop) -> Member:
+    resets = tuple(loop.resets(result.spec.duration))
+    return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets)
 
 
 def _around(result: Result) -> dict[str, Region]:
@@ -119,6 +221,38 @@ def _around(result: Result) -> dict[str, Region]:
     x = result.response.x
     size = np.abs(x).max(axis=0)
     return {"plant": Box(low=x[0] - size, high=x[0] + size)}
+
+
+def _near(result: Result) -> dict[str, tuple[float, float]]:
+    """Return the default: 5 % around each parameter that matters to the plant."""
+    spec, plant = result.spec, result.loop.plant
+    values = {**spec.parameters, **(result.loop.conditions.parameters or {})}
+    intervals = {}
+    for name, value in values.items():
+        away = _SPREAD * abs(value)
+        other, _ = spec.recipe.plant(_changed(result, {name: value + away}), _OVER)
+        if any(
+            not np.array_equal(a, b)
+            for a, b in (
+                (plant.A, other.A),
+                (plant.b, other.b),
+                (plant.B, other.B),
+                (plant.C, other.C),
+                (plant.partition.H, other.partition.H),
+                (plant.partition.h, other.partition.h),
+            )
+        ):
+            intervals[name] = (value - away, value + away)
+    if not intervals:
+        message = "the spec has no simulation.ensemble.parameters, and its plant depends on no parameter"
+        hint = "declare the numbers that vary under 'parameters' and use their names in 'system'"
+        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+    return intervals
+
+
+def _changed(result: Result, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return these parameters, and those that are not as designed anyway."""
+    return {**(result.loop.conditions.parameters or {}), **parameters}
 
 
 def _check_generator(result: Result, entries: int) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pwatrack import Partition, PWASystem
 from pwatrack.arrays import Array
+from pwatrack.simulation.propagate import StateResets
 
 
 def springs(A: Array, b: Array, B: Array, C: Array, g: Array, h: Array, c: Array) -> PWASystem:
@@ -53,3 +54,8 @@ def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2, strength: float 
     b[: r - 1] = 0.0
     o = np.append(0.0, random.normal(size=n - 1) * 0.1)  # x = T (z + o), with y as before: offsets in ξ
     return springs(T @ A @ inverse, T @ (b - A @ o), T @ B, C @ inverse, g @ T.T, h @ inverse, c - h @ o)
+
+
+def reset(t: float, where: slice, value: Array) -> StateResets:
+    """Return one reset."""
+    return StateResets(t=np.array([t]), where=where, values=value[None])

@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import PWASystem, Result, Spec, load_spec, simulate
+from pwatrack import PWASystem, Result, Spec, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.errors import InvalidSpec, OutsideTheory
+from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory
 from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
@@ -265,11 +265,11 @@ def test_a_plant_that_is_not_continuous_with_its_own_parameters_is_refused(specs
     text = text.replace("omega: 2*pi", "jump: 0  # m\n  omega: 2*pi").replace("k2*c2/m2]", "k2*c2/m2 + jump]")
     path = tmp_path / "spec.yaml"
     path.write_text(text.rstrip() + "\n  plant: {parameters: {jump: 0.1}}\n")
-    with pytest.raises(OutsideTheory, match=r"with the plant's own jump: .*must be continuous") as caught:
+    with pytest.raises(OutsideTheory, match=r"plant with jump = .*: .*must be continuous") as caught:
         load_spec(path)
     assert caught.value.problems[0].place is not None
     path.write_text(text.rstrip() + "\n  plant: {parameters: {m1: 0}}\n")
-    with pytest.raises(InvalidSpec, match=r"with the plant's own m1: "):
+    with pytest.raises(InvalidSpec, match=r"plant with m1 = .*: "):
         load_spec(path)
 
 
@@ -294,3 +294,15 @@ def test_a_portrait_shows_the_facets_and_cells_that_can_be_seen_in_it(paper_spec
     assert np.ravel(across.lines[0].get_xdata())[0] == pytest.approx(-0.25)
     with pytest.raises(InvalidSpec, match="two linear forms"):
         loaded(paper_spec, tmp_path, "  portraits: [[z1]]\n")
+
+
+def test_a_plant_that_the_gains_do_not_hold_is_said_to_be_unstable(specs: Path, tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("  initial:", "  plant: {parameters: {d1: -60}}\n  initial:"), encoding="utf-8")
+    with pytest.raises(CheckFailed, match=r"the closed loop is unstable: a state is beyond 1e\+100 at t = 3\.\d+ s"):
+        simulate(load_spec(path))
+    path.write_text(path.read_text(encoding="utf-8").replace("{d1: -60}", "{d1: -0.5}"), encoding="utf-8")
+    result = simulate(load_spec(path))
+    with pytest.raises(CheckFailed, match=r"member 1, with d1 = -6.*: the closed loop is unstable: a state"):
+        ensemble(replace(result, spec=replace(result.spec, intervals={"d1": (-65.0, -60.0)})), 2, over="parameters")

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateReset, simulate_flow
+from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.region import Box, Ellipsoid, Region
-from pwatrack.variation import other_starts
+from pwatrack.variation import EnsembleResult, Over, other_starts
+from tests.plants import reset
 from tests.test_cli import call, refused, shortened
 
 seeds = st.integers(0, 2**32)
@@ -40,7 +42,12 @@ def members_of(result: Result, count: int) -> list[Member]:
         "observer": Ellipsoid(center=np.zeros(4), radii=np.array([0.1, 0.2, 0.0, 0.3])),
         "generator": Box(low=np.array([0.0, -0.1]), high=np.array([0.3, 0.1])),
     }
-    return other_starts(result, regions, count, seed=7)
+    variation = other_starts(replace(result, spec=replace(result.spec, regions=regions)), count, seed=7)
+    return [variation.member(number) for number in range(count)]
+
+
+def run_all(members: list[Member], *, duration: float, workers: int | None = None) -> Ensemble:
+    return simulate_ensemble(members.__getitem__, len(members), duration=duration, sample_time=0.01, workers=workers)
 
 
 @given(bounds=st.lists(st.tuples(places, places), min_size=1, max_size=5), seed=seeds)
@@ -95,10 +102,7 @@ def test_fewer_points_are_the_first_of_more(seed: int, fewer: int) -> None:
 def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
     members = members_of(short, 8)
     N = len(members[0].z0)
-    ran = [
-        simulate_ensemble([replace(m, error=row[None]) for m in members], duration=4.0, sample_time=0.01)
-        for row in np.eye(N)
-    ]
+    ran = [run_all([replace(m, error=row[None]) for m in members], duration=4.0) for row in np.eye(N)]
     for number, member in enumerate(members):
         trace = simulate_flow(member.flow, member.z0, duration=4.0, sample_time=0.01, resets=member.resets)
         for k, one in enumerate(ran):
@@ -111,11 +115,11 @@ def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
 @pytest.mark.parametrize("backwards", [False, True])
 def test_neither_workers_nor_order_change_a_bit(short: Result, backwards: bool) -> None:
     members = members_of(short, 24)
-    one = simulate_ensemble(members, duration=4.0, sample_time=0.01, workers=1)
+    one = run_all(members, duration=4.0, workers=1)
     order = slice(None, None, -1 if backwards else 1)
     for workers in (2, 5):
-        other = simulate_ensemble(members[order], duration=4.0, sample_time=0.01, workers=workers)
-        for name in ("z0", "error", "mode_changes", "unresolved"):
+        other = run_all(members[order], duration=4.0, workers=workers)
+        for name in ("error", "mode_changes", "unresolved"):
             assert getattr(one, name)[order].tobytes() == getattr(other, name).tobytes(), name
 
 
@@ -124,8 +128,8 @@ def test_members_may_have_flows_and_jumps_of_their_own(short: Result) -> None:
     members = members_of(short, 4)
     softer = replace(members[1].flow, F0=members[1].flow.F0 * 0.9)
     members[1] = replace(members[1], flow=softer)
-    members[2] = replace(members[2], flow=softer, resets=(StateReset(t=1.0, where=slice(0, 1), value=np.zeros(1)),))
-    kept = simulate_ensemble(members, duration=2.0, sample_time=0.01)
+    members[2] = replace(members[2], flow=softer, resets=(reset(1.0, slice(0, 1), np.zeros(1)),))
+    kept = run_all(members, duration=2.0)
     for number, m in enumerate(members):
         z = simulate_flow(m.flow, m.z0, duration=2.0, sample_time=0.01, resets=m.resets).z
         assert np.allclose(kept.error[number], np.abs(z @ m.error[0]), rtol=0, atol=1e-14)
@@ -133,33 +137,106 @@ def test_members_may_have_flows_and_jumps_of_their_own(short: Result) -> None:
 
 def test_the_kept_error_is_the_tracking_error_of_the_run(short: Result) -> None:
     nominal = Member(flow=short.loop.flow, z0=short.response.trace.z[0], error=short.loop.tracking_error)
-    kept = simulate_ensemble([nominal], duration=4.0, sample_time=0.01)
+    kept = run_all([nominal], duration=4.0)
     assert np.allclose(kept.error[0], np.abs(short.response.tracking_error[:, 0]), rtol=0, atol=1e-15)
     assert kept.final[0] == pytest.approx(short.final_error, rel=1e-9)
 
 
+def starts(many: EnsembleResult) -> Array:
+    return np.column_stack(list(many.variation.values.values()))
+
+
 def test_a_seed_gives_the_same_members_again_and_another_seed_others(short: Result) -> None:
-    first, again, other = (ensemble(short, 3, seed=seed).ensemble for seed in (1, 1, 2))
-    assert first.error.tobytes() == again.error.tobytes()
-    assert not np.isclose(first.z0[:, :4], other.z0[:, :4]).any()
+    first, again, other = (ensemble(short, 3, seed=seed) for seed in (1, 1, 2))
+    assert first.ensemble.error.tobytes() == again.ensemble.error.tobytes()
+    assert not np.isclose(starts(first)[:, :4], starts(other)[:, :4]).any()
     more = ensemble(short, 5, seed=1).ensemble
-    assert more.error[:3].tobytes() == first.error.tobytes()
+    assert more.error[:3].tobytes() == first.ensemble.error.tobytes()
 
 
 def test_without_a_region_states_start_within_their_size_in_the_nominal_run(short: Result) -> None:
     many = ensemble(short, 200)
     x = short.response.x
-    away = np.abs(many.ensemble.z0[:, short.loop.at.x] - x[0]).max(axis=0) / np.abs(x).max(axis=0)
-    assert not many.given
+    away = np.abs(starts(many)[:, :4] - x[0]).max(axis=0) / np.abs(x).max(axis=0)
+    assert not many.variation.given
     assert (away <= 1).all()
     assert (away > 0.9).all()
-    assert (many.ensemble.z0[:, short.loop.at.x_hat] == 0).all()
+    assert (starts(many)[:, 4:8] == 0).all()
+
+
+@pytest.mark.parametrize("over", ["parameters", "noise"])
+def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
+    """The machine's program, limits and disturbance are the same in all members."""
+    spread = ("  initial:", "  ensemble: {parameters: {k2: [0.3, 0.5], m2: [0.9, 1.2]}}\n  initial:")
+    path = shortened(specs / "two_mass_machine.yaml", tmp_path / "machine.yaml", spread)
+    many = ensemble(simulate(load_spec(path)), 3, over=over, seed=5)
+    assert set(many.variation.values) == ({"k2", "m2"} if over == "parameters" else {"noise_seed"})
+    for k in range(3):
+        drawn = {name: values[k].item() for name, values in many.variation.values.items()}
+        if over == "parameters":
+            assert 0.3 <= drawn["k2"] <= 0.5
+            assert 0.9 <= drawn["m2"] <= 1.2
+            changed = ("k2: 0.38,", f"k2: {drawn['k2']!r}, m2: {drawn['m2']!r},")
+        else:
+            changed = ("seed: 1", f"seed: {drawn['noise_seed']}")
+        other = tmp_path / "member.yaml"
+        other.write_text(path.read_text(encoding="utf-8").replace(*changed), encoding="utf-8")
+        alone = simulate(load_spec(other))
+        error = np.linalg.norm(alone.response.tracking_error, axis=1)
+        assert np.allclose(many.ensemble.error[k], error, rtol=0, atol=1e-14)
+        assert many.ensemble.mode_changes[k] == len(alone.response.trace.events)
+    assert len({row.tobytes() for row in many.ensemble.error}) == 3
+    more = ensemble(many.nominal, 4, over=over, seed=5, workers=1).ensemble
+    assert more.error[:3].tobytes() == many.ensemble.error.tobytes()
+
+
+def test_without_intervals_the_parameters_of_the_plant_vary_by_a_twentieth(short: Result) -> None:
+    """Those of the reference do not: no member has another one."""
+    many = ensemble(short, 300, over="parameters")
+    declared = dict(short.spec.parameters)
+    assert not many.variation.given
+    assert set(many.variation.values) == set(declared) - {"Ad", "omega"}
+    for name, values in many.variation.values.items():
+        away = values / declared[name] - 1
+        assert np.abs(away).max() <= 0.05 + 1e-12
+        assert np.abs(away).max() > 0.048
+
+
+def test_what_cannot_vary_is_refused(specs: Path, short: Result, tmp_path: Path) -> None:
+    with pytest.raises(InvalidSpec, match=r"no simulation\.noise: without it all members are the same"):
+        ensemble(short, 2, over="noise")
+    plant = simulate(load_spec(specs / "gallery" / "two_rooms.yaml"))
+    bare = replace(plant, spec=replace(plant.spec, parameters={}))
+    with pytest.raises(InvalidSpec, match="its plant depends on no parameter"):
+        ensemble(bare, 2, over="parameters")
+    spread = ("  initial:", "  ensemble: {parameters: {k9: [0.3, 0.5], k2: [2, 1]}}\n  initial:")
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", spread)
+    with pytest.raises(InvalidSpec, match=r"k2: low 2 is above high 1"):
+        load_spec(path)
+    path.write_text(path.read_text(encoding="utf-8").replace("k2: [2, 1]", "k2: [1, 2]"), encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=r"simulation\.ensemble\.parameters: 'k9' is no parameter"):
+        load_spec(path)
+
+
+def test_a_member_outside_the_theory_is_named_with_its_parameters(specs: Path, tmp_path: Path) -> None:
+    """An offset of its own: the field jumps at the facet wherever it is not k2 c2."""
+    path = shortened(
+        specs / "two_mass_paper_gains.yaml",
+        tmp_path / "plant.yaml",
+        ("  c2: 0.05", "  offset: 0.02\n  c2: 0.05"),
+        ("[0, -k2*c2/m1, 0, k2*c2/m2]", "[0, -offset/m1, 0, offset/m2]"),
+        ("  initial:", "  ensemble: {parameters: {offset: [0.02, 0.03]}}\n  initial:"),
+    )
+    run = call("simulate", path, "--ensemble", 5, "--over", "parameters", "--out", tmp_path / "out")
+    error = refused(run, 3)
+    assert re.search(r"plant.yaml:\d+:.*member 1: plant with offset = 0\.02\d+: .*must be continuous", error)
+    assert not (tmp_path / "out").exists()
 
 
 def of(error: Array) -> Ensemble:
     count = np.zeros(len(error), dtype=np.int64)
     t = np.arange(error.shape[1], dtype=float)
-    return Ensemble(t=t, z0=np.zeros((len(error), 1)), error=error, mode_changes=count, unresolved=count)
+    return Ensemble(t=t, error=error, mode_changes=count, unresolved=count)
 
 
 def test_settling_is_for_good_at_the_sample_after_the_last_large_error() -> None:
@@ -186,7 +263,7 @@ def test_a_member_without_progress_is_named() -> None:
     flow = Flow(F0=np.zeros((2, 2)), parts=(part,))
     members = [Member(flow=flow, z0=np.array([x, 1.0]), error=np.eye(2)) for x in (5.0, 0.5, 0.25)]
     with pytest.raises(CheckFailed, match=r"member 2: the part crosses guard 1 at t = 0\.5 s"):
-        simulate_ensemble(members, duration=1.0, sample_time=0.1)
+        run_all(members, duration=1.0)
 
 
 def test_too_much_to_keep_is_refused(short: Result) -> None:
@@ -207,7 +284,7 @@ def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_pat
     path = regions(tmp_path / "plant.yaml", text + ", generator: [[0, 0.2], [0, 0]]")
     run = call("simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
-    assert "12 members, seed 3" in run.stdout
+    assert "12 members from other initial states, seed 3" in run.stdout
     assert "-0.3 ≤ z1 ≤ 0.3" in run.stdout
     assert "z2_hat = 0 ± 0.1" in run.stdout
     assert "last tenth" in run.stdout

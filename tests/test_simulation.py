@@ -24,12 +24,12 @@ from pwatrack.model.signal import Signal
 from pwatrack.report.files import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import Propagator, StateReset, Walk, simulate_flow, trace_blocks
+from pwatrack.simulation.propagate import Propagator, Walk, simulate_flow, trace_blocks
 from pwatrack.simulation.steady_state import _monodromy, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
 from tests.grazing import near_grazing
-from tests.plants import random_plant
+from tests.plants import random_plant, reset
 from tests.precise import precise
 
 seeds = st.integers(0, 10_000)
@@ -92,9 +92,7 @@ def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, 
 @given(st.integers(1, 50), st.sampled_from([0.01, 0.07]))
 @settings(deadline=None, max_examples=25)
 def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
-    kicks = [
-        StateReset(t=t, where=slice(1, 2), value=np.array([v])) for t, v in ((0.7, -2.0), (1.333, 1.0), (1.4, 0.5))
-    ]
+    kicks = [reset(t, slice(1, 2), np.array([v])) for t, v in ((0.7, -2.0), (1.333, 1.0), (1.4, 0.5))]
     arguments: dict[str, Any] = {"duration": 3.0, "sample_time": sample_time, "resets": kicks}
     whole = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments)
     blocks = list(trace_blocks(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments, most=most))
@@ -315,7 +313,7 @@ def test_the_derivative_of_the_period_map_is_that_of_simulations(paper: Result) 
 
 @pytest.mark.parametrize("t", [0.7323, 1.9])
 def test_a_reset_within_a_long_sample_is_carried_out_at_its_time(t: float) -> None:
-    kick = [StateReset(t=t, where=slice(1, 2), value=np.array([-2.0]))]
+    kick = [reset(t, slice(1, 2), np.array([-2.0]))]
     start = np.array([0.3, 1.0, 1.0])
     long, short = (
         simulate_flow(abs_oscillator(), start, duration=8.0, sample_time=step, resets=kick) for step in (2.0, 0.05)
@@ -345,8 +343,8 @@ def test_resets_of_one_instant_are_carried_out_together(t: float) -> None:
     """Two entries jump at once; between them the state would be on the other side of the guard."""
     flow = switched(np.zeros((3, 3)), [[1.0, -1.0, 0.0]], [[-1], [1]], [np.zeros((3, 3))] * 2)
     both = [
-        StateReset(t=t, where=slice(0, 1), value=np.array([5.0])),
-        StateReset(t=t, where=slice(1, 2), value=np.array([4.0])),
+        reset(t, slice(0, 1), np.array([5.0])),
+        reset(t, slice(1, 2), np.array([4.0])),
     ]
     trace = simulate_flow(flow, np.array([2.0, 1.0, 1.0]), duration=1.0, sample_time=0.1, resets=both)
     assert trace.events == ()
@@ -399,7 +397,7 @@ def test_a_touch_that_rounding_cannot_decide_is_reported(t0: float, depth: float
 
 def test_a_start_on_a_facet_or_a_path_along_it_is_not_unresolved() -> None:
     """x = 0 until it is kicked at t = 0.55."""
-    kick = [StateReset(t=0.55, where=slice(1, 2), value=np.array([1.0]))]
+    kick = [reset(0.55, slice(1, 2), np.array([1.0]))]
     trace = simulate_flow(abs_oscillator(), np.array([0.0, 0.0, 1.0]), duration=1.0, sample_time=0.1, resets=kick)
     assert [(e.t, e.before, e.after) for e in trace.events] == [(0.55, (0,), (1,))]
     assert trace.unresolved == ()

@@ -118,14 +118,14 @@ def error_unit(result: Result) -> str:
 
 def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
     """Return what is said of an ensemble; members count from 1, and a time that never comes is None."""
-    kept, plant = many.ensemble, many.nominal.spec.plant
-    names = {"plant": plant.states, "observer": [f"{s}_hat" for s in plant.states]}
+    kept, variation = many.ensemble, many.variation
+    regions, names = variation.regions.items(), variation.names
     return {
         "members": len(kept.error),
         "seed": many.seed,
-        "over": many.over,
-        "given": many.given,
-        "regions": {part: _region(region, names.get(part)) for part, region in many.regions.items()},
+        "over": variation.over,
+        "given": variation.given,
+        "regions": {part: _region(region, names[part]) for part, region in regions},
         **{
             name: {
                 "median": _finite(np.quantile(values, 0.5, method="lower")),
@@ -146,12 +146,11 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
     }
 
 
-def _region(region: Region, names: Sequence[str] | None) -> dict[str, Any]:
+def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
     """Return what of a region varies, by name."""
     box = isinstance(region, Box)
     first, second = (region.low, region.high) if isinstance(region, Box) else (region.center, region.radii)
-    labels = names or [f"eta_hat{k + 1}" for k in range(len(first))]
-    entries = zip(labels, first.tolist(), second.tolist(), strict=True)
+    entries = zip(names, first.tolist(), second.tolist(), strict=True)
     varied = {name: [a, b] for name, a, b in entries if (a < b if box else b > 0)}
     return {"box" if box else "ellipsoid": varied}
 
@@ -342,16 +341,14 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
 
 def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
     """Write one row for each member; a settling time that never comes is left empty."""
-    kept, loop, states = many.ensemble, many.nominal.loop, many.nominal.spec.plant.states
-    etas = [f"eta_hat{k + 1}" for k in range(loop.at.eta_hat.stop - loop.at.eta_hat.start)]
-    starts = np.hstack([kept.z0[:, part] for part in (loop.at.x, loop.at.x_hat, loop.at.eta_hat)])
-    header = ["member", *states, *(f"{s}_hat" for s in states), *etas]
+    kept, values = many.ensemble, many.variation.values
+    header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([*header, "largest_error", "final_error", "settling_time", "mode_changes", "unresolved"])
         errors = np.column_stack([kept.largest, kept.final, kept.settling_time]).tolist()
         counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
-        for number, (start, values, numbers) in enumerate(zip(starts.tolist(), errors, counts, strict=True), 1):
+        for number, (start, values, numbers) in enumerate(zip(drawn, errors, counts, strict=True), 1):
             writer.writerow([number, *map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers])
 
 

@@ -100,10 +100,10 @@ def fan(many: EnsembleResult) -> Figure:
     """Draw how the tracking error of an ensemble spreads over time, linear until half have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
     unit = error_unit(result)
-    title = (
-        f"{len(kept.error):,} members: tracking error at most {kept.final.max():.1e} {unit}".rstrip()
-        + " in the last tenth of the time"
-    )
+    largest = f"{kept.final.max():.1e} {unit}".rstrip()
+    said = f"{len(kept.error):,} members {many.variation.text}"
+    title = f"{said}: tracking error at most {largest} in the last tenth of the time"
+    last = "last to settle" if np.isfinite(kept.settling_time).all() else "largest at the end"
     figure, (linear, logarithmic) = _canvas(result, title, [[0], [1]], height=6.2)
     floor = _ROUNDING * np.abs(result.response.x).max()
     size = "|y − y_d|" if result.controller.generator else "‖x − x_d‖"
@@ -112,7 +112,7 @@ def fan(many: EnsembleResult) -> Figure:
     ends = (np.quantile(kept.settling_time, 0.5, method="lower"), 1.2 * falling[0] if len(falling) else 0.0)
     for axes, end, member, name in (
         (linear, ends[0], int(np.argmax(kept.largest)), "largest"),
-        (logarithmic, ends[1], slowest, "last to settle"),
+        (logarithmic, ends[1], slowest, last),
     ):
         columns = np.flatnonzero(kept.t <= max(end, kept.t[1]))
         columns = columns[:: max(1, len(columns) // _COLUMNS)]

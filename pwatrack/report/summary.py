@@ -212,13 +212,17 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
     figures, unit = ensemble_measures(many), error_unit(many.nominal)
     table = _titled(None)
-    table.add_row("ensemble", f"{figures['members']:,} members, seed {figures['seed']}, from other initial states")
+    table.add_row("ensemble", f"{figures['members']:,} members {many.variation.text}, seed {figures['seed']}")
     for part, region in figures["regions"].items():
         for kind, entries in region.items():
             table.add_row("", f"{part}: " + ", ".join(_varied(kind, *entry) for entry in entries.items()))
-    if not many.given:
-        said = "the spec has no simulation.ensemble.initial: each state of the plant starts within the largest size"
-        table.add_row("", f"{said} that it has in the run above of where that run starts")
+    if not figures["given"]:
+        defaults = {
+            "initial": "each state of the plant starts within the largest size that it has in the run above of where "
+            "that run starts",
+            "parameters": "each parameter that matters to the plant is within 5 % of its value",
+        }
+        table.add_row("", f"the spec has no simulation.ensemble.{figures['over']}: {defaults[figures['over']]}")
     console.print(table)
     spread = Table(box=None, padding=(0, 2, 0, 0))
     spread.add_column("")

@@ -12,7 +12,7 @@ from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import actuators
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.layout import Layout
-from pwatrack.simulation.propagate import StateReset
+from pwatrack.simulation.propagate import StateResets
 from pwatrack.simulation.sampling import sampled
 from pwatrack.simulation.trace import Trace
 
@@ -54,15 +54,15 @@ class ClosedLoop:
             z[at.d] = self.conditions.disturbance.w0
         return z
 
-    def resets(self, duration: float) -> list[StateReset]:
-        """Return all that takes new values up to a time (s), in order: exosystems at their pieces, and the noise."""
+    def resets(self, duration: float) -> list[StateResets]:
+        """Return all that takes new values up to a time (s): exosystems at their pieces, and the noise."""
         at, conditions = self.at, self.conditions
         found = _pieces(self.controller.trajectory.exosystem, at.w)
         if conditions.disturbance is not None:
             found += _pieces(conditions.disturbance, at.d)
         if conditions.noise is not None:
-            found += _draws(conditions.noise, at.v, duration)
-        return sorted(found, key=lambda reset: reset.t)
+            found.append(_draws(conditions.noise, at.v, duration))
+        return found
 
     def response(self, trace: Trace) -> "Response":
         """Read the signals of the loop off a trace of its flow."""
@@ -208,20 +208,22 @@ def _part(name: str, plant: PWASystem, state: Array, F: Array) -> SwitchedPart:
     return SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
 
 
-def _pieces(signals: Exosystem, where: slice) -> list[StateReset]:
+def _pieces(signals: Exosystem, where: slice) -> list[StateResets]:
     return [
-        StateReset(
-            t=reset.t, where=slice(where.start + reset.where.start, where.start + reset.where.stop), value=reset.w
+        StateResets(
+            t=np.array([reset.t]),
+            where=slice(where.start + reset.where.start, where.start + reset.where.stop),
+            values=reset.w[None],
         )
         for reset in signals.resets
     ]
 
 
-def _draws(noise: Noise, where: slice, duration: float) -> list[StateReset]:
+def _draws(noise: Noise, where: slice, duration: float) -> StateResets:
     """Draw the noise up to a time in s."""
     count = int(np.floor(duration / noise.sample_time * (1 + 1e-12))) + 1
     values = np.random.default_rng(noise.seed).normal(size=(count, len(noise.std))) * noise.std
-    return [StateReset(t=k * noise.sample_time, where=where, value=value) for k, value in enumerate(values)]
+    return StateResets(t=noise.sample_time * np.arange(count, dtype=np.float64), where=where, values=values)
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:

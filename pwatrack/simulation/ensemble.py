@@ -1,16 +1,17 @@
 """The same closed loop many times: members on all cores, of which only the tracking error is kept."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import CheckFailed
+from pwatrack.errors import PwatrackError
 from pwatrack.simulation.flow import Flow
-from pwatrack.simulation.propagate import Propagator, StateReset
+from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
 from pwatrack.simulation.trace import last_tenth
 
 _SETTLED = 0.01  # of the median of the largest errors
@@ -21,16 +22,18 @@ class Member:
     """One trajectory of an ensemble.
 
     Attributes:
-        flow: Of order N. Neighbours with the same flow share what is computed for its modes.
+        flow: Of order N. Those with the flow of the first member share what is computed for its modes.
         z0: Initial state, (N,).
         error: Rows with e = error z, whose norm is kept, (q, N).
-        resets: In order of time.
+        resets: As for `simulate_flow`.
+        text: What is said of it where it fails.
     """
 
     flow: Flow
     z0: Array
     error: Array
-    resets: tuple[StateReset, ...] = ()
+    resets: tuple[StateResets, ...] = ()
+    text: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +42,12 @@ class Ensemble:
 
     Attributes:
         t: Sample times in s, (K,).
-        z0: Initial states, (M, N).
         error: ‖e‖ at each sample, (M, K).
         mode_changes: How many there were, (M,).
         unresolved: Touches of a guard that rounding could not decide, (M,).
     """
 
     t: Array
-    z0: Array
     error: Array
     mode_changes: IntArray
     unresolved: IntArray
@@ -76,7 +77,8 @@ class Ensemble:
 
 
 def simulate_ensemble(
-    members: Sequence[Member],
+    member: Callable[[int], Member],
+    count: int,
     *,
     duration: float,
     sample_time: float,
@@ -86,13 +88,14 @@ def simulate_ensemble(
     """Propagate every member from t = 0, each exactly as `simulate_flow` does.
 
     Args:
-        members: At least one; their flows may differ.
+        member: Returns a member by its index, from any thread, when its turn comes; their flows may differ.
+        count: How many, at least one.
         duration, sample_time: As for `simulate_flow`.
         workers: Threads; None for one on each core. The result does not depend on it.
         progress: Called with the number of members done, now and then.
 
     Raises:
-        CheckFailed: If a member has more than 1,000 events without progress in time; the first one is named.
+        PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.
 
     Example: oscillators with a one-sided spring, dropped from ten heights.
 
@@ -102,49 +105,52 @@ def simulate_ensemble(
         >>> flow = Flow(F0=np.array([[0, 1.0, 0], [-1.0, -0.5, 0], [0, 0, 0]]), parts=(spring,))
         >>> height = np.array([[1.0, 0.0, 0.0]])
         >>> members = [Member(flow=flow, z0=np.array([h, 0.0, 1.0]), error=height) for h in range(1, 11)]
-        >>> ensemble = simulate_ensemble(members, duration=20.0, sample_time=0.1)
+        >>> ensemble = simulate_ensemble(members.__getitem__, 10, duration=20.0, sample_time=0.1)
         >>> ensemble.error.shape, ensemble.largest.tolist() == list(range(1, 11)), set(ensemble.mode_changes.tolist())
         ((10, 201), True, {10})
     """
-    propagators = _propagators(members, duration, sample_time)
-    samples = propagators[0].samples
-    error, mode_changes, unresolved = np.empty((len(members), samples)), *np.empty((2, len(members)), dtype=np.int64)
+    samples = sample_count(duration, sample_time)
+    error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)
+    with _named("member 1"):
+        first = member(0).flow
+    shared = Propagator(first, duration=duration, sample_time=sample_time)
 
     def run(number: int) -> None:
-        member, propagator = members[number], propagators[number]
-        walk = propagator.walk(member.z0, member.resets)
-        walk.norms(member.error, error[number])
+        label = f"member {number + 1}"
+        with _named(label):
+            one = member(number)
+        with _named(f"{label}, {one.text}" if one.text else label):
+            propagator = shared
+            if one.flow is not first:
+                propagator = Propagator(one.flow, duration=duration, sample_time=sample_time)
+            walk = propagator.walk(one.z0, one.resets)
+        walk.norms(one.error, error[number])
         mode_changes[number], unresolved[number] = walk.events, walk.unresolved
 
     pool = ThreadPoolExecutor(workers or _cores())
     try:
-        for number, done in enumerate([pool.submit(run, number) for number in range(len(members))], 1):
-            try:
-                done.result()
-            except CheckFailed as refusal:
-                raise CheckFailed(
-                    *(replace(p, message=f"member {number}: {p.message}") for p in refusal.problems)
-                ) from None
+        for number, done in enumerate([pool.submit(run, number) for number in range(count)], 1):
+            done.result()
             if progress:
                 progress(number)
     finally:
         pool.shutdown(cancel_futures=True)
     return Ensemble(
         t=sample_time * np.arange(samples, dtype=np.float64),
-        z0=np.array([member.z0 for member in members]),
         error=error,
         mode_changes=mode_changes,
         unresolved=unresolved,
     )
 
 
-def _propagators(members: Sequence[Member], duration: float, sample_time: float) -> list[Propagator]:
-    """Return what each member is propagated by, one for neighbours with the same flow."""
-    made: list[Propagator] = []
-    for before, member in zip([None, *members], members, strict=False):
-        shared = before is not None and before.flow is member.flow
-        made.append(made[-1] if shared else Propagator(member.flow, duration=duration, sample_time=sample_time))
-    return made
+@contextmanager
+def _named(label: str) -> Iterator[None]:
+    """Let every refusal raised inside begin with what it is about."""
+    try:
+        yield
+    except PwatrackError as refusal:
+        problems = (replace(p, message=f"{label}: {p.message}") for p in refusal.problems)
+        raise type(refusal)(*problems) from None
 
 
 def _cores() -> int:

@@ -20,21 +20,28 @@ from pwatrack.simulation.trace import Event, Trace, Unresolved
 _DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)  # of the size of its terms: a smaller sum may be 0
 _NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
+_UNBOUNDED = 1e100  # no tracking loop gets there
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard")
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateReset:
-    """At time t (s) the entries `where` of z take new values."""
+class StateResets:
+    """At the times t the entries `where` of z take new values.
 
-    t: float
+    Attributes:
+        t: In s, in order, (R,).
+        where: Some neighbouring entries.
+        values: Their new values at each of these times, (R, number of entries).
+    """
+
+    t: Array
     where: slice
-    value: Array
+    values: Array
 
 
 def simulate_flow(
-    flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateReset] = ()
+    flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateResets] = ()
 ) -> Trace:
     """Propagate a flow from t = 0 and sample it.
 
@@ -43,13 +50,13 @@ def simulate_flow(
         z0: Initial state (N,).
         duration: In s; the last sample is at the last multiple of `sample_time` up to it.
         sample_time: In s.
-        resets: In order of time.
+        resets: Where some happen at the same time, the later ones in the list come last.
 
     Returns:
         The samples, the mode at each, every event in between, and where rounding could not decide.
 
     Raises:
-        CheckFailed: If more than 1,000 events happen without progress in time.
+        CheckFailed: If more than 1,000 events happen without progress in time, or z grows beyond all bounds.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -70,7 +77,7 @@ def trace_blocks(
     *,
     duration: float,
     sample_time: float,
-    resets: Sequence[StateReset] = (),
+    resets: Sequence[StateResets] = (),
     most: int,
 ) -> Iterator[Trace]:
     """Do what `simulate_flow` does in blocks of at most so many samples: long runs need no more memory than short ones.
@@ -123,11 +130,11 @@ class Propagator:
         )
         self.modes = _Modes(flow, self.field.h, doublings)
 
-    def walk(self, z0: Array, resets: Sequence[StateReset] = ()) -> "Walk":
+    def walk(self, z0: Array, resets: Sequence[StateResets] = ()) -> "Walk":
         """Return the trajectory from z0 (N,).
 
         Raises:
-            CheckFailed: If more than 1,000 events happen without progress in time.
+            CheckFailed: As `simulate_flow`.
         """
         walk = Walk(self, z0, resets)
         walk.run()
@@ -143,19 +150,20 @@ class Walk:
     """
 
     def __init__(
-        self, propagator: Propagator, z0: Array, resets: Sequence[StateReset], most: int | None = None
+        self, propagator: Propagator, z0: Array, resets: Sequence[StateResets], most: int | None = None
     ) -> None:
         from pwatrack.simulation import kernel
 
         self.kernel, self.propagator = kernel, propagator
         flow, places, d, samples = propagator.flow, propagator.places, propagator.d, propagator.samples
-        scaled = [StateReset(t=r.t, where=r.where, value=r.value / d[r.where]) for r in resets]
+        scaled = [StateResets(t=r.t, where=r.where, values=r.values / d[r.where]) for r in resets]
         self.resets = _schedule(flow, propagator.field.h, (samples - 1) * propagator.sample_time, scaled)
-        early = sum(reset.t <= 0 for reset in resets)
+        early = int(((self.resets.step <= 0) & (self.resets.map < 0)).sum())
         self.first, self.most = 0, samples if most is None else min(most, samples)
         self.z = z0 / d
-        for reset in scaled[:early]:
-            self.z[reset.where] = reset.value
+        for k in range(early):
+            where = slice(self.resets.start[k], self.resets.stop[k])
+            self.z[where] = self.resets.values[self.resets.row[k], where]
         first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
         self.state: Any = np.zeros(1, kernel.STATE)
         self.state[["resets", "settling", "events", "last", "m"]] = early, True, 1, -1.0, first
@@ -198,7 +206,7 @@ class Walk:
                 self.log,
             )
             if stop == kernel.DONE:
-                return
+                return self._check_bounded()
             if stop == kernel.NEW_MODE:
                 modes.number(tuple((cells - first).tolist()))
             elif stop == kernel.FULL:
@@ -214,6 +222,18 @@ class Walk:
                         hint="the vector field may be discontinuous there",
                     )
                 )
+
+    def _check_bounded(self) -> None:
+        size = np.abs(self.log.z).max(axis=1)
+        if not size.max() < _UNBOUNDED:
+            first = (self.first + int(np.argmin(size < _UNBOUNDED))) * self.propagator.sample_time
+            raise CheckFailed(
+                Problem(
+                    message=f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
+                    subject=None,
+                    hint="the proofs are about the loop without the conditions under 'simulation'",
+                )
+            )
 
     def norms(self, rows: Array, result: Array) -> None:
         """Write ‖rows z‖ at every sample to `result`, (K,), for rows (q, N)."""
@@ -315,30 +335,32 @@ class _Modes:
         self.met.append(mode)
 
 
-def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateReset]) -> Any:
+def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -> Any:
     """Return resets and ticks of the clock in order of time; at the same time the resets come first."""
     from pwatrack.simulation.kernel import Resets
 
-    times, maps = [reset.t for reset in resets], [-1] * len(resets)
+    times = [r.t for r in resets]
+    edges = [np.tile([r.where.start, r.where.stop], (len(r.t), 1)) for r in resets]
+    count = sum(map(len, times))
+    row, maps = np.arange(count), [np.full(count, -1)]
+    values = np.zeros((count, len(flow.F0)))
+    for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
+        values[last - len(r.t) : last, r.where] = r.values
     if flow.clock is not None:
-        count = len(flow.clock.maps)
-        ticks = flow.clock.period * np.arange(int(end / flow.clock.period * (1 + 1e-12)) + 1)
-        times += np.repeat(ticks, count)[flow.clock.first :].tolist()
-        maps += np.tile(np.arange(count), len(ticks))[flow.clock.first :].tolist()
-    step = np.array([_snapped(t / h) for t in times], dtype=np.float64)
+        ticks = np.arange(int(end / flow.clock.period * (1 + 1e-12)) + 1)
+        which = np.tile(np.arange(len(flow.clock.maps)), len(ticks))[flow.clock.first :]
+        times.append(np.repeat(flow.clock.period * ticks, len(flow.clock.maps))[flow.clock.first :])
+        edges.append(np.zeros((len(which), 2), dtype=np.int64))
+        row, maps = np.append(row, np.zeros_like(which)), [*maps, which]
+    step = _snapped(np.concatenate([np.empty(0), *times]) / h)
     order = np.lexsort((np.arange(len(step)), np.round(step, 6)))  # times that differ by rounding are the same
-    row = np.append(np.arange(len(resets)), np.zeros(len(step) - len(resets), dtype=np.int64))
-    edges = np.zeros((len(step), 2), dtype=np.int64)
-    values = np.zeros((len(resets), len(flow.F0)))
-    for k, reset in enumerate(resets):
-        edges[k] = reset.where.start, reset.where.stop
-        values[k, reset.where] = reset.value
+    start, stop = np.concatenate([np.empty((0, 2), dtype=np.int64), *edges])[order].T.copy()
     return Resets(
         step=np.maximum.accumulate(step[order]),
-        map=np.array(maps, dtype=np.int64)[order],
-        start=edges[order, 0],
-        stop=edges[order, 1],
-        row=row[order].astype(np.int64),
+        map=np.concatenate(maps)[order],
+        start=start,
+        stop=stop,
+        row=row[order],
         values=values,
     )
 
@@ -361,6 +383,7 @@ def _degree(size: Array) -> int:
     return 1
 
 
-def _snapped(step: float) -> float:
-    """Return a time in steps, on the grid if it is there but for rounding."""
-    return float(round(step)) if abs(step - round(step)) < max(1e-9, 1e-15 * step) else step
+def _snapped(step: Array) -> Array:
+    """Return times in steps, on the grid where they are there but for rounding."""
+    grid = np.round(step)
+    return np.where(np.abs(step - grid) < np.maximum(1e-9, 1e-15 * step), grid, step)

@@ -54,6 +54,8 @@ class Spec:
         conditions: What is not as the theorems assume when it is simulated.
         portraits: Pairs of linear forms of the states to draw against each other.
         regions: Where the members of an ensemble start, by part; empty where the file says nothing.
+        intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
+        recipe: What makes the plant from its parameters.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -77,6 +79,8 @@ class Spec:
     conditions: Conditions
     portraits: tuple[tuple[LinearForm, LinearForm], ...]
     regions: Mapping[str, Region]
+    intervals: Mapping[str, tuple[float, float]]
+    recipe: "PlantRecipe"
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -87,6 +91,49 @@ class Spec:
             yield
         except PwatrackError as error:
             raise error.located(self.places) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantRecipe:
+    """A plant as its file writes it, to be made again with other parameters.
+
+    Attributes:
+        document: The file.
+        context: Its names and parameters.
+        overrides: Parameters set from outside the file.
+        tolerance: For the continuity of the plant.
+    """
+
+    document: Document
+    context: Context
+    overrides: Mapping[str, float | str]
+    tolerance: float
+
+    def plant(self, parameters: Mapping[str, float | str], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
+        """Return the plant with these parameters, and their values.
+
+        Args:
+            parameters: Numbers or expressions, by name; the others stay as they are.
+            subject: Where the file asks for them.
+
+        Raises:
+            PwatrackError: If one has no value, or the plant is not of class (1) with them.
+        """
+        values, problems = _parameters(self.document.data["parameters"], {**self.overrides, **parameters})
+        refusal: PwatrackError = InvalidSpec()
+        if not problems:
+            context = replace(self.context, parameters=values)
+            try:
+                system = SystemSection.model_validate(self.document.data["system"], context=context)
+                changed = {name: value for name in parameters if (value := values[name]) is not None}
+                return build_plant(system, self.tolerance), changed
+            except ValidationError as error:
+                problems = validation_problems(error, self.document.data)
+            except PwatrackError as error:
+                problems, refusal = list(error.problems), error
+        with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
+        said = f"plant with {with_them}: "
+        raise type(refusal)(*(replace(p, message=said + p.message, subject=subject, place=None) for p in problems))
 
 
 def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:
@@ -131,13 +178,16 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
     x0, x_hat0 = _optional(initial.plant), _optional(initial.observer)
+    recipe = PlantRecipe(
+        document=document, context=context, overrides=parameters or {}, tolerance=file.tolerance.continuity
+    )
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
-        running = _running_plant(document, file, context, parameters or {})
         conditions = build_conditions(simulation, plant, path.parent)
-        if running is not None:
-            conditions = replace(conditions, plant=running[0], parameters=running[1])
+        if simulation.plant is not None:
+            running, changed = recipe.plant(simulation.plant.parameters, ("simulation", "plant", "parameters"))
+            conditions = replace(conditions, plant=running, parameters=changed)
     except PwatrackError as error:
         raise error.located(document.places) from None
     return Spec(
@@ -160,36 +210,11 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         conditions=conditions,
         portraits=tuple((first, second) for first, second in simulation.portraits),
         regions=build_regions(simulation.ensemble.initial, plant.states, {"plant": x0, "observer": x_hat0}),
+        intervals={name: (low, high) for name, (low, high) in simulation.ensemble.parameters.items()},
+        recipe=recipe,
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
-
-
-def _running_plant(
-    document: Document, file: SpecFile, context: Context, overrides: Mapping[str, float | str]
-) -> tuple[PWASystem, dict[str, float]] | None:
-    """Return the plant with the parameters under `simulation.plant`, and these, if there are any.
-
-    Raises:
-        PwatrackError: If one has no value, or the plant is not of class (1) with them.
-    """
-    if file.simulation.plant is None:
-        return None
-    subject: Subject = ("simulation", "plant", "parameters")
-    own = file.simulation.plant.parameters
-    values, problems = _parameters(document.data["parameters"], {**overrides, **own})
-    refusal: PwatrackError = InvalidSpec()
-    if not problems:
-        try:
-            system = SystemSection.model_validate(document.data["system"], context=replace(context, parameters=values))
-            changed = {name: value for name in own if (value := values[name]) is not None}
-            return build_plant(system, file.tolerance.continuity), changed
-        except ValidationError as error:
-            problems = validation_problems(error, document.data)
-        except PwatrackError as error:
-            problems, refusal = list(error.problems), error
-    said = f"with the plant's own {', '.join(own)}: "
-    raise type(refusal)(*(replace(p, message=said + p.message, subject=subject, place=None) for p in problems))
 
 
 def assignments(texts: Sequence[str]) -> dict[str, str]:

@@ -309,6 +309,7 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
     given: list[tuple[Subject, Mapping[str, Any], Sequence[str], str]] = []
     if simulation.plant is not None:
         given.append((("plant", "parameters"), simulation.plant.parameters, tuple(parameters), "parameter"))
+    given.append((("ensemble", "parameters"), simulation.ensemble.parameters, tuple(parameters), "parameter"))
     if simulation.actuator is not None:
         given.append((("actuator", "limits"), simulation.actuator.limits, system.inputs, "input"))
     if simulation.disturbance is not None:

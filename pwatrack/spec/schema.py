@@ -479,6 +479,7 @@ class EnsembleSection(Section):
     """What differs between the members of an ensemble."""
 
     initial: StartRegionsSection | None = None
+    parameters: dict[Name, Interval] = {}
 
 
 class SimulationSection(Section):
