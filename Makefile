@@ -44,7 +44,7 @@ bench: $(READY) ## time our simulation against scipy's integrators
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
 .PHONY: corpus
-corpus: $(READY) ## count the verdicts proved on 900 random systems (hours)
+corpus: $(READY) ## count the verdicts proved on 900 random systems (half an hour)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py
 
 .PHONY: false-accepts

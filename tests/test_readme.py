@@ -5,6 +5,7 @@ import textwrap
 from pathlib import Path
 
 from pwatrack import load_spec, simulate
+from tests.test_cli import call
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
@@ -16,6 +17,18 @@ def test_the_spec_in_the_readme_is_a_whole_one_and_tracks(tmp_path: Path) -> Non
     result = simulate(load_spec(tmp_path / "cart.yaml"))
     assert result.final_error < 1e-9
     assert result.spec.plant.cell_names == ("stop off", "stop on")
+
+
+def test_the_summary_in_the_readme_is_what_is_printed(tmp_path: Path) -> None:
+    """All but the digits, which differ between machines."""
+
+    def words(text: str) -> list[str]:
+        return re.sub(r"-?\d[\d.]*(e[-+]\d+)?", "#", text).split()
+
+    shown = re.search(r"(?m)^    Two masses with backlash\n(?:    .*\n)+", README)
+    printed = call("simulate", "specs/two_mass_backlash.yaml", "--out", tmp_path / "run").stdout
+    assert shown is not None
+    assert words(shown.group()) == words(printed.split("Results in")[0])
 
 
 def test_every_yaml_in_the_description_of_the_format_is_of_the_format() -> None:
