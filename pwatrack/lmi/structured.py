@@ -73,13 +73,14 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
         length = _exact_step(space, factors, step, weight)
         if length <= 1e-10:
             break
-        v = v + length * step
-        if space.slack_factors(v) is None:
-            v = v - length * step
+        following = v + length * step
+        if space.slack_factors(following) is None:
             break
+        v = following
+    factors = space.slack_factors(v)
+    assert factors is not None
     P, Y, _ = space.parts(v)
-    inverse = np.linalg.inv(-space.left_sides(v)[0])
-    return Candidate(P=P, Y=Y, multipliers=np.asarray(inverse / weight))
+    return Candidate(P=P, Y=Y, multipliers=_inverse(factors[0]) / weight)
 
 
 def _bounds(program: Program, P: Array, Y: Array) -> list[Inequality]:
@@ -138,8 +139,7 @@ class _Space:
         gradient, hessian = np.zeros(self.size), np.zeros((self.size, self.size))
         stacks: dict[str, list[Array]] = {name: [] for name in "XVWabceghk"}
         for c, factor in zip(self.constraints, factors, strict=True):
-            inverse = np.linalg.inv(factor)
-            Z = np.swapaxes(inverse, 1, 2) @ inverse
+            Z = _inverse(factor)
             ZL, RZ = Z @ c.L, c.R @ Z
             X = RZ @ c.L
             gradient[:k] += self._lower(X.sum(axis=0))
@@ -184,6 +184,12 @@ class _Space:
         off = (self.rows != self.columns)[:, None]
         lower: Array = H[self.rows * self.n + self.columns] + off * H[self.columns * self.n + self.rows]
         return lower
+
+
+def _inverse(factor: Array) -> Array:
+    """Return S⁻¹ from the Cholesky factors of S, (l, k, k)."""
+    upper = np.linalg.inv(np.swapaxes(factor, 1, 2))  # its pivots are its diagonal, so it is never called singular
+    return np.asarray(upper @ np.swapaxes(upper, 1, 2))
 
 
 def _paired(first: Array, second: Array) -> Array:
