@@ -53,12 +53,13 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
         return None
     space = _Space(replace(program, constraints=(*program.constraints, *_bounds(program, P, Y))))
     v = space.vector(P, Y, t)
-    if space.slack_factors(v) is None:
+    factors = space.slack_factors(v)
+    if factors is None:
         return None
     order = sum(c.constant.shape[0] * c.constant.shape[1] for c in space.constraints)
     weight = order / max(abs(float(space.objective @ v)), _LEAST_GAP)  # the gap is order / weight at a centre
     for _ in range(_MOST):
-        gradient, hessian, factors = space.derivatives(v)
+        gradient, hessian = space.derivatives(factors)
         gradient = gradient + weight * space.objective
         step = _newton(hessian, gradient, space.trace if program.fixed_trace else None)
         decrement = -float(gradient @ step)
@@ -73,12 +74,10 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
         length = _exact_step(space, factors, step, weight)
         if length <= 1e-10:
             break
-        following = v + length * step
-        if space.slack_factors(following) is None:
+        following = space.slack_factors(v + length * step)
+        if following is None:
             break
-        v = following
-    factors = space.slack_factors(v)
-    assert factors is not None
+        v, factors = v + length * step, following
     P, Y, _ = space.parts(v)
     return Candidate(P=P, Y=Y, multipliers=_inverse(factors[0]) / weight)
 
@@ -131,10 +130,8 @@ class _Space:
         except np.linalg.LinAlgError:
             return None
 
-    def derivatives(self, v: Array) -> tuple[Array, Array, list[Array]]:
-        """Return gradient and Hessian of the barrier, and the Cholesky factors of the slacks."""
-        factors = self.slack_factors(v)
-        assert factors is not None
+    def derivatives(self, factors: list[Array]) -> tuple[Array, Array]:
+        """Return gradient and Hessian of the barrier where the slacks have these Cholesky factors."""
         n, m, k = self.n, self.m, len(self.rows)
         gradient, hessian = np.zeros(self.size), np.zeros((self.size, self.size))
         stacks: dict[str, list[Array]] = {name: [] for name in "XVWabceghk"}
@@ -172,7 +169,7 @@ class _Space:
             hessian[:k, k:-1] = 2 * self._lower_rows(PY.reshape(n * n, m * n))
             hessian[k:-1, :k] = hessian[:k, k:-1].T
             hessian[k:-1, k:-1] = 2 * YY.reshape(m * n, m * n)
-        return gradient, hessian, factors
+        return gradient, hessian
 
     def _lower(self, X: Array) -> Array:
         """Return 2 tr(U X) as a row on the lower triangle of U."""
