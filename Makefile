@@ -39,8 +39,19 @@ test: $(READY) ## run the tests
 batch: $(READY) ## design and simulate every spec in specs/
 	@$(BIN)/pwatrack batch specs --jobs 2
 
+PEERS := .venv/.peers
+
+$(PEERS): $(READY)
+	@echo "Installing the peers (once; one that cannot be had is left out)"
+	@if command -v uv >/dev/null 2>&1; then INSTALL="uv pip install --python $(BIN)/python"; \
+	  else INSTALL="$(BIN)/python -m pip install --disable-pip-version-check"; fi; \
+	for peer in $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"])'); do \
+	  $$INSTALL -q "$$peer" || true; \
+	done
+	@touch $@
+
 .PHONY: bench
-bench: $(READY) ## time our simulation against scipy's integrators
+bench: $(PEERS) ## time our simulation against integrators for general systems
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
 .PHONY: corpus

@@ -26,8 +26,9 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,8 @@ from tests.grazing import near_grazing  # noqa: E402
 from tests.precise import precise  # noqa: E402
 
 REPEATS = 5
-PASSES, PASSES_OF_PEERS = 10_000, 1_000
+PASSES = 10_000
+CONSOLE = Console(width=120, highlight=False)
 MEMBERS, MEMBERS_OF_PEERS = 1_000, 3
 
 
@@ -333,7 +335,7 @@ def peers(quick: bool) -> list[tuple[str, float, bool, Method]]:
         method = "RK45" if rtol > 1e-8 else "DOP853"
         rows += [(f"scipy {method}", rtol, events, scipy_method(method, rtol, events)) for events in (False, True)]
     if not quick:
-        rows.append(("scipy LSODA", 1e-6, False, scipy_method("LSODA", 1e-6, False)))
+        rows += [(f"scipy {name}", 1e-6, False, scipy_method(name, 1e-6, False)) for name in ("LSODA", "Radau")]
     for package, make in (("control RK45", control_method), ("CVODE Adams", cvode_method)):
         try:
             for rtol in tolerances:
@@ -342,7 +344,7 @@ def peers(quick: bool) -> list[tuple[str, float, bool, Method]]:
                 else:
                     rows += [(package, rtol, e, cvode_method("Adams", rtol, e)) for e in (False, True)]
         except ImportError:
-            Console().print(f"{package} is not installed, and left out")
+            CONSOLE.print(f"{package} is not installed, and left out")
     return rows
 
 
@@ -411,29 +413,41 @@ def compare(case: Case, quick: bool = False) -> None:
         table.add_row(
             label, f"{rtol:g}", f"{seconds:.3f}", f"{error(answer):.1e}", missed(answer), f"{seconds / our_time:.1f}"
         )
-    console = Console()
-    console.print(f"\n{case.name}: {size}", highlight=False)
-    console.print(table)
+    CONSOLE.print(f"\n{case.name}: {size}")
+    CONSOLE.print(table)
     for target in (1e-6, 1e-9):
         good = [r for r in results if r[1] <= target]
         best = min(good) if good else None
         told = f"{best[0] / our_time:.0f} times slower ({best[2]}, rtol {best[3]:g})" if best else "none reaches it"
-        console.print(f"fastest peer with a true error of {target:g}: {told}", highlight=False)
+        CONSOLE.print(f"fastest peer with a true error of {target:g}: {told}")
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Drop what a library in C writes to stderr."""
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 def graze() -> None:
     """Print how many crossings each method misses or invents near a guard."""
     table = Table("method", "passes", "crossings", "missed", "invented", "unresolved", "seconds")
-    methods: list[tuple[str, Method | None, int]] = [("pwatrack", None, PASSES)]
+    methods: list[tuple[str, Method | None]] = [("pwatrack", None)]
     methods += [
-        (f"{name}, rtol {rtol:g}", method, PASSES_OF_PEERS)
+        (f"{name}, rtol {rtol:g}", method)
         for name, rtol, events, method in peers(quick=False)
         if events and rtol < 1e-6
     ]
-    for name, method, count in methods:
+    for name, method in methods:
         lost = extra = open_ = there = 0
         spent = 0.0
-        for seed in range(count):
+        for seed in range(PASSES):
             p = near_grazing(seed)
             case = Case("pass", p.flow, p.z0, p.duration, p.duration / 3)
             if method is None:
@@ -444,13 +458,14 @@ def graze() -> None:
                 rows = np.column_stack([p.flow.guards(), [0.0]])
                 _PREPARED["pass"] = ByHand(_linear(p.flow.F0), p.z0, rows, lambda t, z: z)
                 start = time.perf_counter()
-                found, near = len(method(case).events or ()), 0
+                with silent():
+                    found, near = len(method(case).events or ()), 0
             spent += time.perf_counter() - start
             lost, extra = lost + max(0, p.crossings - found), extra + max(0, found - p.crossings)
             open_, there = open_ + near, there + p.crossings
-        table.add_row(name, f"{count:,}", f"{there:,}", f"{lost:,}", f"{extra:,}", f"{open_:,}", f"{spent:.1f}")
-    Console().print("\npasses within 1e-11 … 1e-2 of a guard; half of them cross it twice", highlight=False)
-    Console().print(table)
+        table.add_row(name, f"{PASSES:,}", f"{there:,}", f"{lost:,}", f"{extra:,}", f"{open_:,}", f"{spent:.1f}")
+    CONSOLE.print("\npasses within 1e-11 … 1e-2 of a guard; half of them cross it twice")
+    CONSOLE.print(table)
 
 
 def _linear(F: Array) -> Callable[..., None]:
@@ -518,13 +533,11 @@ def many() -> None:
             f"{spent * MEMBERS:.0f}",
             f"{spent * MEMBERS / on_all:.0f}",
         )
-    console = Console()
-    console.print(
+    CONSOLE.print(
         f"\nthe paper's example from {MEMBERS:,} initial states; peers one after the other on one core, "
         f"measured on {MEMBERS_OF_PEERS} members and scaled",
-        highlight=False,
     )
-    console.print(table)
+    CONSOLE.print(table)
 
 
 def _products(members: Sequence[Member], samples: int, cores: int) -> float:
