@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
 from pwatrack.pipeline import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
@@ -160,7 +160,7 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
 
     Raises:
         InvalidSpec: If the plant depends on no parameter.
-        PwatrackError: If the plant is not of class (1) with other values; members raise it too.
+        PwatrackError: If the plant is not of class (1) with other values; so does `member`.
     """
     loop, spec = result.loop, result.spec
     intervals = dict(spec.intervals) or _near(result)
@@ -230,7 +230,11 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
     intervals = {}
     for name, value in values.items():
         away = _SPREAD * abs(value)
-        other, _ = spec.recipe.plant(_changed(result, {name: value + away}), _OVER)
+        try:
+            other, _ = spec.recipe.plant(_changed(result, {name: value + away}), _OVER)
+        except PwatrackError as refusal:
+            hint = "say under simulation.ensemble.parameters which parameters vary, and how far"
+            raise type(refusal)(*(replace(p, hint=hint) for p in refusal.problems)) from None
         if any(
             not np.array_equal(a, b)
             for a, b in (

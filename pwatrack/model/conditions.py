@@ -70,13 +70,13 @@ class Conditions:
             said.append("plant with " + ", ".join(f"{name} = {value:g}" for name, value in self.parameters.items()))
         if self.limits is not None:
             said += [
-                f"{name} limited to [{low:g}, {high:g}]"
+                f"{name} limited to {_range(low, high)}"
                 for name, (low, high) in zip(plant.inputs, self.limits.tolist(), strict=True)
                 if np.isfinite([low, high]).any()
             ]
         if self.disturbance is not None:
             hit = [name for name, row in zip(plant.states, self.disturbance.Q, strict=True) if row.any()]
-            said.append(f"disturbance on d{', d'.join(hit)}/dt")
+            said.append("disturbance on " + ", ".join(f"d{name}/dt" for name in hit))
         if self.noise is not None:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
             said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
@@ -88,6 +88,12 @@ class Conditions:
     def nominal(self) -> bool:
         """Whether the loop is the one that the proofs are about."""
         return all(value is None for value in vars(self).values())
+
+
+def _range(low: float, high: float) -> str:
+    if np.isfinite([low, high]).all():
+        return f"[{low:g}, {high:g}]"
+    return f"{low:g} and above" if np.isfinite(low) else f"{high:g} and below"
 
 
 NOMINAL = Conditions()

@@ -1,15 +1,16 @@
 """The pictures of a closed loop. The only module that knows matplotlib."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray
 from pwatrack.control.pareto import Front
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.pipeline import Result
@@ -205,12 +206,6 @@ def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
         style: dict[str, Any] = {"colors": "0.35", "linewidths": 0.9, "linestyles": ":"}
         axes.contour(grid[..., 0], grid[..., 1], grid @ normals[k] + offsets[k], levels=[0.0], **style)
     axes.plot([], [], color="0.35", linewidth=0.9, linestyle=":", label="facets") if seen.any() else None
-    for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True):
-        inside = (sides * signs >= 0).all(axis=-1)
-        if not signs[~seen].any() and inside.mean() > 0.01:
-            middle = grid[inside].mean(axis=0)
-            box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
-            axes.text(middle[0], middle[1], _plain(name), fontsize=8, ha="center", va="center", bbox=box)
     axes.set_ylim(*limits[1])
     units = [{result.spec.units.get(plant.states[j], "") for j in np.flatnonzero(row)} for row in rows]
     labels = [
@@ -219,7 +214,32 @@ def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
     ]
     _label(axes, labels[0], labels[1], (limits[0, 0], limits[0, 1]))
     _legend(axes, columns=4)
+    figure.draw_without_rendering()  # only now is it known where things are
+    placed: list[Bbox] = []
+    for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True):
+        inside = (sides * signs >= 0).all(axis=-1)
+        if not signs[~seen].any() and inside.any():
+
+            def within(points: Array, signs: IntArray = signs) -> bool:
+                return bool((np.sign(points @ normals.T + offsets) * signs >= 0).all())
+
+            _name_cell(axes, _plain(name), grid[inside].mean(axis=0), within, placed)
     return figure
+
+
+def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], bool], placed: list[Bbox]) -> None:
+    """Write the name of a cell in its middle, along or upright, where it fits into it and on no other name."""
+    box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+    text = axes.text(middle[0], middle[1], name, fontsize=8, ha="center", va="center", bbox=box)
+    for rotation in (0, 90):
+        text.set_rotation(rotation)
+        extent = text.get_window_extent()
+        corners = axes.transData.inverted().transform(extent.corners())
+        shown = all(axes.bbox.contains(*corner) for corner in extent.corners())
+        if shown and within(corners) and not any(extent.overlaps(other) for other in placed):
+            placed.append(extent)
+            return
+    text.remove()
 
 
 def active_cells(result: Result) -> Figure:
