@@ -167,14 +167,14 @@ def test_without_a_region_states_start_within_their_size_in_the_nominal_run(shor
 @pytest.mark.parametrize("over", ["parameters", "noise"])
 def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
     """The machine's program, limits and disturbance are the same in all members."""
-    spread = ("  initial:", "  ensemble: {parameters: {k2: [0.3, 0.5], m2: [0.9, 1.2]}}\n  initial:")
+    spread = ("k3: [0.35, 0.45], d1: [0.15, 0.25]", "m2: [0.9, 1.2]")
     path = shortened(specs / "two_mass_machine.yaml", tmp_path / "machine.yaml", spread)
     many = ensemble(simulate(load_spec(path)), 3, over=over, seed=5)
     assert set(many.variation.values) == ({"k2", "m2"} if over == "parameters" else {"noise_seed"})
     for k in range(3):
         drawn = {name: values[k].item() for name, values in many.variation.values.items()}
         if over == "parameters":
-            assert 0.3 <= drawn["k2"] <= 0.5
+            assert 0.35 <= drawn["k2"] <= 0.45
             assert 0.9 <= drawn["m2"] <= 1.2
             changed = ("k2: 0.38,", f"k2: {drawn['k2']!r}, m2: {drawn['m2']!r},")
         else:
