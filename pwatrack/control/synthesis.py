@@ -16,13 +16,13 @@ from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
-from pwatrack.lmi.program import Candidate, largest_margin, smallest_gain
+from pwatrack.lmi.program import Candidate, largest_margin, least_cost, smallest_gain
 from pwatrack.lmi.solve import LARGE, solve
 from pwatrack.model.pwa import PWASystem
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
-_COSTLY = 30_000  # cells times states cubed: with more, the inequality of the cost takes minutes
+_COSTLY = 30_000  # cells times states cubed: with more, the largest margin is found much sooner than the least cost
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
 _MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
 
@@ -267,7 +267,7 @@ class Search:
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            start = solve(largest_margin(inequality, _most(inequality)), self.task.solver) if large else None
+            start = self._inside(inequality) if large else None
             candidate = solve(smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), start), self.task.solver)
             if candidate is None or self._size(self._gain_of(candidate, W)) > below:
                 return None
@@ -307,14 +307,26 @@ class Search:
     def _cost_gain(
         self, shift: Array, Q: Array, R: Array, weight: Array, rate: float
     ) -> tuple[Array, Certificate] | None:
-        from pwatrack.lmi.picos_model import least_cost
-
         W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
         inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, R)
-        candidate = least_cost(inequality, weight @ W.T, self.task.solver)
+        start = None
+        if len(W) >= LARGE:
+            start = self._inside(state_feedback(W @ (self.A + shift) @ W_inverse, W @ self.B, 0.0))
+            if start is None:
+                return None
+        program = least_cost(inequality, weight @ W.T, None if start is None else start.P)
+        candidate = solve(program, self.task.solver)
         if candidate is not None:
             candidate = replace(candidate, Y=-np.linalg.solve(R, (W @ self.B).T).astype(np.float64))
         return self._candidate(candidate, W, W_inverse, rate)
+
+    def _inside(self, inequality: Inequality) -> Candidate | None:
+        """Return P and Y that satisfy an inequality strictly, or None if none are found."""
+        for factor in _BOUNDS_OF_Y:
+            candidate = solve(largest_margin(inequality, _most(inequality, factor)), self.task.solver)
+            if candidate is not None and inequality.margin(candidate.P, candidate.Y) > 0:
+                return candidate
+        return None
 
     def _candidate(
         self, candidate: Candidate | None, W: Array, W_inverse: Array, rate: float

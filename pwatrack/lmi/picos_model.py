@@ -27,26 +27,10 @@ def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
     for constraint in program.constraints:
         problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t)])
     problem.set_objective("min", program.price * t if program.price else picos.trace(P))
-    return _solve(problem, P, Y, solver)
-
-
-def least_cost(inequality: Inequality, weight: Array, solver: Solver = "clarabel") -> Candidate | None:
-    """Minimise tr V P⁻¹ Vᵀ subject to F_i(P, Y) ⪯ 0 for all cells, as min tr W with [W V; Vᵀ P] ⪰ 0.
-
-    Args:
-        inequality: From `quadratic_cost`.
-        weight: V (n, n): its rows are the initial states whose costs are added up.
-        solver: Which interior-point solver to ask.
-
-    Returns:
-        The minimiser, or None if the solver gave nothing.
-    """
-    problem, P, Y = _problem(inequality)
-    V = weight / np.linalg.norm(weight, 2)
-    W = picos.SymmetricVariable("W", inequality.n)
-    problem.add_list_of_constraints([F << 0 for F in _left_sides(inequality, P, Y)])
-    problem.add_constraint(((W & V) // (V.T & P)) >> 0)
-    problem.set_objective("min", picos.trace(W))
+    if program.weight is not None:  # tr V P⁻¹ Vᵀ ≤ tr W
+        V, W = program.weight, picos.SymmetricVariable("W", len(program.weight))
+        problem.add_constraint(((W & V) // (V.T & P)) >> 0)
+        problem.set_objective("min", picos.trace(W))
     return _solve(problem, P, Y, solver)
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.lmi.inequality import Inequality
 
+_HALVINGS = 60
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -22,11 +24,12 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """Minimise price · t, or the trace of P, subject to inequalities in P, Y and a scalar t.
+    """Minimise price · t, the trace of P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t.
 
     Attributes:
         constraints: The inequalities; all have the same P, Y and t.
-        price: Of t: −1 makes it large, 1 small; 0 makes the trace of P small.
+        price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
+        weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
         start: P, Y, t that satisfy all of them strictly, where that is known.
         gap: Share of the objective that may be missed; P, Y and the multipliers are further inside where it is larger.
         fixed_trace: Whether the trace of P is to stay what it is at the start.
@@ -34,6 +37,7 @@ class Program:
 
     constraints: tuple[Inequality, ...]
     price: float
+    weight: Array | None = None
     start: tuple[Array, Array, float] | None = None
     gap: float = 1e-4
     fixed_trace: bool = False
@@ -122,6 +126,31 @@ def least_condition(inequality: Inequality, unit: Array, start: Array | None = N
 def least_trace(inequality: Inequality) -> Program:
     """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
     return Program(constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))), price=0.0)
+
+
+def least_cost(inequality: Inequality, weight: Array, start: Array | None = None) -> Program:
+    """Minimise tr V P⁻¹ Vᵀ subject to F_i(P) ⪯ 0 for all cells and P ⪰ 0.
+
+    Args:
+        inequality: From `quadratic_cost`.
+        weight: V (n, n): its rows are the initial states whose costs are added up.
+        start: A P that satisfies (8) strictly, with any Y.
+    """
+    point = None
+    if start is not None:
+        nothing, small = np.zeros((0, inequality.n)), start / np.linalg.norm(start, 2)
+        for _ in range(_HALVINGS):  # where u can do nothing P is enough by itself; elsewhere B R⁻¹ Bᵀ rules in the end
+            if np.linalg.eigvalsh(inequality.evaluate(small, nothing))[:, -1].max() < 0:
+                point = small, nothing, 0.0
+                break
+            small = small / 2
+    return Program(
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))),
+        price=0.0,
+        weight=weight / np.linalg.norm(weight, 2),
+        start=point,
+        gap=1e-7,
+    )
 
 
 def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, start: Candidate | None = None) -> Program:

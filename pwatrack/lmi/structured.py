@@ -57,21 +57,20 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
     if factors is None:
         return None
     order = sum(c.constant.shape[0] * c.constant.shape[1] for c in space.constraints)
-    weight = order / max(abs(float(space.objective @ v)), _LEAST_GAP)  # the gap is order / weight at a centre
+    weight = order / max(abs(space.objective(v)), _LEAST_GAP)  # the gap is order / weight at a centre
     for _ in range(_MOST):
-        gradient, hessian = space.derivatives(factors)
-        gradient = gradient + weight * space.objective
+        gradient, hessian = space.derivatives(v, factors, weight)
         step = _newton(hessian, gradient, space.trace if program.fixed_trace else None)
         decrement = -float(gradient @ step)
         if not np.isfinite(decrement) or decrement <= 0:
             break
-        near = order / weight <= max(program.gap * abs(float(space.objective @ v)), _LEAST_GAP)
+        near = order / weight <= max(program.gap * abs(space.objective(v)), _LEAST_GAP)
         if decrement <= (_POLISHED if near else _CENTRED):
             if near:
                 break
             weight *= _GROWTH
             continue
-        length = _exact_step(space, factors, step, weight)
+        length = _exact_step(space, v, factors, step, weight)
         if length <= 1e-10:
             break
         following = space.slack_factors(v + length * step)
@@ -102,7 +101,13 @@ class _Space:
         self.rows, self.columns = np.tril_indices(self.n)
         self.size = len(self.rows) + self.m * self.n + 1
         self.trace = np.append((self.rows == self.columns).astype(float), np.zeros(self.m * self.n + 1))
-        self.objective = program.price * np.eye(self.size)[-1] if program.price else self.trace
+        self.V = program.weight
+        self.linear = program.price * np.eye(self.size)[-1] if program.price else self.trace * (self.V is None)
+
+    def objective(self, v: Array) -> float:
+        """Return what is to be small."""
+        value = float(self.linear @ v)
+        return value if self.V is None else value + float((self.V @ np.linalg.inv(self.parts(v)[0]) * self.V).sum())
 
     def vector(self, P: Array, Y: Array, t: float) -> Array:
         return np.concatenate([P[self.rows, self.columns], Y.ravel(), [t]])
@@ -130,10 +135,10 @@ class _Space:
         except np.linalg.LinAlgError:
             return None
 
-    def derivatives(self, factors: list[Array]) -> tuple[Array, Array]:
-        """Return gradient and Hessian of the barrier where the slacks have these Cholesky factors."""
+    def derivatives(self, v: Array, factors: list[Array], weight: float) -> tuple[Array, Array]:
+        """Return gradient and Hessian of barrier + weight · objective; the factors are those of the slacks."""
         n, m, k = self.n, self.m, len(self.rows)
-        gradient, hessian = np.zeros(self.size), np.zeros((self.size, self.size))
+        gradient, hessian = weight * self.linear, np.zeros((self.size, self.size))
         stacks: dict[str, list[Array]] = {name: [] for name in "XVWabceghk"}
         for c, factor in zip(self.constraints, factors, strict=True):
             Z = _inverse(factor)
@@ -159,6 +164,12 @@ class _Space:
                 hessian[:k, -1] += self._lower((c.R @ ZTZ @ c.L).sum(axis=0))
                 if m:
                     hessian[k:-1, -1] += 2 * (c.N @ ZTZ @ c.M).sum(axis=0).T.ravel()
+        if self.V is not None:  # tr V P⁻¹ Vᵀ: its second derivative is 2 tr(U P⁻¹ U' G)
+            inverse = np.linalg.inv(self.parts(v)[0])
+            G = inverse @ self.V.T @ self.V @ inverse
+            gradient[:k] -= weight / 2 * self._lower(G)
+            stacks["V"].append(np.asarray(weight * inverse[None]))
+            stacks["W"].append(G[None])
         hessian[-1, :-1] = hessian[:-1, -1]
         one = {name: np.concatenate(stack) for name, stack in stacks.items() if stack}
         PP = _paired(one["X"], one["X"]).transpose(3, 0, 1, 2) + _paired(one["V"], one["W"]).transpose(3, 0, 1, 2)
@@ -215,17 +226,24 @@ def _newton(hessian: Array, gradient: Array, fixed: Array | None) -> Array:
     return step
 
 
-def _exact_step(space: _Space, factors: list[Array], step: Array, weight: float) -> float:
-    """Return the length that minimises the barrier along a step; given the eigenvalues of the change that is scalar."""
+def _exact_step(space: _Space, v: Array, factors: list[Array], step: Array, weight: float) -> float:
+    """Return the length that minimises the sum along a step; given the eigenvalues of the change that is scalar."""
     values = []
     for factor, change in zip(factors, space.left_sides(step, linear=True), strict=True):
         for L, D in zip(factor, change, strict=True):
             half = solve_triangular(L, -D, lower=True, check_finite=False)
             values.append(np.linalg.eigvalsh(solve_triangular(L, half.T, lower=True, check_finite=False)))
-    e, slope = np.concatenate(values), weight * float(space.objective @ step)
+    e, slope = np.concatenate(values), weight * float(space.linear @ step)
+    cost, falls = np.zeros(0), np.zeros(0)
+    if space.V is not None:
+        L = np.linalg.cholesky(space.parts(v)[0])
+        half = solve_triangular(L, space.parts(step)[0], lower=True, check_finite=False)
+        falls, vectors = np.linalg.eigh(symmetric_part(solve_triangular(L, half.T, lower=True)) / 2)
+        cost = weight * ((space.V @ solve_triangular(L.T, vectors, lower=False)) ** 2).sum(axis=0)
 
     def derivative(length: float) -> float:
-        return slope - float((e / (1 + length * e)).sum())
+        barrier = float((e / (1 + length * e)).sum())
+        return slope - barrier - float((cost * falls / (1 + length * falls) ** 2).sum())
 
     end = 1e3 if e.min() >= 0 else min(1e3, (1 - 1e-9) / -e.min())
     if derivative(end) <= 0:
