@@ -306,3 +306,27 @@ def test_a_plant_that_the_gains_do_not_hold_is_said_to_be_unstable(specs: Path, 
     result = simulate(load_spec(path))
     with pytest.raises(CheckFailed, match=r"member 1, with d1 = -6.*: the closed loop is unstable: a state"):
         ensemble(replace(result, spec=replace(result.spec, intervals={"d1": (-65.0, -60.0)})), 2, over="parameters")
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        "  controller: {sample_time: 0.5}\n",
+        "  noise: {std: {y: 0.1}, sample_time: 0.5}\n",
+        "  disturbance: {v1: {step: {size: 1, at: 1}}}\n",
+    ],
+)
+def test_the_last_sample_of_a_run_is_that_of_a_longer_one(extra: str, specs: Path, tmp_path: Path) -> None:
+    """What happens at the very end has happened: a tick, a draw, a jump of a signal."""
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    runs = []
+    for duration in ("1", "2"):
+        path = tmp_path / f"{duration}.yaml"
+        path.write_text(text.replace("duration: 60", f"duration: {duration}") + extra, encoding="utf-8")
+        runs.append(simulate(load_spec(path)).response)
+    short, long = runs
+    count = len(short.t)
+    assert short.t[-1] == 1.0
+    for name in ("x", "x_hat", "eta_hat", "u"):
+        assert np.allclose(getattr(short, name), getattr(long, name)[:count], rtol=0, atol=1e-13), name
+    assert short.trace.z[-1] == pytest.approx(long.trace.z[count - 1], abs=1e-13)

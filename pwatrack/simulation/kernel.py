@@ -467,7 +467,7 @@ def walk(
     beyond, touched, near, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
     v, following, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
     known_now = False  # `now` are the guards at z
-    while s.k < end or s.settling:
+    while s.k < end or s.settling or (s.resets < len(resets.step) and resets.step[s.resets] <= end):
         m = s.m
         for i in range(N):
             size[i] = abs(z[i])
