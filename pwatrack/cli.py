@@ -90,12 +90,18 @@ def simulate(
     solver: SolverName = None,
     ensemble: Annotated[int | None, typer.Option(min=1, metavar="M", help="Also run M variations of the loop.")] = None,
     over: Annotated[
-        Literal["initial", "parameters", "noise"], typer.Option(help="What differs between them.")
-    ] = "initial",
-    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers that they are drawn with.")] = 1,
+        Literal["initial", "parameters", "noise"] | None,
+        typer.Option(help="What differs between them.", show_default="initial"),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")
+    ] = None,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
-    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, over=over, seed=seed)
+    if ensemble is None and (over is not None or seed is not None):
+        raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
+    chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
+    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, **chosen)
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --junit report.xml")

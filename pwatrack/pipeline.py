@@ -69,6 +69,12 @@ class Result:
                 f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
                 f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
             )
+        end = (sample_count(self.spec.duration, self.spec.sample_time) - 1) * self.spec.sample_time
+        if end < self.spec.duration * (1 - 1e-9):
+            remarks.append(
+                f"the run ends with the last sample, at t = {end:.9g} s: the duration, {self.spec.duration:g} s, is no "
+                f"multiple of the sample time, {self.spec.sample_time:g} s"
+            )
         remarks += _unresolved(self.response.trace)
         if not self.loop.conditions.nominal:
             remarks.append("the proofs are about the loop without these conditions: no bound is drawn")
@@ -196,6 +202,10 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         loop = closed_loop(controller, spec.conditions)
         n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed = controller.trajectory.eta0
+        if spec.eta_hat0 is not None and (fixed is not None or _starts_periodic(spec)):
+            subject: Subject = ("simulation", "initial", "generator")
+            message = "simulation.initial.generator: the reference itself says where the desired trajectory starts"
+            raise InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
         start = loop.start(
             plant=_initial(spec.x0, n, "plant"),
             observer=_initial(spec.x_hat0, n, "observer"),

@@ -17,6 +17,8 @@ from rich.progress import Progress
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.spec.load import expected_exit
 
+_GRACE = 5.0  # seconds that a process has to clean up
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
@@ -133,19 +135,24 @@ def _run(spec: Path, out: Path, timeout: float) -> Outcome:
 
 def _call(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**os.environ, **one_thread},
+    )
     try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            timeout=timeout,
-            env={**os.environ, **one_thread},
-            check=False,
-        )
+        _, messages = process.communicate(timeout=timeout)
     except subprocess.TimeoutExpired:
+        process.terminate()  # it removes what it has half-written
+        try:
+            process.communicate(timeout=_GRACE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
         return None, f"given up after {timeout:g} s"
-    return done.returncode, done.stderr.decode("utf-8", "replace").strip()
+    return process.returncode, messages.decode("utf-8", "replace").strip()
 
 
 def _figures(out: Path) -> dict[str, float]:

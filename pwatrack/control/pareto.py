@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.control.goal import Goal
-from pwatrack.control.synthesis import Task, stabilising_gain
-from pwatrack.errors import PwatrackError
+from pwatrack.control.synthesis import Search, Task
 
 _FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
 _BISECTIONS = 4  # between the fastest rate that was reached and the next
@@ -48,33 +46,33 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
         (True, inf)
     """
     points: list[tuple[float, float]] = []
-    limit = np.inf
+    search, limit = Search(task), np.inf
     for factor in _FACTORS:
-        point = _smallest(task, factor * rate)
+        point = _smallest(search, factor * rate)
         if point is None:
             limit = factor * rate
             break
         points.append(point)
     for _ in range(_BISECTIONS if np.isfinite(limit) and points else 0):
         trial = (points[-1][0] + limit) / 2
-        point = _smallest(task, trial)
+        point = _smallest(search, trial)
         if point is None:
             limit = trial
         else:
             points.append(point)
+    chosen = rate, float(np.linalg.norm(K, 2))
+    found = np.array([*points, chosen])  # what reaches a rate reaches every lower one
+    points = [(a, float(found[found[:, 0] >= a * (1 - 1e-3), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
     return Front(
         of=task.of,
         rates=readonly(columns[:, 0]),
         norms=readonly(columns[:, 1]),
         limit=limit,
-        chosen=(rate, float(np.linalg.norm(K, 2))),
+        chosen=chosen,
     )
 
 
-def _smallest(task: Task, rate: float) -> tuple[float, float] | None:
-    try:
-        K, certificate = stabilising_gain(task, Goal(rate=rate, gain="smallest"))
-    except PwatrackError:
-        return None
-    return certificate.rate, float(np.linalg.norm(K, 2))
+def _smallest(search: Search, rate: float) -> tuple[float, float] | None:
+    found = search.smallest_gain(rate)
+    return None if found is None else (found[1].rate, float(np.linalg.norm(found[0], 2)))

@@ -29,7 +29,7 @@ def audit(text: str) -> list[str]:
             faults += [f"{proof['of']}: {fault}" for fault in decide(*problem(content, proof["of"]), proof)]
         return faults if content["proofs"] else ["there is no proof in it"]
     except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
-        return [f"not a certificate: {type(error).__name__}: {error}"]
+        return [f"not a certificate: {error}" + " is missing" * isinstance(error, KeyError)]
 
 
 def problem(content: Any, of: str) -> tuple[list[Matrix], Matrix]:

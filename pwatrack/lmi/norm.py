@@ -85,7 +85,8 @@ def _square(value: float) -> Any:
 def _root_above(value: Any) -> float:
     """Return a float just above the root of a rational number."""
     exact = Fraction(int(value.p), int(value.q))
-    root = float(np.sqrt(float(exact)))
+    shift = (exact.denominator.bit_length() - exact.numerator.bit_length()) // 2  # keeps floats away from their limits
+    root = float(np.ldexp(np.sqrt(float(exact * Fraction(4) ** shift)), -shift))
     while Fraction(root) ** 2 < exact:
         root = float(np.nextafter(root, np.inf))
     return root

@@ -141,7 +141,7 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
     """Draw the smallest gain against the decay rate for controller and observer, with the chosen points."""
     figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{name}: what a faster decay costs", fontsize=11)
+    figure.suptitle(textwrap.fill(f"{name}: what a faster decay costs", 90), fontsize=11)
     for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
         letter, rate, norm = "K" if front.of == "controller" else "L", *front.chosen
         axes.plot(front.rates, front.norms, marker="o", markersize=3.5, label="smallest found", **_ACTUAL)
@@ -191,7 +191,7 @@ def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
     names = [linear_form_text(form.row, plant.states) for form in forms]
     figure, (axes,) = _canvas(result, f"Phase portrait: {names[1]} against {names[0]}", [[0]], height=5.6)
     actual, desired = (x @ rows.T + constants for x in (response.x, response.x_d))
-    last = result.controller.trajectory.exosystem.period or response.t[-1] / 2
+    last = min(result.controller.trajectory.exosystem.period or response.t[-1] / 2, response.t[-1])
     steady = response.t >= response.t[-1] - last
     axes.plot(*actual.T, label="plant", **_ACTUAL | {"linewidth": 0.8})
     axes.plot(*desired[steady].T, label=f"desired, last {last:.4g} s", **_DESIRED)
@@ -335,7 +335,7 @@ def _canvas(
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     conditions = "; ".join(result.loop.conditions.texts(result.spec.plant))
-    lines = [result.spec.name, *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
+    lines = [*textwrap.wrap(result.spec.name, 90), *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
     figure.suptitle(_plain("\n".join(lines)), fontsize=10)
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]

@@ -182,7 +182,7 @@ def print_result(console: Console, result: Result) -> None:
     table = _titled(None)
     table.add_row(
         "simulated",
-        f"{result.spec.duration:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
+        f"{result.response.t[-1]:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
     )
     for text in result.loop.conditions.texts(result.spec.plant):
         table.add_row("conditions", text)
@@ -212,15 +212,19 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
     figures, unit = ensemble_measures(many), error_unit(many.nominal)
     table = _titled(None)
-    table.add_row("ensemble", f"{figures['members']:,} members {many.variation.text}, seed {figures['seed']}")
+    table.add_row(
+        "ensemble",
+        f"{figures['members']:,} member{'s' * (figures['members'] != 1)} {many.variation.text}, seed {figures['seed']}",
+    )
     for part, region in figures["regions"].items():
         for kind, entries in region.items():
-            table.add_row("", f"{part}: " + ", ".join(_varied(kind, *entry) for entry in entries.items()))
+            said = ", ".join(_varied(kind, *entry) for entry in entries.items())
+            table.add_row("", f"{part}: {said or 'nothing varies'}")
     if not figures["given"]:
         defaults = {
             "initial": "each state of the plant starts within the largest size that it has in the run above of where "
             "that run starts",
-            "parameters": "each parameter that matters to the plant is within 5 % of its value",
+            "parameters": "each parameter that matters to the plant is within 5 % of its value; what is 0 stays 0",
         }
         table.add_row("", f"the spec has no simulation.ensemble.{figures['over']}: {defaults[figures['over']]}")
     console.print(table)

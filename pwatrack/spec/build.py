@@ -137,7 +137,7 @@ def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path)
     limits = noise = disturbance = None
     if section.actuator is not None:
         limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
-    if section.noise is not None:
+    if section.noise is not None and any(section.noise.std.values()):
         std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
         noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
     if section.disturbance is not None:
@@ -146,7 +146,8 @@ def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path)
             subject: Subject = ("simulation", "disturbance", name)
             course = section.disturbance.get(name, CourseSection())
             signals.append(total_signal(_courses(course, folder, section.duration, subject), 0))
-        disturbance = exosystem(signals)
+        found = exosystem(signals)
+        disturbance = found if found.Q.any() else None
     return Conditions(
         limits=limits if limits is not None and np.isfinite(limits).any() else None,
         disturbance=disturbance,

@@ -1,7 +1,7 @@
 """A spec file -> `Spec`, or every error in the file at once with line and column."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -119,16 +119,21 @@ class PlantRecipe:
         Raises:
             PwatrackError: If one has no value, or the plant is not of class (1) with them.
         """
-        values, problems = _parameters(self.document.data["parameters"], {**self.overrides, **parameters})
+        values, problems = _parameters(
+            self.document.data["parameters"],
+            {**self.overrides, **parameters},
+            outside=set(self.overrides) - set(parameters),
+        )
         refusal: PwatrackError = InvalidSpec()
+        section = self.document.data["system"]
         if not problems:
             context = replace(self.context, parameters=values)
             try:
-                system = SystemSection.model_validate(self.document.data["system"], context=context)
+                system = SystemSection.model_validate(section, context=context)
                 changed = {name: value for name in parameters if (value := values[name]) is not None}
                 return build_plant(system, self.tolerance), changed
             except ValidationError as error:
-                problems = validation_problems(error, self.document.data)
+                problems = [replace(p, message=f"system.{p.message}") for p in validation_problems(error, section)]
             except PwatrackError as error:
                 problems, refusal = list(error.problems), error
         with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
@@ -255,8 +260,11 @@ def _read(path: Path) -> tuple[Document, str]:
         raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {content[error.start]:#04x}", place=place)) from None
 
 
-def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dict[str, float | None], list[Problem]]:
-    """Evaluate the parameters in order; each may use those before it."""
+def _parameters(
+    section: Any, overrides: Mapping[str, float | str], outside: Collection[str] | None = None
+) -> tuple[dict[str, float | None], list[Problem]]:
+    """Evaluate the parameters in order; each may use those before it. `outside` are the overrides not in the file."""
+    outside = overrides if outside is None else outside
     values: dict[str, float | None] = {}
     problems = []
     texts = dict(section) if isinstance(section, dict) else {}
@@ -278,12 +286,12 @@ def _parameters(section: Any, overrides: Mapping[str, float | str]) -> tuple[dic
             values[name] = None
         except ExpressionError as error:
             values[name] = None
-            outside = name in overrides
+            foreign = name in outside
             below = [other for other in texts if other not in values and f"unknown name '{other}'" in str(error)]
             message = f"parameter '{name}': {error}"
             message += "; it is declared below: a parameter may use those above it" if below and below != [name] else ""
-            message += " (set from outside the file)" if outside else ""
-            problems.append(Problem(message=message, subject=None if outside else ("parameters", name)))
+            message += " (set from outside the file)" if foreign else ""
+            problems.append(Problem(message=message, subject=None if foreign else ("parameters", name)))
     return values, problems
 
 

@@ -201,14 +201,17 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
         for name in (units if isinstance(units, dict) and context.states else {})
         if name not in signals
     ]
-    seen: list[str] = []
-    cells = system.get("cells")
-    for k, cell in enumerate(cells if isinstance(cells, list) else []):
-        name = cell.get("name") if isinstance(cell, dict) else None
-        if isinstance(name, str) and name in seen:
-            subject: Subject = ("system", "cells", k, "name")
-            problems.append(Problem(message=f"a second cell is named '{name}'", subject=subject))
-        seen.append(str(name))
+    for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
+        seen: list[str] = []
+        entries = system.get(section)
+        for k, entry in enumerate(entries if isinstance(entries, list) else []):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            subject: Subject = ("system", section, k, "name")
+            if isinstance(name, str) and not name.strip():
+                problems.append(Problem(message=f"this {kind} has an empty name", subject=subject))
+            elif isinstance(name, str) and name in seen:
+                problems.append(Problem(message=f"a second {kind} is named '{name}'", subject=subject))
+            seen.append(str(name))
     return problems
 
 
@@ -241,14 +244,20 @@ def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem
     except ValidationError:
         return []
     duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
+    problems = []
     if step > duration:
         message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
-        return [Problem(message=message, subject=subject)]
-    if duration / step > _MOST_SAMPLES:
-        message = f"{duration / step:.3g} samples, at most {_MOST_SAMPLES:,} are taken"
-        hint = "events are exact at any sample time; a longer one only draws fewer points"
-        return [Problem(message=message, subject=subject, hint=hint)]
-    return []
+        problems.append(Problem(message=message, subject=subject))
+    hint = "events are exact at any sample time; a longer one only draws fewer points"
+    counted: list[tuple[float, Subject, str, str, str]] = [(step, subject, "samples", "taken", hint)]
+    for name, what, done in (("noise", "draws", "made"), ("controller", "ticks", "run")):
+        if (part := getattr(section, name)) is not None:
+            counted.append((part.sample_time, ("simulation", name, "sample_time"), what, done, ""))
+    for period, where, what, done, advice in counted:
+        if duration / period > _MOST_SAMPLES:
+            message = f"{duration / period:.3g} {what}, at most {_MOST_SAMPLES:,} are {done}"
+            problems.append(Problem(message=message, subject=where, hint=advice))
+    return problems
 
 
 def plant_problems(system: SystemSection) -> list[Problem]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -101,6 +102,8 @@ def _positive(value: float) -> float:
 def _pair(values: list[LinearForm]) -> list[LinearForm]:
     if len(values) != 2:
         raise ValueError("two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]")
+    if np.linalg.matrix_rank([form.row for form in values]) < 2:
+        raise ValueError("the two forms are multiples of each other: all is on one line")
     return values
 
 

@@ -63,7 +63,9 @@ def parse_yaml(text: str, file: str) -> Document:
         mark = error.problem_mark or error.context_mark
         place = Place(file, mark.line + 1, mark.column + 1) if mark else Place(file, 1, 1)
         reason = ", ".join(part for part in (error.context, error.problem) if part)
-        raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=place)) from None
+        tab = "'\\t'" in reason
+        hint = "that is a tab: YAML wants spaces at the start of a line" if tab else ""
+        raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=place, hint=hint)) from None
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=Place(file, 1, 1))) from None
