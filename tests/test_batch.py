@@ -1,4 +1,6 @@
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,6 +10,7 @@ from typer.testing import CliRunner
 
 import pwatrack.batch.run as batch
 from pwatrack.batch.run import Outcome, find_specs, run_batch
+from pwatrack.batch.run import _call as call_process
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.batch import write_junit
@@ -227,3 +230,28 @@ def test_a_name_with_brackets_is_printed_as_it_is(stand: Stand, tmp_path: Path) 
     assert run.exit_code == 3
     assert "[red][b]" in run.stdout.replace("\n", "")
     assert "exit3 [red][b].yaml: outside the theory, exit 3, expected 0" in run.stderr
+
+
+def test_a_run_that_is_told_to_stop_leaves_nothing_behind(specs: Path, tmp_path: Path) -> None:
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    long = text.replace("duration: 60", "duration: 3000").replace("sample_time: 0.01", "sample_time: 0.001")
+    (tmp_path / "long.yaml").write_text(long, encoding="utf-8")
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "long.yaml"), "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        while process.poll() is None and not list(out.glob(".trace.csv.*")):
+            time.sleep(0.02)
+        process.terminate()
+    assert process.returncode == 143
+    assert not list(out.glob("*"))
+
+
+def test_a_run_that_is_given_up_may_clean_up(tmp_path: Path) -> None:
+    program = f"""
+import pathlib, signal, sys, time
+signal.signal(signal.SIGTERM, lambda *_: (pathlib.Path({str(tmp_path / "cleaned")!r}).touch(), sys.exit()))
+time.sleep(60)
+"""
+    code, message = call_process([sys.executable, "-S", "-c", program], 2.0)
+    assert (code, message) == (None, "given up after 2 s")
+    assert (tmp_path / "cleaned").exists()

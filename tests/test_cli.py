@@ -418,3 +418,12 @@ def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
     run = call("check", specs / "gallery" / "two_driven_carts.yaml")
     assert run.exit_code == 0
     assert "Theorem 3  does not apply" in run.stdout
+
+
+@pytest.mark.parametrize("option", [("--over", "noise"), ("--seed", 2)])
+def test_what_goes_with_an_ensemble_is_refused_without_one(
+    option: tuple[str, object], spec: Path, tmp_path: Path
+) -> None:
+    run = call("simulate", spec, *option, "--out", tmp_path / "out")
+    assert run.exit_code == 2
+    assert "--ensemble" in run.stderr

@@ -292,8 +292,9 @@ def test_a_portrait_shows_the_facets_and_cells_that_can_be_seen_in_it(paper_spec
     assert (across.get_xlabel(), across.get_ylabel()) == ("z2 - z1 (m)", "v2 - v1 (m/s)")
     assert not own.texts
     assert np.ravel(across.lines[0].get_xdata())[0] == pytest.approx(-0.25)
-    with pytest.raises(InvalidSpec, match="two linear forms"):
-        loaded(paper_spec, tmp_path, "  portraits: [[z1]]\n")
+    for wrong, message in (("[z1]", "two linear forms"), ("[z1 - z2, 2*z2 - 2*z1]", "multiples of each other")):
+        with pytest.raises(InvalidSpec, match=message):
+            loaded(paper_spec, tmp_path, f"  portraits: [{wrong}]\n")
 
 
 def test_a_plant_that_the_gains_do_not_hold_is_said_to_be_unstable(specs: Path, tmp_path: Path) -> None:
@@ -330,3 +331,35 @@ def test_the_last_sample_of_a_run_is_that_of_a_longer_one(extra: str, specs: Pat
     for name in ("x", "x_hat", "eta_hat", "u"):
         assert np.allclose(getattr(short, name), getattr(long, name)[:count], rtol=0, atol=1e-13), name
     assert short.trace.z[-1] == pytest.approx(long.trace.z[count - 1], abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    ["noise: {std: {y: 0}, sample_time: 0.1}", "disturbance: {v1: 0}", "actuator: {limits: {u: [-.inf, .inf]}}"],
+)
+def test_a_condition_of_size_0_is_none(extra: str, paper_spec: Spec, tmp_path: Path) -> None:
+    assert loaded(paper_spec, tmp_path, f"  {extra}\n").conditions.nominal
+
+
+@pytest.mark.parametrize("part", ["noise: {std: {y: 1}, sample_time: 1e-9}", "controller: {sample_time: 1e-9}"])
+def test_more_ticks_than_can_be_kept_are_refused(part: str, paper_spec: Spec, tmp_path: Path) -> None:
+    with pytest.raises(InvalidSpec, match=r"3e\+09 (draws|ticks), at most 2,000,000 are taken") as caught:
+        loaded(paper_spec, tmp_path, f"  {part}\n")
+    assert caught.value.problems[0].subject == ("simulation", part.split(":")[0], "sample_time")
+
+
+def test_a_run_that_ends_before_its_duration_says_so(specs: Path, tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("duration: 60", "duration: 1.009"), encoding="utf-8")
+    result = simulate(load_spec(path))
+    assert result.response.t[-1] == 1.0
+    assert "the run ends with the last sample, at t = 1 s" in result.remarks[0]
+
+
+def test_a_start_that_the_reference_gives_is_not_given_twice(specs: Path, tmp_path: Path) -> None:
+    path = tmp_path / "rooms.yaml"
+    text = (specs / "gallery" / "two_rooms.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("plant: [5, 5]", "plant: [5, 5], generator: [1, 1]"), encoding="utf-8")
+    with pytest.raises(InvalidSpec, match="the reference itself says where the desired trajectory starts"):
+        simulate(load_spec(path))

@@ -1,6 +1,7 @@
 """What an engineer asks of the gains: decay rate, size, cost; and the proof when it cannot be had."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +223,17 @@ def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     assert auditor.audit(json.dumps(content)) == []
     damped = dict(content, A=(A - 100 * np.eye(n)).tolist())  # of which it is false
     assert auditor.audit(json.dumps(damped)) != []
+
+
+def test_a_smallest_gain_is_no_larger_than_the_default_one_of_its_rate() -> None:
+    """Where the bound that is minimised is loose, the default gain may be smaller; so may be 0."""
+    random = np.random.default_rng(4)
+    A, B = random.normal(size=(4, 4, 4)) - 2 * np.eye(4), random.normal(size=(4, 2))
+    task = Task(A=A, B=B, cells=list("abcd"))
+    K, certificate = stabilising_gain(task)
+    small, _ = stabilising_gain(task, Goal(rate=certificate.rate * 0.99, gain="smallest"))
+    assert norm(small) <= norm(K) * (1 + 1e-9)
+    task = replace(task, A=A - 9 * np.eye(4))
+    nothing, certificate = stabilising_gain(task, Goal(rate=1.0, gain="smallest"))
+    assert not nothing.any()
+    assert certificate.rate > 1

@@ -83,7 +83,13 @@ def _square(value: float) -> Any:
 
 
 def _root_above(value: Any) -> float:
-    """Return a float just above the root of a rational number."""
+    """Return a float just above the root of a rational number.
+
+    Example: numbers whose squares are no floats.
+
+        >>> [_root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
+        [1e-300, 1.0, 1e+300]
+    """
     exact = Fraction(int(value.p), int(value.q))
     shift = (exact.denominator.bit_length() - exact.numerator.bit_length()) // 2  # keeps floats away from their limits
     root = float(np.ldexp(np.sqrt(float(exact * Fraction(4) ** shift)), -shift))

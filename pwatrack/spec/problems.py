@@ -20,6 +20,7 @@ from pwatrack.spec.schema import (
 )
 
 _MOST_SAMPLES = 10_000_000
+_MOST_TICKS = 2_000_000  # all of them are kept in memory
 
 _SHAPES: dict[Subject, tuple[str, ...]] = {
     ("system", "B"): ("states", "inputs"),
@@ -249,14 +250,16 @@ def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem
         message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
         problems.append(Problem(message=message, subject=subject))
     hint = "events are exact at any sample time; a longer one only draws fewer points"
-    counted: list[tuple[float, Subject, str, str, str]] = [(step, subject, "samples", "taken", hint)]
-    for name, what, done in (("noise", "draws", "made"), ("controller", "ticks", "run")):
+    counted: list[tuple[float, int, Subject, str, str]] = [(step, _MOST_SAMPLES, subject, "samples", hint)]
+    for name, what in (("noise", "draws"), ("controller", "ticks")):
         if (part := getattr(section, name)) is not None:
-            counted.append((part.sample_time, ("simulation", name, "sample_time"), what, done, ""))
-    for period, where, what, done, advice in counted:
-        if duration / period > _MOST_SAMPLES:
-            message = f"{duration / period:.3g} {what}, at most {_MOST_SAMPLES:,} are {done}"
-            problems.append(Problem(message=message, subject=where, hint=advice))
+            where: Subject = ("simulation", name, "sample_time")
+            counted.append((part.sample_time, _MOST_TICKS, where, what, ""))
+    problems += [
+        Problem(message=f"{duration / period:.3g} {what}, at most {most:,} are taken", subject=where, hint=advice)
+        for period, most, where, what, advice in counted
+        if duration / period > most
+    ]
     return problems
 
 
