@@ -521,3 +521,9 @@ def test_a_reference_faster_than_the_samples_is_remarked(write: Write) -> None:
     line = next(line for line in SPEC.splitlines() if line.startswith("  output:"))
     result = simulate(load_spec(write((line, "  output: {sine: {amplitude: 0.1, frequency: 2*pi*100}}"))))
     assert any("too long for a reference with a period of 0.01 s" in remark for remark in result.remarks)
+
+
+def test_more_trapezoids_than_can_be_built_are_refused(write: Write) -> None:
+    shape = "{trapezoid: {high: 1, rise: 1e-6, fall: 1e-6, smooth: 1e-6}}"
+    path = write(("output: ", f"output: {shape} #"))
+    assert only(path).message == "reference.output: 1e+06 trapezoids until t = 2 s"

@@ -98,7 +98,7 @@ def internal_states(result: Result) -> Figure:
 
 
 def fan(many: EnsembleResult) -> Figure:
-    """Draw how the tracking error of an ensemble spreads over time, linear until half have settled, and logarithmic."""
+    """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
     unit = error_unit(result)
     largest = f"{kept.final.max():.1e} {unit}".rstrip()
@@ -110,7 +110,7 @@ def fan(many: EnsembleResult) -> Figure:
     size = "|y − y_d|" if result.controller.generator else "‖x − x_d‖"
     slowest = int(np.lexsort((kept.final, kept.settling_time))[-1])
     falling = kept.t[kept.error.max(axis=0) > floor][-1:]  # until the last error is rounding
-    ends = (np.quantile(kept.settling_time, 0.5, method="lower"), 1.2 * falling[0] if len(falling) else 0.0)
+    ends = (np.quantile(kept.settling_time, 0.95, method="higher"), 1.2 * falling[0] if len(falling) else 0.0)
     for axes, end, member, name in (
         (linear, ends[0], int(np.argmax(kept.largest)), "largest"),
         (logarithmic, ends[1], slowest, last),

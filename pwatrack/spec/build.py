@@ -40,6 +40,8 @@ from pwatrack.spec.schema import (
     TrapezoidSection,
 )
 
+_MOST_PERIODS = 10_000
+
 
 def build_regions(
     section: StartRegionsSection | None, states: Sequence[str], nominal: Mapping[str, Array | None]
@@ -248,7 +250,7 @@ def _courses(section: CourseSection, folder: Path, horizon: float, subject: Subj
     courses: list[Course] = [Formula(steady if section.formula is None else steady + section.formula, section.until)]
     courses += [_step(step, horizon) for step in section.step]
     if section.trapezoid:
-        courses.append(_trapezoid(section.trapezoid, horizon))
+        courses.append(_trapezoid(section.trapezoid, horizon, subject))
     if section.polyline:
         courses.append(_polyline(section.polyline.points, section.polyline.smooth, horizon, subject))
     if section.table:
@@ -275,10 +277,14 @@ def _step(step: StepSection, horizon: float) -> Profile:
     return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
 
 
-def _trapezoid(shape: TrapezoidSection, horizon: float) -> Profile:
+def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Profile:
     """Return the corners of as many trapezoids as the horizon holds."""
     period = shape.rise + shape.hold + shape.fall + shape.rest
     margin = 1.0 + (shape.smooth or 0.0)
+    if (horizon - shape.start) / period > _MOST_PERIODS:
+        message = f"{path_text(subject)}: {(horizon - shape.start) / period:.3g} trapezoids until t = {horizon:g} s"
+        hint = f"at most {_MOST_PERIODS:,} are built; shorten the simulation"
+        raise InvalidSpec(Problem(message=message, subject=(*subject, "trapezoid"), hint=hint))
     times, values = [min(0.0, shape.start) - margin], [shape.low]
     begin = shape.start
     while begin < horizon + margin:
