@@ -14,6 +14,7 @@ from pwatrack.batch.run import _call as call_process
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.batch import write_junit
+from pwatrack.spec.load import expected_exit
 
 Stand = Callable[..., Path]
 
@@ -255,3 +256,10 @@ time.sleep(60)
     code, message = call_process([sys.executable, "-S", "-c", program], 2.0)
     assert (code, message) == (None, "given up after 2 s")
     assert (tmp_path / "cleaned").exists()
+
+
+@pytest.mark.parametrize("said", ["expect: {exit: 2}", "expect:\n  exit: 2"])
+def test_what_is_not_even_yaml_may_be_expected(said: str, tmp_path: Path) -> None:
+    (tmp_path / "broken.yaml").write_text(f"name: [\n{said}\n", encoding="utf-8")
+    assert expected_exit(tmp_path / "broken.yaml") == 2
+    assert expected_exit(tmp_path / "absent.yaml") == 0

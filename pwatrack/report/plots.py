@@ -25,6 +25,7 @@ _BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6
 _WORST: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (3, 1.5))}
 _STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
+_ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
 _COLUMNS = 2000  # quantiles at more times than this cannot be told apart in print
 _ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 
@@ -296,15 +297,17 @@ def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array |
 def _pairs(
     result: Result, title: str, names: Sequence[str], actual: Array, desired: Array, labels: tuple[str, str]
 ) -> Figure:
-    """Draw pairs of curves: one pair over the whole time and enlarged at both ends, several below each other."""
+    """Draw pairs of curves: one pair over the whole time and, where it is long, both ends; several below each other."""
     t = result.response.t
     spans = [_span(t)]
-    if len(names) == 1:
+    window = _window(result)
+    if len(names) == 1 and window < _ENLARGED * (t[-1] - t[0]):
         figure, panels = _canvas(result, title, [[0, 0], [1, 2]], height=5.2)
-        window = _window(result)
         spans += [(float(t[0]), window), (float(t[-1]) - window, float(t[-1]))]
         panels[1].set_title("start", fontsize=9)
         panels[2].set_title("end", fontsize=9)
+        for small in panels[1:]:
+            small.locator_params(axis="x", nbins=6)
     else:
         figure, panels = _column(result, title, len(names))
         spans *= len(names)

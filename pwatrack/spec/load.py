@@ -1,6 +1,7 @@
 """A spec file -> `Spec`, or every error in the file at once with line and column."""
 
 import hashlib
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -32,6 +33,8 @@ from pwatrack.spec.problems import (
 )
 from pwatrack.spec.schema import Context, ExpectSection, SpecFile, SystemSection
 from pwatrack.spec.yaml_tree import Document, parse_yaml
+
+_EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([0-6])\b", re.MULTILINE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,7 +247,12 @@ def expected_exit(path: str | Path) -> int:
     try:
         document, _ = _read(Path(path))
         return ExpectSection.model_validate(document.data["expect"]).exit
-    except (PwatrackError, KeyError, ValidationError):
+    except PwatrackError:  # not even YAML
+        found = (
+            _EXPECT.search(Path(path).read_text(encoding="utf-8", errors="replace")) if Path(path).is_file() else None
+        )
+        return int(found[1]) if found else 0
+    except (KeyError, ValidationError):
         return 0
 
 
