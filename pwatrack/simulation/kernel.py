@@ -41,10 +41,11 @@ _R = TypeVar("_R")
 
 
 def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    fused = {"contract"}  # a b + c may be rounded once
     try:
-        return njit(cache=True, nogil=True)(function)
+        return njit(cache=True, nogil=True, fastmath=fused)(function)
     except RuntimeError:  # no folder for the cache is writable
-        return njit(nogil=True)(function)
+        return njit(nogil=True, fastmath=fused)(function)
 
 
 class Field(NamedTuple):
@@ -314,14 +315,31 @@ def _number(known_cells: IntArray, known: int, cells: IntArray) -> int:
 
 
 @_compiled
+def _next_term(F: Array, factor: float, terms: Array, j: int) -> None:
+    """Write factor · F times row j − 1 of terms (16, N) to row j: what `_apply` does, without views of rows."""
+    N, k = terms.shape[1], 0
+    for i in range(N):
+        terms[j, i] = 0.0
+    while k + 4 <= N:
+        t0, t1 = factor * terms[j - 1, k], factor * terms[j - 1, k + 1]
+        t2, t3 = factor * terms[j - 1, k + 2], factor * terms[j - 1, k + 3]
+        for i in range(N):
+            terms[j, i] += (F[k, i] * t0 + F[k + 1, i] * t1) + (F[k + 2, i] * t2 + F[k + 3, i] * t3)
+        k += 4
+    while k < N:
+        t0 = factor * terms[j - 1, k]
+        for i in range(N):
+            terms[j, i] += F[k, i] * t0
+        k += 1
+
+
+@_compiled
 def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> None:
     """Write the Taylor terms of z(τ length) up to a degree, (16, N)."""
     for i in range(len(z)):
         terms[0, i] = z[i]
     for j in range(1, degree + 1):
-        _apply(F, terms[j - 1], terms[j])
-        for i in range(len(z)):
-            terms[j, i] *= length / j
+        _next_term(F, length / j, terms, j)
 
 
 @_compiled
@@ -352,7 +370,7 @@ def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
 
 @_compiled
 def _sides(
-    F: Array, guards: Array, tolerance: Array, crossed: Any, z: Array, term: Array, seen: Array, sides: IntArray
+    F: Array, guards: Array, tolerance: Array, crossed: Any, z: Array, terms: Array, seen: Array, sides: IntArray
 ) -> None:
     """Write on which side of each guard the trajectory goes on, 0 where rounding hides it.
 
@@ -364,12 +382,10 @@ def _sides(
         sides[k] = 0
     for j in range(DEGREE + 1):
         if j == 0:
-            term[0] = z
+            terms[0] = z
         else:
-            _apply(F, term[(j - 1) % 2], term[j % 2])
-            for i in range(len(z)):
-                term[j % 2, i] *= 1.0 / j
-        _apply(guards, term[j % 2], seen)
+            _next_term(F, 1.0 / j, terms, j)
+        _apply(guards, terms[j], seen)
         for k in range(len(sides)):
             if sides[k] == 0 and abs(seen[k]) > tolerance[k] and not (j == 0 and crossed[k]):
                 sides[k] = 1 if seen[k] > 0 else -1
