@@ -203,9 +203,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed = controller.trajectory.eta0
         if spec.eta_hat0 is not None and (fixed is not None or _starts_periodic(spec)):
-            subject: Subject = ("simulation", "initial", "generator")
-            message = "simulation.initial.generator: the reference itself says where the desired trajectory starts"
-            raise InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
+            raise start_given_twice(("simulation", "initial", "generator"))
         start = loop.start(
             plant=_initial(spec.x0, n, "plant"),
             observer=_initial(spec.x_hat0, n, "observer"),
@@ -224,6 +222,13 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
             start=start,
             steady_state=steady_state,
         )
+
+
+def start_given_twice(subject: Subject) -> InvalidSpec:
+    """Return the refusal of a start of the desired trajectory beside that of the reference."""
+    where = ".".join(map(str, subject))
+    message = f"{where}: the reference itself says where the desired trajectory starts"
+    return InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
 
 
 def _walk(spec: Spec, loop: ClosedLoop, start: Array) -> Iterator[Trace]:

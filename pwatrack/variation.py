@@ -8,7 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
-from pwatrack.pipeline import Result
+from pwatrack.pipeline import Result, start_given_twice
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.propagate import sample_count
@@ -261,11 +261,9 @@ def _changed(result: Result, parameters: Mapping[str, float]) -> dict[str, float
 
 def _check_generator(result: Result, entries: int) -> None:
     subject: Subject = ("simulation", "ensemble", "initial", "generator")
-    where, fixed = ".".join(map(str, subject)), result.generator_start_fixed
-    expected = result.response.eta_hat.shape[1]
-    if fixed:
-        message = f"{where}: the reference itself says where the desired trajectory starts"
-        raise InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
+    where, expected = ".".join(map(str, subject)), result.response.eta_hat.shape[1]
+    if result.generator_start_fixed:
+        raise start_given_twice(subject)
     if entries != expected:
         found = f"{entries} interval" + "s" * (entries != 1)
         message = f"{where}: {found}, expected {expected}, one for each state of the generator"
