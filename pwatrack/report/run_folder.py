@@ -2,8 +2,7 @@
 
 import errno
 import json
-import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,11 +27,9 @@ class RunFolder:
 
     def place(self, name: str) -> Path:
         """Return a temporary path to write the file `name` to."""
-        handle, temporary = tempfile.mkstemp(prefix=f".{name}.", dir=self.path)
-        os.close(handle)
-        self._waiting[name] = Path(temporary)
-        self._waiting[name].chmod(0o666 & ~_umask())
-        return self._waiting[name]
+        temporary = self._waiting[name] = self.path / f".{name}.{secrets.token_hex(4)}"  # known before it is there
+        temporary.touch(exist_ok=False)
+        return temporary
 
     def text(self, name: str, content: str) -> None:
         """Add a text file."""
@@ -96,9 +93,3 @@ def _indexed(path: Path) -> list[str]:
         return [name for name in names if isinstance(name, str) and Path(name).name == name]
     except (OSError, ValueError, KeyError, TypeError):
         return []
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
