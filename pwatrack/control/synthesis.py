@@ -193,6 +193,7 @@ class Search:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
         return refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
 
+    @cache  # noqa: B019 - as above
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise the cost with unit weights where that is quick and gives a proof, else maximise the margin."""
         margin = self._largest_margin(rate)
