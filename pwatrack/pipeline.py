@@ -69,11 +69,10 @@ class Result:
                 f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
                 f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
             )
-        end = (sample_count(self.spec.duration, self.spec.sample_time) - 1) * self.spec.sample_time
-        if end < self.spec.duration * (1 - 1e-9):
+        if self.end < self.spec.duration * (1 - 1e-9):
             remarks.append(
-                f"the run ends with the last sample, at t = {end:.9g} s: the duration, {self.spec.duration:g} s, is no "
-                f"multiple of the sample time, {self.spec.sample_time:g} s"
+                f"the run ends with the last sample, at t = {self.end:.9g} s: the duration, {self.spec.duration:g} s, "
+                f"is no multiple of the sample time, {self.spec.sample_time:g} s"
             )
         remarks += _unresolved(self.response.trace)
         if not self.loop.conditions.nominal:
@@ -101,9 +100,14 @@ class Result:
         return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
 
     @property
+    def end(self) -> float:
+        """The time of the last sample in s, whether it was kept or not."""
+        return (sample_count(self.spec.duration, self.spec.sample_time) - 1) * self.spec.sample_time
+
+    @property
     def generator_start_fixed(self) -> bool:
         """Whether the reference itself says where the desired trajectory starts."""
-        return self.controller.trajectory.eta0 is not None or _starts_periodic(self.spec)
+        return _start_fixed(self.spec, self.controller)
 
     @property
     def final_error(self) -> float:
@@ -202,7 +206,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         loop = closed_loop(controller, spec.conditions)
         n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed = controller.trajectory.eta0
-        if spec.eta_hat0 is not None and (fixed is not None or _starts_periodic(spec)):
+        if spec.eta_hat0 is not None and _start_fixed(spec, controller):
             raise start_given_twice(("simulation", "initial", "generator"))
         start = loop.start(
             plant=_initial(spec.x0, n, "plant"),
@@ -300,6 +304,10 @@ def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) ->
         check_bounded(signal, name=name, subject=subject)
         if r is not None:
             check_smooth(signal, r, name=name, subject=subject)
+
+
+def _start_fixed(spec: Spec, controller: Controller) -> bool:
+    return controller.trajectory.eta0 is not None or _starts_periodic(spec)
 
 
 def _starts_periodic(spec: Spec) -> bool:

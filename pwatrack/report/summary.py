@@ -182,7 +182,7 @@ def print_result(console: Console, result: Result) -> None:
     table = _titled(None)
     table.add_row(
         "simulated",
-        f"{result.response.t[-1]:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
+        f"{result.end:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
     )
     for text in result.loop.conditions.texts(result.spec.plant):
         table.add_row("conditions", text)
