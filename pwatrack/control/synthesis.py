@@ -24,7 +24,8 @@ _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
 _COSTLY = 30_000  # cells times states cubed: with more, the largest margin is found much sooner than the least cost
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
-_MODEST = 8.0  # times the smallest gain of the same rate that a gain may have
+_MODEST = 8.0  # times the smallest gain of nearly the same rate that a gain may have
+_NEARLY = 0.9  # of a rate: the smallest gain of a little less may be a fraction, and is found sooner
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +138,9 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     and time scaled so that A and B have size 1. There the weights on states and
     inputs are one, so no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.) Where that problem is too large, or gives no proof, the gain is
-    that of the largest margin. If a gain of less than an eighth of its norm reaches the same rate, that is taken.
+    weights are one in the units given.) If a gain of less than an eighth of its norm reaches nine tenths of its
+    rate, that is taken. Where the problem is too large, or gives no proof, the gain is the smallest one for nine tenths
+    of the rate that the largest margin gives.
 
     Args:
         task: The inequality.
@@ -204,11 +206,11 @@ class Search:
         for Q in _state_weights(self.mean + shift, self.B) if quick or margin is None else ():
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
-                return self._gentler(*found)
+                return self._gentler(*found, rate, much=_MODEST)
             if margin is not None:
                 break  # a lighter weight would only help where the solver is at its limits
         found = None if margin is None else self._proved(margin[0], rate, margin[1].P)
-        return None if found is None else self._gentler(*found)
+        return None if found is None else self._gentler(*found, rate)
 
     def least_cost(self, Q: Array, R: Array) -> tuple[Array, Certificate] | None:
         """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
@@ -256,11 +258,11 @@ class Search:
                 raise _no_largest_rate(self.task, slow)
         return best
 
-    def _gentler(self, K: Array, certificate: Certificate) -> tuple[Array, Certificate]:
-        """Return the gain, or the smallest one of the same rate where that is much smaller."""
-        rate = certificate.rate * (1 - 1e-3)
+    def _gentler(self, K: Array, certificate: Certificate, rate: float, much: float = 1.0) -> tuple[Array, Certificate]:
+        """Return the gain, or the smallest one of nearly the same rate where that is so much smaller."""
+        rate = max(_NEARLY * certificate.rate, rate)
         ones = np.ones(len(self.mean)), np.ones(self.B.shape[1])
-        small = self._smallest(rate * (1 + 5e-4) / self.scaling.speed, *ones, rate, below=self._size(K) / _MODEST)
+        small = self._smallest(rate * (1 + 5e-4) / self.scaling.speed, *ones, rate, below=self._size(K) / much)
         if small is None:
             return K, certificate
         nothing = self._proved(np.zeros_like(K), rate)
@@ -333,7 +335,8 @@ class Search:
     def _inside(self, inequality: Inequality) -> Candidate | None:
         """Return P and Y that satisfy an inequality strictly, or None if none are found."""
         for factor in _BOUNDS_OF_Y:
-            candidate = solve(largest_margin(inequality, _most(inequality, factor)), self.task.solver)
+            program = replace(largest_margin(inequality, _most(inequality, factor)), gap=0.5)  # in the middle, not at
+            candidate = solve(program, self.task.solver)  # the limit, where the next solver would start slowly
             if candidate is not None and inequality.margin(candidate.P, candidate.Y) > 0:
                 return candidate
         return None

@@ -33,6 +33,7 @@ class Program:
         start: P, Y, t that satisfy all of them strictly, where that is known.
         gap: Share of the objective that may be missed; P, Y and the multipliers are further inside where it is larger.
         fixed_trace: Whether the trace of P is to stay what it is at the start.
+        even: Whether a barrier method is to give each constraint the weight of the first, which has the most cells.
     """
 
     constraints: tuple[Inequality, ...]
@@ -41,6 +42,7 @@ class Program:
     start: tuple[Array, Array, float] | None = None
     gap: float = 1e-4
     fixed_trace: bool = False
+    even: bool = False
 
     @property
     def n(self) -> int:
@@ -184,7 +186,11 @@ def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, star
         T=corner[None],
     )
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(n), constant=metric), gain), price=1.0, start=point
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(n), constant=metric), gain),
+        price=1.0,
+        start=point,
+        gap=1e-3,
+        even=True,  # where that of the norm is one among many cells, the way along its curved boundary has many steps
     )
 
 

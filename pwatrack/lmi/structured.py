@@ -26,7 +26,7 @@ _GROWTH = 30.0  # of the weight of the objective from one centre to the next
 _LEAST_GAP = 1e-13  # duality gap at which it ends where the objective is near 0
 _CENTRED = 0.1  # Newton decrement, squared, at which the weight grows
 _FAR = 1e4  # times the size of the start that P and Y may have
-_POLISHED = 1e-14  # the same at the last centre: the multipliers are as exact as its root
+_POLISHED = 1e-14  # the same at the last centre, or what rounding allows: the multipliers are as exact as its root
 _MOST = 200  # Newton steps
 _RIDGE = 1e-13  # of the diagonal: for m ≥ 2 the Hessian is singular along P = 0, Y = Ω Bᵀ, Ω skew
 
@@ -56,8 +56,9 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
     factors = space.slack_factors(v)
     if factors is None:
         return None
-    order = sum(c.constant.shape[0] * c.constant.shape[1] for c in space.constraints)
+    order = sum(e * c.constant.size / c.N.shape[2] for c, e in zip(space.constraints, space.emphasis, strict=True))
     weight = order / max(abs(space.objective(v)), _LEAST_GAP)  # the gap is order / weight at a centre
+    last = np.inf
     for _ in range(_MOST):
         gradient, hessian = space.derivatives(v, factors, weight)
         step = _newton(hessian, gradient, space.trace if program.fixed_trace else None)
@@ -65,11 +66,12 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
         if not np.isfinite(decrement) or decrement <= 0:
             break
         near = order / weight <= max(program.gap * abs(space.objective(v)), _LEAST_GAP)
-        if decrement <= (_POLISHED if near else _CENTRED):
-            if near:
-                break
-            weight *= _GROWTH
+        if near and (decrement <= _POLISHED or (last <= _CENTRED and decrement > last / 2)):
+            break
+        if decrement <= _CENTRED and not near:
+            weight, last = weight * _GROWTH, np.inf
             continue
+        last = decrement
         length = _exact_step(space, v, factors, step, weight)
         if length <= 1e-10:
             break
@@ -98,6 +100,8 @@ class _Space:
 
     def __init__(self, program: Program) -> None:
         self.constraints, self.n, self.m = program.constraints, program.n, program.m
+        cells = len(program.constraints[0].constant)
+        self.emphasis = [cells / len(c.constant) if program.even else 1.0 for c in program.constraints]
         self.rows, self.columns = np.tril_indices(self.n)
         self.size = len(self.rows) + self.m * self.n + 1
         self.trace = np.append((self.rows == self.columns).astype(float), np.zeros(self.m * self.n + 1))
@@ -140,18 +144,19 @@ class _Space:
         n, m, k = self.n, self.m, len(self.rows)
         gradient, hessian = weight * self.linear, np.zeros((self.size, self.size))
         stacks: dict[str, list[Array]] = {name: [] for name in "XVWabceghk"}
-        for c, factor in zip(self.constraints, factors, strict=True):
-            Z = _inverse(factor)
+        for c, factor, emphasis in zip(self.constraints, factors, self.emphasis, strict=True):
+            root = np.sqrt(emphasis)
+            Z = root * _inverse(factor)  # the second derivatives are products of two of it, the first ones are of one
             ZL, RZ = Z @ c.L, c.R @ Z
             X = RZ @ c.L
-            gradient[:k] += self._lower(X.sum(axis=0))
+            gradient[:k] += root * self._lower(X.sum(axis=0))
             stacks["X"].append(X)
             stacks["V"].append(RZ @ np.swapaxes(c.R, 1, 2))
             stacks["W"].append(np.swapaxes(c.L, 1, 2) @ ZL)
             if m and c.M.any():
                 NZ, Mt, Nt = c.N @ Z, np.swapaxes(c.M, 1, 2), np.swapaxes(c.N, 1, 2)
                 g = NZ @ c.M
-                gradient[k:-1] += 2 * g.sum(axis=0).T.ravel()
+                gradient[k:-1] += root * 2 * g.sum(axis=0).T.ravel()
                 for name, stack in zip(
                     "abceghk", (RZ @ c.M, c.N @ ZL, RZ @ Nt, Mt @ ZL, g, NZ @ Nt, Mt @ Z @ c.M), strict=True
                 ):
@@ -159,7 +164,7 @@ class _Space:
             if c.T is not None:
                 ZT = Z @ c.T
                 ZTZ = ZT @ Z
-                gradient[-1] += np.trace(ZT, axis1=1, axis2=2).sum()
+                gradient[-1] += root * np.trace(ZT, axis1=1, axis2=2).sum()
                 hessian[-1, -1] += np.einsum("kij,kji->", ZT, ZT)
                 hessian[:k, -1] += self._lower((c.R @ ZTZ @ c.L).sum(axis=0))
                 if m:
@@ -228,12 +233,13 @@ def _newton(hessian: Array, gradient: Array, fixed: Array | None) -> Array:
 
 def _exact_step(space: _Space, v: Array, factors: list[Array], step: Array, weight: float) -> float:
     """Return the length that minimises the sum along a step; given the eigenvalues of the change that is scalar."""
-    values = []
-    for factor, change in zip(factors, space.left_sides(step, linear=True), strict=True):
+    values, emphases = [], []
+    for factor, change, emphasis in zip(factors, space.left_sides(step, linear=True), space.emphasis, strict=True):
         for L, D in zip(factor, change, strict=True):
             half = solve_triangular(L, -D, lower=True, check_finite=False)
             values.append(np.linalg.eigvalsh(solve_triangular(L, half.T, lower=True, check_finite=False)))
-    e, slope = np.concatenate(values), weight * float(space.linear @ step)
+            emphases.append(np.full(len(L), emphasis))
+    e, counts, slope = np.concatenate(values), np.concatenate(emphases), weight * float(space.linear @ step)
     cost, falls = np.zeros(0), np.zeros(0)
     if space.V is not None:
         L = np.linalg.cholesky(space.parts(v)[0])
@@ -242,7 +248,7 @@ def _exact_step(space: _Space, v: Array, factors: list[Array], step: Array, weig
         cost = weight * ((space.V @ solve_triangular(L.T, vectors, lower=False)) ** 2).sum(axis=0)
 
     def derivative(length: float) -> float:
-        barrier = float((e / (1 + length * e)).sum())
+        barrier = float((counts * e / (1 + length * e)).sum())
         return slope - barrier - float((cost * falls / (1 + length * falls) ** 2).sum())
 
     end = 1e3 if e.min() >= 0 else min(1e3, (1 - 1e-9) / -e.min())
