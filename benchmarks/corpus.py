@@ -4,7 +4,8 @@
 
 Each system is made so that the answer is known beforehand. Feasible: A_i = P½ (G_i − G_iᵀ − R_i) P⁻½ − B K with
 R_i ≻ 0, so that K and P solve (8). Infeasible: multipliers Z_i are drawn first, and the A_i are then moved so
-that Σ (Z_i A_i + A_iᵀ Z_i) ≻ 0 where Σ Z_i B = 0. Everything is printed that is not proved.
+that Σ (Z_i A_i + A_iᵀ Z_i) ≻ 0 where Σ Z_i B = 0. Everything is printed that is not proved. With --gains each
+default gain is compared with the smallest one that is found for the same rate.
 """
 
 import argparse
@@ -17,7 +18,7 @@ from rich.console import Console
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.goal import Goal
-from pwatrack.control.synthesis import Task, stabilising_gain
+from pwatrack.control.synthesis import Search, Task, stabilising_gain
 from pwatrack.errors import Infeasible, PwatrackError
 
 
@@ -67,6 +68,15 @@ def sizes(count: int, largest: int, most_cells: int) -> Iterator[tuple[int, int,
         yield seed, n, min(m, n - 1), cells, float(10 ** random.uniform(-6, -1))
 
 
+def excess(A: Array, B: Array) -> float:
+    """Return the norm of the default gain, relative to the smallest known of its rate (the rate is exact to 0.3 %)."""
+    task = Task(A=A, B=B, cells=[str(i) for i in range(len(A))])
+    K, certificate = stabilising_gain(task)
+    small = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
+    known = [K] if small is None else [K, small[0]]
+    return float(np.linalg.norm(K, 2) / max(min(np.linalg.norm(k, 2) for k in known), 1e-12))
+
+
 def verdict(A: Array, B: Array) -> str:
     """Return "proved", "proved impossible" or "undecided"; without inputs the A_i are closed loops with given gains."""
     cells = [str(i) for i in range(len(A))]
@@ -89,7 +99,17 @@ def main() -> None:
     parser.add_argument("--largest", type=int, default=30, help="largest number of states")
     parser.add_argument("--cells", type=int, default=16, help="largest number of cells")
     parser.add_argument("--kinds", nargs="*", default=["feasible", "infeasible", "given"])
+    parser.add_argument("--gains", action="store_true", help="measure the default gains instead")
     options, console = parser.parse_args(), Console(highlight=False)
+    if options.gains:
+        ratios = []
+        for seed, n, m, cells, margin in sizes(options.count, options.largest, options.cells):
+            ratios.append(excess(*feasible(seed, n, m, cells, margin)))
+            if ratios[-1] > 5:
+                console.print(f"  feasible {seed}: n={n} m={m} l={cells} margin={margin:.1e}: {ratios[-1]:.2f}")
+        middle, most = np.median(ratios), max(ratios)
+        console.print(f"default gains over the smallest of their rates: median {middle:.2f}, largest {most:.2f}")
+        return
     for kind, wanted in (("feasible", "proved"), ("infeasible", "proved impossible"), ("given", "proved impossible")):
         if kind not in options.kinds:
             continue

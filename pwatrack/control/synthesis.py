@@ -16,7 +16,7 @@ from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
-from pwatrack.lmi.program import Candidate, largest_margin, least_cost, smallest_gain
+from pwatrack.lmi.program import Candidate, Program, bounded_gain, largest_margin, least_cost, smallest_gain
 from pwatrack.lmi.solve import LARGE, solve
 from pwatrack.model.pwa import PWASystem
 
@@ -24,6 +24,7 @@ _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
 _COSTLY = 30_000  # cells times states cubed: with more, the largest margin is found much sooner than the least cost
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
+_BOUNDS_OF_GAIN = (1.0, 30.0)  # of a start for the smallest gain, relative to an LQR gain
 _MODEST = 8.0  # times the smallest gain of nearly the same rate that a gain may have
 _NEARLY = 0.9  # of a rate: the smallest gain of a little less may be a fraction, and is found sooner
 
@@ -279,8 +280,13 @@ class Search:
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            start = self._inside(inequality) if large else None
-            candidate = solve(smallest_gain(inequality, (W / d**2) @ W.T, np.diag(e), start), self.task.solver)
+            metric, input_root = (W / d**2) @ W.T, np.diag(e)
+            start = None
+            if large:
+                lqr = _norm(W @ self.B @ input_root)  # its norm for the mean cell, where P = I
+                bounds = [bounded_gain(inequality, metric, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
+                start = self._inside(inequality, *bounds)
+            candidate = solve(smallest_gain(inequality, metric, input_root, start), self.task.solver)
             if candidate is None or self._size(self._gain_of(candidate, W)) > below:
                 return None
             found = self._candidate(candidate, W, W_inverse, rate)
@@ -332,11 +338,14 @@ class Search:
             candidate = replace(candidate, Y=-np.linalg.solve(R, (W @ self.B).T).astype(np.float64))
         return self._candidate(candidate, W, W_inverse, rate)
 
-    def _inside(self, inequality: Inequality) -> Candidate | None:
-        """Return P and Y that satisfy an inequality strictly, or None if none are found."""
-        for factor in _BOUNDS_OF_Y:
-            program = replace(largest_margin(inequality, _most(inequality, factor)), gap=0.5)  # in the middle, not at
-            candidate = solve(program, self.task.solver)  # the limit, where the next solver would start slowly
+    def _inside(self, inequality: Inequality, *first: Program) -> Candidate | None:
+        """Return P and Y that satisfy an inequality strictly, from the first program that has some, or None.
+
+        They are well inside: at the limit the solver that starts from them would be slow.
+        """
+        margins = [largest_margin(inequality, _most(inequality, factor)) for factor in _BOUNDS_OF_Y]
+        for program in (*first, *(replace(margin, gap=0.5) for margin in margins)):
+            candidate = solve(program, self.task.solver)
             if candidate is not None and inequality.margin(candidate.P, candidate.Y) > 0:
                 return candidate
         return None

@@ -8,6 +8,7 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.inequality import Inequality
 
 _HALVINGS = 60
+_ROOM = 100.0  # of P in `bounded_gain`
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,33 @@ def least_cost(inequality: Inequality, weight: Array, start: Array | None = None
     )
 
 
+def bounded_gain(inequality: Inequality, metric: Array, input_root: Array, most: float) -> Program:
+    """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, G ⪯ P ⪯ 100 I and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0 for a given κ.
+
+    Where t < 0, P and Y are a start for `smallest_gain` with a gain of modest size.
+
+    Args:
+        inequality: From `state_feedback`.
+        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
+        input_root: E (m, m).
+        most: κ.
+    """
+    n, N = inequality.n, inequality.L.shape[1]
+    P, Y = _ROOM / 2 * np.eye(n), np.zeros((inequality.m, n))
+    above = float(np.linalg.norm(inequality.evaluate(P, Y), axis=(1, 2)).max())
+    return Program(
+        constraints=(
+            replace(inequality, T=np.broadcast_to(-np.eye(N), inequality.constant.shape)),
+            of_P(inequality, -1.0, np.eye(n), constant=metric / np.linalg.norm(metric, 2)),
+            of_P(inequality, 1.0, np.eye(n), constant=-_ROOM * np.eye(n)),
+            _bound_of_gain(inequality, input_root, most),
+        ),
+        price=1.0,
+        start=(P, Y, 2 * above),
+        gap=0.5,
+    )
+
+
 def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, start: Candidate | None = None) -> Program:
     """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
 
@@ -162,35 +190,44 @@ def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, star
 
     Args:
         inequality: From `state_feedback`.
-        metric: G ≻ 0, (n, n).
+        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
         input_root: E (m, m).
         start: P and Y that satisfy the inequality strictly.
     """
-    n, m = inequality.n, inequality.m
+    n = inequality.n
     metric = metric / np.linalg.norm(metric, 2)
-    low, right = np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
-    corner = np.zeros((m + n, m + n))
-    corner[:m, :m] = -np.eye(m)
     point = None
     if start is not None:
         scale = 2.0 / np.linalg.eigvalsh(start.P)[0]
         EY = input_root @ start.Y * scale
         bound = np.linalg.norm(EY @ np.linalg.solve(start.P * scale, EY.T), 2)
         point = start.P * scale, start.Y * scale, 2.0 * float(bound) + 1.0
-    gain = Inequality(
-        L=-low[None] / 2,
-        R=right[None],
-        M=-np.vstack([input_root, np.zeros((n, m))])[None],
-        N=right[None],
-        constant=np.zeros((1, m + n, m + n)),
-        T=corner[None],
-    )
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(n), constant=metric), gain),
+        constraints=(
+            inequality,
+            of_P(inequality, -1.0, np.eye(n), constant=metric),
+            _bound_of_gain(inequality, input_root),
+        ),
         price=1.0,
         start=point,
         gap=1e-3,
         even=True,  # where that of the norm is one among many cells, the way along its curved boundary has many steps
+    )
+
+
+def _bound_of_gain(like: Inequality, input_root: Array, most: float | None = None) -> Inequality:
+    """Return [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0 for a given κ, or with t for κ²."""
+    n, m = like.n, like.m
+    low, right = np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
+    corner = np.zeros((1, m + n, m + n))
+    corner[0, :m, :m] = -np.eye(m)
+    return Inequality(
+        L=-low[None] / 2,
+        R=right[None],
+        M=-np.vstack([input_root, np.zeros((n, m))])[None],
+        N=right[None],
+        constant=np.zeros_like(corner) if most is None else most**2 * corner,
+        T=corner if most is None else None,
     )
 
 
