@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
+from benchmarks.corpus import feasible
 from pwatrack import PWASystem, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import Impossibility
@@ -158,6 +159,18 @@ def test_the_default_gain_is_at_most_ten_times_the_smallest_of_its_rate(seed: in
         smallest = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
         assert smallest is not None
         assert norm(K) <= 10 * norm(smallest[0]) + 1e-6  # at most; the rate is that of K to 0.3 %
+
+
+@pytest.mark.parametrize(("n", "m", "cells", "margin"), [(12, 2, 16, 1e-4), (20, 3, 8, 1e-3), (22, 4, 6, 1e-5)])
+def test_so_it_is_for_large_plants_and_small_margins(n: int, m: int, cells: int, margin: float) -> None:
+    """There the gain of the largest margin is hundreds of times as large as need be."""
+    A, B = feasible(1, n, m, cells, margin)
+    task = Task(A=A, B=B, cells=[str(i) for i in range(cells)])
+    K, certificate = stabilising_gain(task)
+    smallest = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
+    assert smallest is not None
+    assert smallest[1].rate > 0.99 * certificate.rate
+    assert norm(K) <= 5 * norm(smallest[0])
 
 
 def test_the_front_rises_and_holds_the_chosen_point(plant: PWASystem) -> None:

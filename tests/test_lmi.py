@@ -1,6 +1,7 @@
 """The kernel inequality, the two solvers, and what counts as a proof."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import picos
@@ -20,7 +21,15 @@ from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.presolve import Scaling, distinct
-from pwatrack.lmi.program import Candidate, Program, largest_margin, least_condition, least_cost, smallest_gain
+from pwatrack.lmi.program import (
+    Candidate,
+    Program,
+    bounded_gain,
+    largest_margin,
+    least_condition,
+    least_cost,
+    smallest_gain,
+)
 from pwatrack.lmi.rational import decimals
 from pwatrack.lmi.solve import solve
 
@@ -130,6 +139,24 @@ def test_the_structured_solver_and_clarabel_find_the_same_optimum(seed: int, n: 
         assert theirs is not None
         assert measure(ours) == pytest.approx(measure(theirs), rel=1e-2, abs=1e-6)
         assert max(float(np.linalg.eigvalsh(side).max()) for side in inequality.evaluate(ours.P, ours.Y)) < 0
+
+
+@given(seed=seeds, n=st.integers(2, 6), m=st.integers(1, 3), cells=st.integers(1, 5), most=st.floats(0.1, 10.0))
+@settings(deadline=None, max_examples=15)
+def test_both_solvers_find_the_same_best_point_of_a_bounded_gain(
+    seed: int, n: int, m: int, cells: int, most: float
+) -> None:
+    A, B = feasible(seed, n, m, cells, 1e-2)
+    inequality = state_feedback(A, B)
+    program = replace(bounded_gain(inequality, np.eye(n), np.eye(m), most), gap=1e-4)
+    ours, theirs = structured.solve(program), picos_model.solve(program)
+    assert ours is not None
+    assert theirs is not None
+    values = [float(np.linalg.eigvalsh(inequality.evaluate(found.P, found.Y)).max()) for found in (ours, theirs)]
+    assert values[0] == pytest.approx(values[1], rel=1e-2, abs=1e-5)
+    K = ours.Y @ np.linalg.inv(ours.P)
+    assert np.linalg.norm(K, 2) <= most
+    assert np.linalg.eigvalsh(ours.P)[0] >= 1
 
 
 def test_a_nan_in_the_data_is_not_called_solved() -> None:
