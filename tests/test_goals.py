@@ -57,6 +57,15 @@ def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
     assert 0.3 * most_L < norm(found.L) < 1.01 * most_L
 
 
+@pytest.mark.parametrize("rate", [0.1, 0.3, 1.0])
+def test_the_smallest_gain_of_a_double_integrator_is_nearly_the_one_in_closed_form(rate: float) -> None:
+    """Both roots of s² + a s + b are left of −α where a ≥ 2α and b ≥ aα − α²: the least norm is that of (α², 2α)."""
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    K, certificate = stabilising_gain(task, Goal(rate=rate, gain="smallest"))
+    assert certificate.rate >= rate
+    assert np.hypot(rate**2, 2 * rate) <= norm(K) <= 1.1 * np.hypot(rate**2, 2 * rate)
+
+
 def test_a_rate_is_reached_with_a_gain_of_modest_size(plant: PWASystem) -> None:
     K, certificate = stabilising_gain(controller_task(plant), Goal(rate=0.1))
     assert certificate.rate >= 0.1

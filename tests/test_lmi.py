@@ -28,6 +28,7 @@ from pwatrack.lmi.program import (
     largest_margin,
     least_condition,
     least_cost,
+    smaller_gain,
     smallest_gain,
 )
 from pwatrack.lmi.rational import decimals
@@ -126,7 +127,7 @@ def test_the_structured_solver_and_clarabel_find_the_same_optimum(seed: int, n: 
         (largest_margin(inequality), lambda found: inequality.margin(found.P, found.Y))
     ]
     if m:
-        program = smallest_gain(inequality, np.eye(n), np.eye(m), margin)
+        program = replace(smallest_gain(inequality, np.eye(n), np.eye(m), margin), gap=1e-4)
         compared.append(
             (program, lambda found: float(np.linalg.norm(found.Y @ np.linalg.solve(found.P, found.Y.T), 2)))
         )
@@ -157,6 +158,36 @@ def test_both_solvers_find_the_same_best_point_of_a_bounded_gain(
     K = ours.Y @ np.linalg.inv(ours.P)
     assert np.linalg.norm(K, 2) <= most
     assert np.linalg.eigvalsh(ours.P)[0] >= 1
+
+
+@given(seed=seeds, n=st.integers(2, 6), m=st.integers(1, 3), cells=st.integers(1, 5))
+@settings(deadline=None, max_examples=15)
+def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: int, cells: int) -> None:
+    A, B = feasible(seed, n, m, cells, 1e-2)
+    inequality, random = state_feedback(A, B), np.random.default_rng(seed)
+    root, E = random.normal(size=(n, n)) + 3 * np.eye(n), np.diag(random.uniform(0.5, 2.0, size=m))
+    G = root @ root.T / np.linalg.norm(root @ root.T, 2)
+
+    def norm(found: Candidate) -> float:
+        EK = E @ found.Y @ np.linalg.inv(found.P)
+        return float(np.sqrt(np.linalg.norm(EK @ G @ EK.T, 2)))
+
+    last = solve(largest_margin(inequality))
+    assert last is not None
+    for _ in range(2):
+        program = replace(smaller_gain(inequality, G, E, last), gap=1e-4)
+        ours, theirs = structured.solve(program), picos_model.solve(program)
+        assert ours is not None
+        assert theirs is not None
+        least = []
+        for found in (ours, theirs):  # κ² for its P and Y: by the Schur complement
+            block = -program.constraints[-1].evaluate(found.P, found.Y)[0]
+            least.append(float(np.linalg.norm(block[:m, m:] @ np.linalg.solve(block[m:, m:], block[m:, :m]), 2)))
+        assert least[0] == pytest.approx(least[1], rel=1e-2, abs=1e-3)
+        assert norm(ours) ** 2 <= least[0] * (1 + 1e-9)
+        assert norm(ours) <= norm(last) * (1 + 1e-3) + 1e-6
+        assert np.linalg.eigvalsh(inequality.evaluate(ours.P, ours.Y)).max() < 0
+        last = ours
 
 
 def test_a_nan_in_the_data_is_not_called_solved() -> None:

@@ -16,7 +16,15 @@ from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_feedback
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
-from pwatrack.lmi.program import Candidate, Program, bounded_gain, largest_margin, least_cost, smallest_gain
+from pwatrack.lmi.program import (
+    Candidate,
+    Program,
+    bounded_gain,
+    largest_margin,
+    least_cost,
+    smaller_gain,
+    smallest_gain,
+)
 from pwatrack.lmi.solve import LARGE, solve
 from pwatrack.model.pwa import PWASystem
 
@@ -25,6 +33,7 @@ _RECENTRED = 3  # so often a problem is solved in the coordinates of its last an
 _COSTLY = 30_000  # cells times states cubed: with more, the largest margin is found much sooner than the least cost
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
 _BOUNDS_OF_GAIN = (1.0, 30.0)  # of a start for the smallest gain, relative to an LQR gain
+_CLOSER = 3  # times the bound of the norm is drawn closer; the first brings most, so that large plants have only that
 _MODEST = 8.0  # times the smallest gain of nearly the same rate that a gain may have
 _NEARLY = 0.9  # of a rate: the smallest gain of a little less may be a fraction, and is found sooner
 
@@ -276,24 +285,37 @@ class Search:
         self, trial: float, d: Array, e: Array, rate: float, below: float = np.inf
     ) -> tuple[Array, Certificate] | None:
         """Minimise the norm of E⁻¹ K D at a trial rate, in scaled time."""
-        large = len(d) >= LARGE
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            metric, input_root = (W / d**2) @ W.T, np.diag(e)
-            start = None
-            if large:
-                lqr = _norm(W @ self.B @ input_root)  # its norm for the mean cell, where P = I
-                bounds = [bounded_gain(inequality, metric, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
-                start = self._inside(inequality, *bounds)
-            candidate = solve(smallest_gain(inequality, metric, input_root, start), self.task.solver)
-            if candidate is None or self._size(self._gain_of(candidate, W)) > below:
+            candidates = self._least_norms(inequality, (W / d**2) @ W.T, np.diag(e))
+            for candidate in reversed(candidates):
+                if self._size(self._gain_of(candidate, W)) > below:
+                    return None
+                found = self._candidate(candidate, W, W_inverse, rate)
+                if found is not None:
+                    return found
+            if not candidates:
                 return None
-            found = self._candidate(candidate, W, W_inverse, rate)
-            if found is not None:
-                return found
-            W, W_inverse = _recentred(W, W_inverse, candidate.P)
+            W, W_inverse = _recentred(W, W_inverse, candidates[0].P)
         return None
+
+    def _least_norms(self, inequality: Inequality, metric: Array, input_root: Array) -> list[Candidate]:
+        """Minimise first a bound of the norm, then the closer bounds that each answer allows; the last is the best."""
+        large, start = inequality.n >= LARGE, None
+        if large:
+            lqr = _norm(inequality.M[0] @ input_root)  # of the mean cell, where P = I
+            bounds = [bounded_gain(inequality, metric, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
+            start = self._inside(inequality, *bounds)
+        found = list[Candidate]()
+        program = smallest_gain(inequality, metric, input_root, start)
+        for _ in range(2 if large else 1 + _CLOSER):
+            candidate = solve(program, self.task.solver)
+            if candidate is None or not _definite(candidate.P):
+                break
+            found.append(candidate)
+            program = smaller_gain(inequality, metric, input_root, candidate)
+        return found
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
         """Maximise the margin; the proof is the first that comes, its rate not the best one."""
@@ -361,8 +383,8 @@ class Search:
         )
 
     def _gain_of(self, candidate: Candidate, W: Array) -> Array:
-        """Return Y P⁻¹ in the units given; not a number where P is singular to working precision."""
-        if np.linalg.cond(candidate.P) > 1 / np.finfo(np.float64).eps:
+        """Return Y P⁻¹ in the units given; not a number where P is not positive definite to working precision."""
+        if not _definite(candidate.P):
             return np.full((self.B.shape[1], len(W)), np.nan)
         return self.scaling.gain(np.linalg.solve(candidate.P, candidate.Y.T).T.astype(np.float64) @ W)
 
@@ -478,6 +500,11 @@ def _root(Q: Array) -> Array:
     """Return X with Xᵀ X = Q ⪰ 0."""
     values, vectors = np.linalg.eigh((Q + Q.T) / 2)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, dtype=np.float64)
+
+
+def _definite(P: Array) -> bool:
+    values = np.linalg.eigvalsh(P)
+    return bool(values[0] > np.finfo(np.float64).eps * values[-1])
 
 
 def _norm(K: Array) -> float:

@@ -210,23 +210,62 @@ def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, star
         ),
         price=1.0,
         start=point,
-        gap=1e-3,
+        gap=0.1,
         even=True,  # where that of the norm is one among many cells, the way along its curved boundary has many steps
     )
 
 
-def _bound_of_gain(like: Inequality, input_root: Array, most: float | None = None) -> Inequality:
-    """Return [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0 for a given κ, or with t for κ²."""
+def smaller_gain(inequality: Inequality, metric: Array, input_root: Array, last: Candidate) -> Program:
+    """Minimise κ² as `smallest_gain` does, with a bound that is the norm itself at P = P₀.
+
+    In place of P ⪰ G and P itself, [κ² I, E Y; Yᵀ Eᵀ, P G⁻¹ P₀ + P₀ G⁻¹ P − P₀ G⁻¹ P₀] ⪰ 0: the last block is at most
+    P G⁻¹ P, and equal to it for P = P₀. So κ ≥ ‖E K G^½‖, and falls from one P₀ to the next (sequential
+    convex programming; Boyd and Vandenberghe, Convex Optimization, 2004, section 3.1.3).
+
+    Args:
+        inequality: From `state_feedback`.
+        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
+        input_root: E (m, m).
+        last: P₀ and a Y that satisfy the inequality strictly.
+    """
+    scale = 1 / float(np.linalg.eigvalsh(last.P)[0])
+    P, Y = last.P * scale, last.Y * scale
+    metric = metric / np.linalg.norm(metric, 2)
+    factor = np.asarray(np.linalg.solve(metric, P), dtype=np.float64)
+    square = P @ factor
+    EK = input_root @ np.linalg.solve(P, Y.T).T
+    bound = float(np.linalg.norm(EK @ metric @ EK.T, 2))
+    gain = _bound_of_gain(inequality, input_root, factor=2 * factor, constant=(square + square.T) / 2)
+    return Program(
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n)), gain),
+        price=1.0,
+        start=(P, Y, 2 * bound),
+        gap=1e-2,
+        even=True,
+    )
+
+
+def _bound_of_gain(
+    like: Inequality,
+    input_root: Array,
+    most: float | None = None,
+    factor: Array | None = None,
+    constant: Array | None = None,
+) -> Inequality:
+    """Return [κ² I, E Y; Yᵀ Eᵀ, sym(P X) / 2 − C] ⪰ 0 for a given κ, else with t for κ²; X = I, C = 0 unless given."""
     n, m = like.n, like.m
     low, right = np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
     corner = np.zeros((1, m + n, m + n))
     corner[0, :m, :m] = -np.eye(m)
+    known = np.zeros_like(corner) if most is None else most**2 * corner
+    if constant is not None:
+        known[0, m:, m:] = constant
     return Inequality(
         L=-low[None] / 2,
-        R=right[None],
+        R=(right if factor is None else factor @ right)[None],
         M=-np.vstack([input_root, np.zeros((n, m))])[None],
         N=right[None],
-        constant=np.zeros_like(corner) if most is None else most**2 * corner,
+        constant=known,
         T=corner if most is None else None,
     )
 

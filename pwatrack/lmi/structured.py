@@ -10,6 +10,7 @@ second derivative along U and U' is
 one product of an n² × 2l by a 2l × n² matrix for all cells together, O(l n⁴). The terms with Y are alike.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -28,7 +29,8 @@ _CENTRED = 0.1  # Newton decrement, squared, at which the weight grows
 _FAR = 1e4  # times the size of the start that P and Y may have
 _POLISHED = 1e-14  # the same at the last centre, or what rounding allows: the multipliers are as exact as its root
 _MOST = 200  # Newton steps
-_RIDGE = 1e-13  # of the diagonal: for m ≥ 2 the Hessian is singular along P = 0, Y = Ω Bᵀ, Ω skew
+_RIDGES = (1e-13, 1e-10, 1e-7)  # of the diagonal, the first that will do; for m ≥ 2 the Hessian is singular along
+# P = 0, Y = Ω Bᵀ, Ω skew, and elsewhere it may be so to working precision
 
 
 def solve(program: Program) -> Candidate | None:
@@ -214,10 +216,13 @@ def _newton(hessian: Array, gradient: Array, fixed: Array | None) -> Array:
     """Return the Newton step, with the Hessian scaled to a diagonal of 1; `fixed` · step = 0 where that is asked."""
     d = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     scaled = hessian * d[:, None] * d
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    try:
-        factor = cho_factor(scaled, check_finite=False)
-    except np.linalg.LinAlgError:
+    diagonal, factor = np.diag(scaled).copy(), None
+    for ridge in _RIDGES:
+        np.fill_diagonal(scaled, diagonal + ridge)
+        with suppress(np.linalg.LinAlgError):
+            factor = cho_factor(scaled, check_finite=False)
+            break
+    if factor is None:
         return np.full(len(gradient), np.nan)
 
     def solution(right: Array) -> Array:
