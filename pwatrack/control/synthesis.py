@@ -177,11 +177,11 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     elif goal.fastest:
         found = search.largest_rate(goal.bound)
     elif goal.gain == "smallest":
-        found = search.gentlest(goal.least_rate)
+        found = search.smallest_gain(goal.least_rate) or search.balanced(goal.least_rate)
     else:
         found = search.balanced(goal.least_rate)
         if found is not None and _norm(found[0]) > goal.bound:
-            found = search.gentlest(goal.least_rate)
+            found = search.smallest_gain(goal.least_rate) or found
     if found is None:
         raise _refusal(task, goal.least_rate, search.refuted(goal.least_rate), search.best_margin)
     if _norm(found[0]) > goal.bound:
@@ -226,12 +226,6 @@ class Search:
         """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
         d, e = self.scaling.d, self.scaling.e
         return self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d), 0.0)
-
-    def gentlest(self, rate: float) -> tuple[Array, Certificate] | None:
-        """Return the smallest gain that is found in any way: the bound that `smallest_gain` minimises may be loose."""
-        ways = [self.smallest_gain(rate), self.balanced(rate), self.balanced(0.0)]
-        found = [way for way in ways if way is not None and _reaches(way[1], rate)]
-        return min(found, key=lambda way: _norm(way[0]), default=None)
 
     def smallest_gain(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise a bound on the norm of the gain, in the units given."""
