@@ -65,7 +65,7 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
         gradient, hessian = space.derivatives(v, factors, weight)
         step = _newton(hessian, gradient, space.trace if program.fixed_trace else None)
         decrement = -float(gradient @ step)
-        if not np.isfinite(decrement) or decrement <= 0:
+        if not decrement > 0:
             break
         near = order / weight <= max(program.gap * abs(space.objective(v)), _LEAST_GAP)
         if near and (decrement <= _POLISHED or (last <= _CENTRED and decrement > last / 2)):
@@ -213,27 +213,27 @@ def _paired(first: Array, second: Array) -> Array:
 
 
 def _newton(hessian: Array, gradient: Array, fixed: Array | None) -> Array:
-    """Return the Newton step, with the Hessian scaled to a diagonal of 1; `fixed` · step = 0 where that is asked."""
+    """Return the Newton step, not a number if none goes down; `fixed` · step = 0 where that is asked."""
     d = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     scaled = hessian * d[:, None] * d
-    diagonal, factor = np.diag(scaled).copy(), None
+    diagonal = np.diag(scaled).copy()
     for ridge in _RIDGES:
         np.fill_diagonal(scaled, diagonal + ridge)
         with suppress(np.linalg.LinAlgError):
             factor = cho_factor(scaled, check_finite=False)
-            break
-    if factor is None:
-        return np.full(len(gradient), np.nan)
+            step = d * _refined(factor, scaled, -gradient * d)
+            if fixed is not None:
+                away = d * _refined(factor, scaled, fixed * d)
+                step = step - away * (fixed @ step) / (fixed @ away)
+            if gradient @ step < 0:
+                return np.asarray(step)
+    return np.full(len(gradient), np.nan)
 
-    def solution(right: Array) -> Array:
-        found = cho_solve(factor, right * d, check_finite=False)
-        return np.asarray((found + cho_solve(factor, right * d - scaled @ found, check_finite=False)) * d)
 
-    step = solution(-gradient)
-    if fixed is not None:
-        away = solution(fixed)
-        step = step - away * (fixed @ step) / (fixed @ away)
-    return step
+def _refined(factor: tuple[Array, bool], matrix: Array, right: Array) -> Array:
+    """Return the solution of matrix · x = right, with one step of iterative refinement."""
+    found = cho_solve(factor, right, check_finite=False)
+    return np.asarray(found + cho_solve(factor, right - matrix @ found, check_finite=False))
 
 
 def _exact_step(space: _Space, v: Array, factors: list[Array], step: Array, weight: float) -> float:
