@@ -24,6 +24,7 @@ from pwatrack.lmi.presolve import Scaling
 from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.rational import (
     Rational,
+    column_space,
     decimals,
     floats,
     identity,
@@ -260,7 +261,7 @@ def _faces(A: Sequence[Rational], B: Rational) -> tuple[Rational, list[Rational]
     S = Σ (Z_i A_i + A_iᵀ Z_i), so S ⪰ 0 needs S r = Σ Z_i A_i r = 0. If every Z_i A_i r is Z_i w
     times a number c_i ≥ 0, then wᵀ S r = 0 makes Z_i w = 0 wherever c_i > 0.
     """
-    R, N = B, [left_null_space(B) for _ in A]
+    R, N = column_space(B), [left_null_space(B) for _ in A]
     while True:
         for r in _candidates(A, R, N):
             images = [A_i * r for A_i in A]

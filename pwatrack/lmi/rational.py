@@ -59,6 +59,20 @@ def stacked(blocks: Sequence[Rational]) -> Rational:
     return flint.fmpq_mat(sum(X.nrows() for X in blocks), blocks[0].ncols(), [v for X in blocks for v in X.entries()])
 
 
+def column_space(X: Rational) -> Rational:
+    """Return independent columns of the same span.
+
+    Example:
+        >>> column_space(decimals(np.array([[2.0, 0.0, 4.0], [0.0, 0.0, 0.0]]))).tolist()
+        [[1], [0]]
+    """
+    import flint
+
+    reduced, rank = X.transpose().rref()
+    rows = reduced.tolist()[:rank]
+    return flint.fmpq_mat(rank, X.nrows(), [v for row in rows for v in row]).transpose()
+
+
 def left_null_space(X: Rational) -> Rational:
     """Return N (k, n), of full row rank, whose rows are all v with v X = 0.
 

@@ -28,6 +28,7 @@ _LEAST_GAP = 1e-13  # duality gap at which it ends where the objective is near 0
 _CENTRED = 0.1  # Newton decrement, squared, at which the weight grows
 _FAR = 1e4  # times the size of the start that P and Y may have
 _POLISHED = 1e-14  # the same at the last centre, or what rounding allows: the multipliers are as exact as its root
+_FLAT = 1e-200  # of the largest curvature: what has less is left as it is
 _MOST = 200  # Newton steps
 _RIDGES = (1e-13, 1e-10, 1e-7)  # of the diagonal, the first that will do; for m ≥ 2 the Hessian is singular along
 # P = 0, Y = Ω Bᵀ, Ω skew, and elsewhere it may be so to working precision
@@ -214,7 +215,10 @@ def _paired(first: Array, second: Array) -> Array:
 
 def _newton(hessian: Array, gradient: Array, fixed: Array | None) -> Array:
     """Return the Newton step, not a number if none goes down; `fixed` · step = 0 where that is asked."""
-    d = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    curvature = np.maximum(np.diag(hessian), 0.0)
+    if not np.isfinite(curvature).all():
+        return np.full(len(gradient), np.nan)
+    d = 1 / np.sqrt(np.where(curvature > _FLAT * curvature.max(), curvature, np.inf))  # 0 where nothing changes
     scaled = hessian * d[:, None] * d
     diagonal = np.diag(scaled).copy()
     for ridge in _RIDGES:
