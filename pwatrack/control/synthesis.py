@@ -149,8 +149,8 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     inputs are one, so no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
     weights are one in the units given.) If a gain of less than an eighth of its norm reaches nine tenths of its
-    rate, that is taken. Where the problem is too large, or gives no proof, the gain is the smallest one for nine tenths
-    of the rate that the largest margin gives.
+    rate, one at most eight times as large as the smallest is taken. Where the problem is too large, or gives no
+    proof, all this is said of the gain of the largest margin.
 
     Args:
         task: The inequality.
@@ -177,11 +177,11 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     elif goal.fastest:
         found = search.largest_rate(goal.bound)
     elif goal.gain == "smallest":
-        found = search.smallest_gain(goal.least_rate) or search.balanced(goal.least_rate)
+        found = search.gentlest(goal.least_rate)
     else:
         found = search.balanced(goal.least_rate)
         if found is not None and _norm(found[0]) > goal.bound:
-            found = search.smallest_gain(goal.least_rate) or found
+            found = search.gentlest(goal.least_rate)
     if found is None:
         raise _refusal(task, goal.least_rate, search.refuted(goal.least_rate), search.best_margin)
     if _norm(found[0]) > goal.bound:
@@ -216,7 +216,7 @@ class Search:
         for Q in _state_weights(self.mean + shift, self.B) if quick or margin is None else ():
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
-                return self._gentler(*found, rate, much=_MODEST)
+                return self._gentler(*found, rate)
             if margin is not None:
                 break  # a lighter weight would only help where the solver is at its limits
         found = None if margin is None else self._proved(margin[0], rate, margin[1].P)
@@ -226,6 +226,11 @@ class Search:
         """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
         d, e = self.scaling.d, self.scaling.e
         return self._cost_gain(np.zeros_like(self.mean), d[:, None] * Q * d, e[:, None] * R * e, np.diag(1 / d), 0.0)
+
+    def gentlest(self, rate: float) -> tuple[Array, Certificate] | None:
+        """Return the smallest gain that is found in any way: in units that differ a lot that of `balanced` may be."""
+        found = [way for way in (self.smallest_gain(rate), self.balanced(rate)) if way is not None]
+        return min(found, key=lambda way: _norm(way[0]), default=None)
 
     def smallest_gain(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise a bound on the norm of the gain, in the units given."""
@@ -262,11 +267,12 @@ class Search:
                 raise _no_largest_rate(self.task, slow)
         return best
 
-    def _gentler(self, K: Array, certificate: Certificate, rate: float, much: float = 1.0) -> tuple[Array, Certificate]:
-        """Return the gain, or the smallest one of nearly the same rate where that is so much smaller."""
+    def _gentler(self, K: Array, certificate: Certificate, rate: float) -> tuple[Array, Certificate]:
+        """Return the gain, or a modest one of nearly the same rate where the smallest one is much smaller."""
         rate = max(_NEARLY * certificate.rate, rate)
         ones = np.ones(len(self.mean)), np.ones(self.B.shape[1])
-        small = self._smallest(rate * (1 + 5e-4) / self.scaling.speed, *ones, rate, below=self._size(K) / much)
+        trial, below = rate * (1 + 5e-4) / self.scaling.speed, self._size(K) / _MODEST
+        small = self._smallest(trial, *ones, rate, below=below, modest=_MODEST)
         if small is None:
             return K, certificate
         nothing = self._proved(np.zeros_like(K), rate)
@@ -276,39 +282,42 @@ class Search:
         return _norm(K / self.scaling.e[:, None] * self.scaling.d)
 
     def _smallest(
-        self, trial: float, d: Array, e: Array, rate: float, below: float = np.inf
+        self, trial: float, d: Array, e: Array, rate: float, *, below: float = np.inf, modest: float = 1.0
     ) -> tuple[Array, Certificate] | None:
-        """Minimise the norm of E⁻¹ K D at a trial rate, in scaled time."""
+        """Minimise the norm of E⁻¹ K D at a trial rate, in scaled time.
+
+        The first answer is taken that is at most `modest` times as large as the last one, and none if the last is not
+        below `below`. The first ones have the better P, the last ones the smaller gains.
+        """
         W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
         for _ in range(_RECENTRED):
             inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            candidates = self._least_norms(inequality, (W / d**2) @ W.T, np.diag(e))
-            for candidate in reversed(candidates):
-                if self._size(self._gain_of(candidate, W)) > below:
-                    return None
+            candidates = self._least_norms(inequality, W / d, np.diag(e))
+            sizes = [_norm(e[:, None] * np.linalg.solve(c.P, c.Y.T).T @ (W / d)) for c in candidates]
+            if not sizes or sizes[-1] > below:
+                return None
+            first = next(k for k, size in enumerate(sizes) if size <= modest * sizes[-1])
+            for candidate in (*candidates[first:], *reversed(candidates[:first])):
                 found = self._candidate(candidate, W, W_inverse, rate)
                 if found is not None:
                     return found
-            if not candidates:
-                return None
             W, W_inverse = _recentred(W, W_inverse, candidates[0].P)
         return None
 
-    def _least_norms(self, inequality: Inequality, metric: Array, input_root: Array) -> list[Candidate]:
+    def _least_norms(self, inequality: Inequality, metric_root: Array, input_root: Array) -> list[Candidate]:
         """Minimise first a bound of the norm, then the closer bounds that each answer allows; the last is the best."""
         large, start = inequality.n >= LARGE, None
         if large:
             lqr = _norm(inequality.M[0] @ input_root)  # of the mean cell, where P = I
-            bounds = [bounded_gain(inequality, metric, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
+            bounds = [bounded_gain(inequality, metric_root, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
             start = self._inside(inequality, *bounds)
+        last = solve(smallest_gain(inequality, metric_root, input_root, start), self.task.solver)
         found = list[Candidate]()
-        program = smallest_gain(inequality, metric, input_root, start)
-        for _ in range(2 if large else 1 + _CLOSER):
-            candidate = solve(program, self.task.solver)
-            if candidate is None or not _definite(candidate.P):
+        while last is not None and _definite(last.P):
+            found.append(last)
+            if len(found) > (1 if large else _CLOSER):
                 break
-            found.append(candidate)
-            program = smaller_gain(inequality, metric, input_root, candidate)
+            last = solve(smaller_gain(inequality, metric_root, input_root, last), self.task.solver)
         return found
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:

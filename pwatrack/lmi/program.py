@@ -8,6 +8,7 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.inequality import Inequality
 
 _HALVINGS = 60
+_LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 _ROOM = 100.0  # of P in `bounded_gain`
 
 
@@ -156,14 +157,14 @@ def least_cost(inequality: Inequality, weight: Array, start: Array | None = None
     )
 
 
-def bounded_gain(inequality: Inequality, metric: Array, input_root: Array, most: float) -> Program:
+def bounded_gain(inequality: Inequality, metric_root: Array, input_root: Array, most: float) -> Program:
     """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, G ⪯ P ⪯ 100 I and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0 for a given κ.
 
     Where t < 0, P and Y are a start for `smallest_gain` with a gain of modest size.
 
     Args:
         inequality: From `state_feedback`.
-        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
+        metric_root: H (n, n), invertible, with G = H Hᵀ; it is scaled to a norm of 1.
         input_root: E (m, m).
         most: κ.
     """
@@ -173,7 +174,7 @@ def bounded_gain(inequality: Inequality, metric: Array, input_root: Array, most:
     return Program(
         constraints=(
             replace(inequality, T=np.broadcast_to(-np.eye(N), inequality.constant.shape)),
-            of_P(inequality, -1.0, np.eye(n), constant=metric / np.linalg.norm(metric, 2)),
+            of_P(inequality, -1.0, np.eye(n), constant=_metric(metric_root)),
             of_P(inequality, 1.0, np.eye(n), constant=-_ROOM * np.eye(n)),
             _bound_of_gain(inequality, input_root, most),
         ),
@@ -183,19 +184,20 @@ def bounded_gain(inequality: Inequality, metric: Array, input_root: Array, most:
     )
 
 
-def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, start: Candidate | None = None) -> Program:
+def smallest_gain(
+    inequality: Inequality, metric_root: Array, input_root: Array, start: Candidate | None = None
+) -> Program:
     """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
 
     Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
 
     Args:
         inequality: From `state_feedback`.
-        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
+        metric_root: H (n, n), invertible, with G = H Hᵀ; it is scaled to a norm of 1.
         input_root: E (m, m).
         start: P and Y that satisfy the inequality strictly.
     """
     n = inequality.n
-    metric = metric / np.linalg.norm(metric, 2)
     point = None
     if start is not None:
         scale = 2.0 / np.linalg.eigvalsh(start.P)[0]
@@ -205,7 +207,7 @@ def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, star
     return Program(
         constraints=(
             inequality,
-            of_P(inequality, -1.0, np.eye(n), constant=metric),
+            of_P(inequality, -1.0, np.eye(n), constant=_metric(metric_root)),
             _bound_of_gain(inequality, input_root),
         ),
         price=1.0,
@@ -215,56 +217,68 @@ def smallest_gain(inequality: Inequality, metric: Array, input_root: Array, star
     )
 
 
-def smaller_gain(inequality: Inequality, metric: Array, input_root: Array, last: Candidate) -> Program:
+def smaller_gain(inequality: Inequality, metric_root: Array, input_root: Array, last: Candidate) -> Program:
     """Minimise κ² as `smallest_gain` does, with a bound that is the norm itself at P = P₀.
 
     In place of P ⪰ G and P itself, [κ² I, E Y; Yᵀ Eᵀ, P G⁻¹ P₀ + P₀ G⁻¹ P − P₀ G⁻¹ P₀] ⪰ 0: the last block is at most
-    P G⁻¹ P, and equal to it for P = P₀. So κ ≥ ‖E K G^½‖, and falls from one P₀ to the next (sequential
-    convex programming; Boyd and Vandenberghe, Convex Optimization, 2004, section 3.1.3).
+    P G⁻¹ P, and equal to it for P = P₀. So κ ≥ ‖E K H‖, and falls from one P₀ to the next (sequential convex
+    programming; Boyd and Vandenberghe, Convex Optimization, 2004, section 3.1.3). Its columns are multiplied by
+    P₀⁻¹ H and E is divided by the last norm, so that at P₀ the last block is I and κ is 1.
 
     Args:
         inequality: From `state_feedback`.
-        metric: G ≻ 0, (n, n); it is scaled to a norm of 1.
+        metric_root: H (n, n), invertible, with G = H Hᵀ.
         input_root: E (m, m).
-        last: P₀ and a Y that satisfy the inequality strictly.
+        last: P₀ ≻ 0 and Y that satisfy the inequality strictly.
     """
+    n = inequality.n
     scale = 1 / float(np.linalg.eigvalsh(last.P)[0])
     P, Y = last.P * scale, last.Y * scale
-    metric = metric / np.linalg.norm(metric, 2)
-    factor = np.asarray(np.linalg.solve(metric, P), dtype=np.float64)
-    square = P @ factor
-    EK = input_root @ np.linalg.solve(P, Y.T).T
-    bound = float(np.linalg.norm(EK @ metric @ EK.T, 2))
-    gain = _bound_of_gain(inequality, input_root, factor=2 * factor, constant=(square + square.T) / 2)
+    columns = np.asarray(np.linalg.solve(P, metric_root), dtype=np.float64)
+    norm = max(float(np.linalg.norm(input_root @ Y @ columns, 2)), _LEAST_NORM)
+    gain = _bound_of_gain(
+        inequality,
+        input_root / norm,
+        columns=columns,
+        factors=(columns.T, np.asarray(np.linalg.inv(metric_root).T, dtype=np.float64)),
+        constant=np.eye(n),
+    )
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n)), gain),
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(n)), gain),
         price=1.0,
-        start=(P, Y, 2 * bound),
+        start=(P, Y, 2.0),
         gap=1e-2,
         even=True,
     )
+
+
+def _metric(root: Array) -> Array:
+    """Return G = H Hᵀ with a norm of 1."""
+    return np.asarray(root @ root.T / np.linalg.norm(root, 2) ** 2)
 
 
 def _bound_of_gain(
     like: Inequality,
     input_root: Array,
     most: float | None = None,
-    factor: Array | None = None,
+    *,
+    columns: Array | None = None,
+    factors: tuple[Array, Array] | None = None,
     constant: Array | None = None,
 ) -> Inequality:
-    """Return [κ² I, E Y; Yᵀ Eᵀ, sym(P X) / 2 − C] ⪰ 0 for a given κ, else with t for κ²; X = I, C = 0 unless given."""
+    """Return [κ² I, E Y X; ·, sym(V P W) − C] ⪰ 0, κ given or t for κ²; X = I, V = I / 2, W = I, C = 0 by default."""
     n, m = like.n, like.m
-    low, right = np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
+    eye, low, right = np.eye(n), np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
+    V, W = (eye / 2, eye) if factors is None else factors
     corner = np.zeros((1, m + n, m + n))
     corner[0, :m, :m] = -np.eye(m)
     known = np.zeros_like(corner) if most is None else most**2 * corner
-    if constant is not None:
-        known[0, m:, m:] = constant
+    known[0, m:, m:] = 0.0 if constant is None else constant
     return Inequality(
-        L=-low[None] / 2,
-        R=(right if factor is None else factor @ right)[None],
+        L=-(low @ V)[None],
+        R=(W @ right)[None],
         M=-np.vstack([input_root, np.zeros((n, m))])[None],
-        N=right[None],
+        N=(right if columns is None else columns @ right)[None],
         constant=known,
         T=corner if most is None else None,
     )
