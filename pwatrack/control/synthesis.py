@@ -34,7 +34,7 @@ _COSTLY = 30_000  # cells times states cubed: with more, the largest margin is f
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
 _BOUNDS_OF_GAIN = (1.0, 30.0)  # of a start for the smallest gain, relative to an LQR gain
 _CLOSER = 3  # times the bound of the norm is drawn closer; the first brings most, so that large plants have only that
-_MODEST = 6.0  # times the smallest gain of nearly the same rate that a gain may have
+_MODEST = 8.0  # times the smallest gain of nearly the same rate that a gain may have
 _NEARLY = 0.9  # of a rate: the smallest gain of a little less may be a fraction, and is found sooner
 
 
@@ -148,8 +148,8 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     and time scaled so that A and B have size 1. There the weights on states and
     inputs are one, so no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.) If a gain of less than a sixth of its norm reaches nine tenths of its
-    rate, one at most six times as large as the smallest is taken. Where the problem is too large, or gives no
+    weights are one in the units given.) If a gain of less than an eighth of its norm reaches nine tenths of its
+    rate, one at most eight times as large as the smallest is taken. Where the problem is too large, or gives no
     proof, all this is said of the gain of the largest margin.
 
     Args:
