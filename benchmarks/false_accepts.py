@@ -23,7 +23,7 @@ from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.lmi.rational import decimals
+from pwatrack.rational import decimals
 from pwatrack.report.files import certificate_content
 
 SPECS = Path(__file__).parent.parent / "specs"

@@ -18,7 +18,7 @@ from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.exact import prove_exactly
-from pwatrack.lmi.rational import decimals, is_hurwitz, unreachable
+from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.verify import verify
 
 seeds = st.integers(0, 10_000)

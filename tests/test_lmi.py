@@ -31,8 +31,8 @@ from pwatrack.lmi.program import (
     smaller_gain,
     smallest_gain,
 )
-from pwatrack.lmi.rational import decimals
 from pwatrack.lmi.solve import solve
+from pwatrack.rational import decimals
 
 seeds = st.integers(0, 10_000)
 CELLS = ("a", "b", "c", "d")

@@ -11,8 +11,8 @@ from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import centre, distinct
 from pwatrack.lmi.program import least_trace
-from pwatrack.lmi.rational import decimals, is_positive_definite, scalar
 from pwatrack.lmi.solve import solve
+from pwatrack.rational import decimals, is_positive_definite, scalar
 
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 

@@ -19,8 +19,8 @@ from pwatrack.arrays import Array
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.norm import Norm, largest_gain
-from pwatrack.lmi.rational import decimals, identity
 from pwatrack.model.pwa import PWASystem
+from pwatrack.rational import decimals, identity
 
 _ABOVE = 1 + 1e-9  # more than the rounding of the few operations and exponentials of a bound
 

@@ -9,8 +9,8 @@ from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.inequality import Solver
-from pwatrack.lmi.rational import Rational, decimals
 from pwatrack.model.pwa import PWASystem
+from pwatrack.rational import Rational, decimals
 
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
 

@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.rational import Rational, floats, identity, is_positive_definite, rational, scalar
+from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 _BITS = 40  # of the entries of P, once its diagonal is about 1

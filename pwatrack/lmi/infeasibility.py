@@ -22,7 +22,8 @@ from pwatrack.lmi import structured
 from pwatrack.lmi.inequality import Inequality, Solver
 from pwatrack.lmi.presolve import Scaling
 from pwatrack.lmi.program import least_violation
-from pwatrack.lmi.rational import (
+from pwatrack.lmi.solve import LARGE
+from pwatrack.rational import (
     Rational,
     column_space,
     decimals,
@@ -37,7 +38,6 @@ from pwatrack.lmi.rational import (
     stacked,
     unreachable,
 )
-from pwatrack.lmi.solve import LARGE
 
 _BITS = 48  # of the entries of a rounded multiplier
 _SINGULAR = 1e-5  # eigenvalues below this share of the largest are taken for 0 when faces are guessed

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 
 from pwatrack.arrays import Array
 from pwatrack.lmi.exact import Proof, unpacked
-from pwatrack.lmi.rational import Rational, floats, identity, is_positive_definite, rational
+from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
         to: The norm of X d (k,).
 
     Example:
-        >>> from pwatrack.lmi.rational import decimals
+        >>> from pwatrack.rational import decimals
         >>> 4.0 < largest_gain(decimals(np.diag([3.0, 4.0])), Norm.euclidean(2), Norm.euclidean(2)) < 4.0 + 1e-8
         True
     """
