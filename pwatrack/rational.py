@@ -41,6 +41,11 @@ def scalar(value: float) -> Any:
     return flint.fmpq(exact.numerator, exact.denominator)
 
 
+def fraction_of(value: Any) -> Fraction:
+    """Return an entry of a rational matrix as a fraction."""
+    return Fraction(int(value.p), int(value.q))
+
+
 def identity(n: int) -> Rational:
     """Return I of order n."""
     return decimals(np.eye(n))
@@ -48,7 +53,7 @@ def identity(n: int) -> Rational:
 
 def floats(X: Rational) -> Array:
     """Return the nearest doubles."""
-    entries = [float(Fraction(int(v.p), int(v.q))) for v in X.entries()]
+    entries = [float(fraction_of(v)) for v in X.entries()]
     return np.array(entries, dtype=np.float64).reshape(X.nrows(), X.ncols())
 
 
@@ -57,6 +62,18 @@ def stacked(blocks: Sequence[Rational]) -> Rational:
     import flint
 
     return flint.fmpq_mat(sum(X.nrows() for X in blocks), blocks[0].ncols(), [v for X in blocks for v in X.entries()])
+
+
+def on_entries(X: Rational, rows: Sequence[int], columns: Sequence[int]) -> Rational:
+    """Return the entries of some rows and columns."""
+    import flint
+
+    return flint.fmpq_mat(len(rows), len(columns), [X[j, k] for j in rows for k in columns])
+
+
+def beside(blocks: Sequence[Rational]) -> Rational:
+    """Return matrices with the same number of rows, one beside the other."""
+    return stacked([X.transpose() for X in blocks]).transpose()
 
 
 def column_space(X: Rational) -> Rational:

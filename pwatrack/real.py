@@ -3,8 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 _BITS = 128  # of the arithmetic that encloses sines, roots and the like
+_MOST_BITS = 16_384  # of a fraction
+_EPS = Fraction(1, 2**50)
+_TINY = Fraction(1, 2**1060)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +52,20 @@ class Real:
         """Return the double nearest to the centre."""
         return float(self.centre)
 
-    def __add__(self, other: "Real | int | float | Fraction") -> "Real":
+    def __add__(self, other: object) -> "Real":
         """Return the sum."""
+        if not isinstance(other, Number):
+            return NotImplemented
         other = Real.of(other)
         return Real(self.centre + other.centre, self.radius + other.radius)
 
-    def __mul__(self, other: "Real | int | float | Fraction") -> "Real":
+    def __mul__(self, other: object) -> "Real":
         """Return the product."""
+        if not isinstance(other, Number):
+            return NotImplemented
         other = Real.of(other)
+        if not (self.radius or other.radius):
+            return Real(self.centre * other.centre)
         a, b = abs(self.centre), abs(other.centre)
         return Real(self.centre * other.centre, a * other.radius + b * self.radius + self.radius * other.radius)
 
@@ -65,60 +75,91 @@ class Real:
         """Return the negative."""
         return Real(-self.centre, self.radius)
 
-    def __sub__(self, other: "Real | int | float | Fraction") -> "Real":
+    def __sub__(self, other: object) -> "Real":
         """Return the difference."""
-        return self + -Real.of(other)
+        return self + -Real.of(other) if isinstance(other, Number) else NotImplemented
 
-    def __rsub__(self, other: "int | float | Fraction") -> "Real":
+    def __rsub__(self, other: object) -> "Real":
         """Return the difference."""
-        return Real.of(other) - self
+        return Real.of(other) - self if isinstance(other, Number) else NotImplemented
 
-    def __truediv__(self, other: "Real | int | float | Fraction") -> "Real":
+    def __truediv__(self, other: object) -> "Real":
         """Return the quotient.
 
         Raises:
             ZeroDivisionError: If the divisor may be 0.
         """
+        if not isinstance(other, Number):
+            return NotImplemented
         other = Real.of(other)
-        if abs(other.centre) <= other.radius:
-            raise ZeroDivisionError("division by zero")
         least = abs(other.centre) - other.radius
-        inverse = Real(1 / other.centre, other.radius / (abs(other.centre) * least))
-        return self * inverse
+        if least <= 0:
+            raise ZeroDivisionError("division by zero")
+        return self * Real(1 / other.centre, other.radius / (abs(other.centre) * least))
 
-    def __rtruediv__(self, other: "int | float | Fraction") -> "Real":
+    def __rtruediv__(self, other: object) -> "Real":
         """Return the quotient."""
-        return Real.of(other) / self
+        return Real.of(other) / self if isinstance(other, Number) else NotImplemented
 
     def __abs__(self) -> "Real":
         """Return the size."""
         return Real(abs(self.centre), self.radius)
 
-    def power(self, exponent: int) -> "Real":
-        """Return a whole power.
+    def __pow__(self, other: object) -> "Real":
+        """Return the power: exactly where the exponent is a whole number of modest size.
 
         Raises:
+            ValueError: If it is not real.
             ZeroDivisionError: If a negative power is taken of what may be 0.
         """
-        if exponent < 0:
-            return 1 / self.power(-exponent)
-        result, square = Real(Fraction(1)), self
-        while exponent:
-            result = result * square if exponent & 1 else result
-            exponent >>= 1
-            square = square * square if exponent else square
-        return result
+        if not isinstance(other, Number):
+            return NotImplemented
+        other = Real.of(other)
+        exponent = int(other.centre)
+        if other.exact and exponent == other.centre:
+            if exponent < 0:
+                return 1 / self ** (-exponent)
+            if exponent * self.bits <= _MOST_BITS:
+                power = self.centre**exponent
+                return Real(
+                    power, (abs(self.centre) + self.radius) ** exponent - abs(power) if self.radius else power * 0
+                )
+        return enclosed(lambda x, y: x**y, self, other)
 
-    def applied(self, name: str, *others: "Real") -> "Real":
-        """Return a function of real numbers, such as sqrt or atan2: the nearest double with a ball around it.
+    def __rpow__(self, other: object) -> "Real":
+        """Return the power."""
+        return Real.of(other) ** self if isinstance(other, Number) else NotImplemented
+
+    def __lt__(self, other: "Real") -> bool:
+        """Order numbers by their centres."""
+        return self.centre < other.centre
+
+    @property
+    def bits(self) -> int:
+        """The length of the centre's fraction."""
+        return self.centre.numerator.bit_length() + self.centre.denominator.bit_length()
+
+    def shortened(self) -> "Real":
+        """Return a double in a ball around a number whose fraction has grown too long to work with.
+
+        Raises:
+            OverflowError: If it is beyond all doubles.
+        """
+        if self.bits <= _MOST_BITS and self.radius.denominator.bit_length() <= _MOST_BITS:
+            return self
+        nearest, radius = Fraction(float(self.centre)), Fraction(float(self.radius))
+        return Real(nearest, radius * (1 + _EPS) + abs(nearest) * _EPS + _TINY)
+
+    def applied(self, name: str) -> "Real":
+        """Return a function such as sqrt: the nearest double with a ball around it.
 
         Raises:
             ValueError: If it is not defined there, or not finite.
         """
-        return enclosed(lambda *x: getattr(x[0], name)(*x[1:]), self, *others)
+        return enclosed(lambda x: getattr(x, name)(), self)
 
 
-def enclosed(function: Callable[..., object], *arguments: Real) -> Real:
+def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
     """Return a function of balls as a double with a ball around it.
 
     Args:
@@ -147,14 +188,21 @@ def enclosed(function: Callable[..., object], *arguments: Real) -> Real:
         value = function(*balls)
     finally:
         flint.ctx.prec = before
-    if not value.is_finite():  # type: ignore[attr-defined]
-        raise ValueError("it is not defined, or not finite")
-    centre, away = (_dyadic(part) for part in (value.mid(), value.rad()))  # type: ignore[attr-defined]
+    if value.is_nan() or not value.is_finite():
+        raise ValueError("has no real value there")
+    if value.abs_upper() < flint.arb(2) ** -1060:
+        return Real(Fraction(0), Fraction(0) if value.is_zero() else _TINY)
+    if value.abs_upper() > flint.arb(2) ** 1024:
+        raise OverflowError("not finite")
+    centre, away = (_dyadic(part) for part in (value.mid(), value.rad()))
     nearest = Fraction(float(centre))
     return Real(nearest, abs(centre - nearest) + away)
 
 
-def _dyadic(value: object) -> Fraction:
+def _dyadic(value: Any) -> Fraction:
     """Return an exact arb as a fraction."""
-    mantissa, exponent = value.man_exp()  # type: ignore[attr-defined]
+    mantissa, exponent = value.man_exp()
     return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+
+
+Number = (Real, Fraction, int, float)  # what a Real is added to, multiplied by, divided by

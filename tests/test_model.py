@@ -1,5 +1,7 @@
 """Cells, continuity (eq. (1)) and the normal form (11)."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -59,6 +61,23 @@ def test_parallel_hyperplanes_make_a_strip_between_two_cells() -> None:
     assert [(f.i, f.j) for f in partition.facets] == [(0, 1), (1, 2)]
 
 
+def assert_exactly_continuous(plant: PWASystem) -> None:
+    """At n affinely independent rational points of each facet both cells give the same ẋ, in fractions."""
+    F = [
+        np.array([[Fraction(t) for t in (*a, *b)] for a, b in zip(A.texts, b.texts, strict=True)])
+        for A, b in zip(plant.exact.A, plant.exact.b, strict=True)
+    ]
+    for facet in plant.partition.facets:
+        H = [Fraction(repr(float(v))) for v in plant.partition.H[facet.k]]
+        h = Fraction(repr(float(plant.partition.h[facet.k])))
+        pivot = next(k for k, v in enumerate(H) if v)
+        for j in range(len(H)):
+            x = [Fraction(int(k == j) * 3 + k, 7) for k in range(len(H))]
+            x[pivot] = (-h - sum(a * v for k, (a, v) in enumerate(zip(H, x, strict=True)) if k != pivot)) / H[pivot]
+            at = np.array([*x, Fraction(1)])
+            assert (F[facet.i] @ at == F[facet.j] @ at).all()
+
+
 @given(seeds, st.integers(2, 6), st.integers(0, 3))
 @settings(deadline=None, max_examples=30)
 def test_springs_are_continuous_across_every_facet(seed: int, n: int, k: int) -> None:
@@ -68,9 +87,7 @@ def test_springs_are_continuous_across_every_facet(seed: int, n: int, k: int) ->
     if k > n:
         return  # not in general position
     plant = springs(A, b, B, C, g, h, c)
-    for facet in plant.partition.facets:
-        jump_A, jump_b = plant.jump(facet)
-        assert max(np.abs(jump_A).max(), np.abs(jump_b).max()) < 1e-12 * max(1.0, np.abs(plant.A).max())
+    assert_exactly_continuous(plant)
     x = random.normal(size=n)
     u = random.normal(size=1)
     np.testing.assert_allclose(plant.field(x, u), A @ x + b + np.maximum(0, h @ x + c) @ g + B @ u, atol=1e-12)
@@ -101,6 +118,51 @@ def test_a_tolerance_accepts_rounded_data() -> None:
     with pytest.raises(OutsideTheory, match=r"tolerance: \{continuity"):
         PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]])
     PWASystem.create(partition=cells, A=A, b=np.zeros((2, 2)), B=[[0], [1]], C=[[1, 0]], tolerance=1e-4)
+
+
+@given(seeds, st.integers(2, 4), st.integers(3, 5))
+@settings(deadline=None, max_examples=20)
+def test_data_that_jump_by_rounding_are_repaired_exactly_around_every_edge(seed: int, n: int, k: int) -> None:
+    """Planes through one edge: the jumps across them have to add up to 0 on the way around it."""
+    random = np.random.default_rng(seed)
+    angles = np.sort(random.uniform(0, np.pi, size=k))
+    H = np.zeros((k, n))
+    H[:, 0], H[:, 1] = np.cos(angles), np.sin(angles)
+    middles = np.concatenate([angles, angles + np.pi])
+    middles = (middles + np.append(middles[1:], middles[0] + 2 * np.pi)) / 2 + np.pi / 2
+    signs = np.sign(np.column_stack([np.cos(middles), np.sin(middles)]) @ H[:, :2].T).astype(int)
+    A, g = random.normal(size=(n, n)), random.normal(size=(k, n))
+    partition = Partition.create(H=H, h=np.zeros(k), signs=signs, names=[f"c{j}" for j in range(2 * k)])
+    given_A = A + np.einsum("ck,ki,kj->cij", signs > 0, g, H)
+    plant = PWASystem.create(
+        partition=partition, A=given_A, b=np.zeros((2 * k, n)), B=np.ones((n, 1)), C=np.ones((1, n))
+    )
+    assert_exactly_continuous(plant)
+    assert plant.repair is not None
+    assert plant.repair.relative < 1e-13
+    np.testing.assert_allclose(plant.A, given_A, atol=1e-12 * np.abs(given_A).max())
+    assert (np.abs(plant.A - given_A).max(axis=0) <= plant.repair.A + 4e-16 * np.abs(given_A).max()).all()
+
+
+def test_what_is_continuous_in_decimals_is_left_as_it_is() -> None:
+    """0.1 + 0.2 is 0.3 here, though no doubles are."""
+    cells = Partition.create(H=[[1.0]], h=["-0.1"], signs=[[-1], [1]], names=["a", "b"])
+    plant = PWASystem.create(partition=cells, A=[[["-0.1"]], [["-0.3"]]], b=[["0"], ["0.02"]], B=[[1]], C=[[1]])
+    assert plant.repair is None
+    assert plant.exact.A[1].texts == [["-0.3"]]
+
+
+def test_a_jump_is_measured_by_the_terms_of_its_own_equation() -> None:
+    cells = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["low", "high"])
+
+    def plant(jump: float) -> PWASystem:
+        return PWASystem.create(partition=cells, A=[[[-1]], [[-1]]], b=[[1e6], [1e6 + jump]], B=[[1]], C=[[1]])
+
+    repair = plant(4e-10).repair
+    assert repair is not None
+    assert 2e-10 < repair.disturbance(np.ones(1))[0] < 5e-10
+    with pytest.raises(OutsideTheory, match=r"b jumps by 0\.0009 .*4\.5e-10 of that equation's terms"):
+        plant(9e-4)
 
 
 def test_a_jump_of_the_offset_alone_is_refused() -> None:

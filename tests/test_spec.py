@@ -87,7 +87,7 @@ def test_a_spec_is_read_with_its_expressions(write: Write) -> None:
     spec = load_spec(write())
     assert spec.parameters == {"m": 2.0, "k": 0.5, "stiff": 1.5, "gap": 0.1}
     assert spec.plant.A.tolist() == [[[0, 1], [-0.25, -1]], [[0, 1], [-1.0, -1]]]
-    assert spec.plant.b.tolist() == [[0, 0], [0, 1.5 * 0.1 / 2]]
+    assert spec.plant.b.tolist() == [[0, 0], [0, 0.075]]
     assert spec.plant.B.tolist() == [[0], [0.5]]
     assert spec.x0 is not None
     assert spec.x0.tolist() == [0.1, 0]

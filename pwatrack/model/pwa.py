@@ -2,12 +2,39 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, balancing, readonly
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, stack
 from pwatrack.errors import OutsideTheory, Problem
-from pwatrack.model.cells import Facet, Partition
+from pwatrack.model.cells import Partition
+from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
+from pwatrack.rational import beside, on_entries
+
+ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one of the data's own rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matrices:
+    """A_i, b_i, B and C as they are written: exactly, or with a ball around each irrational entry.
+
+    Attributes:
+        A: (n, n), one per cell.
+        b: (n, 1), likewise.
+        B, C: (n, m) and (q, n).
+    """
+
+    A: tuple[BallMatrix, ...]
+    b: tuple[BallMatrix, ...]
+    B: BallMatrix
+    C: BallMatrix
+
+    @property
+    def exact(self) -> bool:
+        """Whether no entry is irrational."""
+        return all(X.radius is None for X in (*self.A, *self.b, self.B, self.C))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,10 +45,12 @@ class PWASystem:
 
     Attributes:
         partition: The l cells in ℝⁿ.
-        A: (l, n, n), in 1/s times the units of the states.
+        A: (l, n, n), in 1/s times the units of the states; the doubles nearest to the exact numbers, as are all these.
         b: (l, n).
         B: (n, m).
         C: (q, n).
+        exact: The numbers that proofs are about.
+        repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
         states, inputs, outputs: Names, for reports.
         remarks: What was noticed while it was built, and changes nothing.
 
@@ -39,6 +68,8 @@ class PWASystem:
     b: Array
     B: Array
     C: Array
+    exact: Matrices
+    repair: Repair | None
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -56,13 +87,17 @@ class PWASystem:
         states: Sequence[str] = (),
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
-        tolerance: float = 1e-9,
+        tolerance: float = ROUNDING,
     ) -> "PWASystem":
         """Build the system and prove that it belongs to the class of eq. (1).
 
         Args:
-            tolerance: Largest jump of the vector field across a facet that is
-                taken for rounding, relative to the entries of A and b there.
+            partition: The l cells.
+            A, b, B, C: Nested sequences or arrays of `Real`, fractions, or doubles, which count as the decimals that
+                they print as.
+            states, inputs, outputs: Names.
+            tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
+                repaired: relative to the terms of that row at a point of the facet of typical size.
 
         Raises:
             ValueError: If the shapes do not fit.
@@ -70,21 +105,61 @@ class PWASystem:
                 field jumps: one problem per facet.
         """
         n, cells = partition.H.shape[1], len(partition.names)
-        A_, b_ = readonly(A, shape=(cells, n, n), name="A"), readonly(b, shape=(cells, n), name="b")
-        B_, C_ = readonly(B, shape=(n, None), name="B"), readonly(C, shape=(None, n), name="C")
         partition.check()
-        system = cls(
-            partition=partition,
-            A=A_,
-            b=b_,
-            B=B_,
-            C=C_,
-            states=tuple(states) or _numbered("x", n),
-            inputs=tuple(inputs) or _numbered("u", B_.shape[1]),
-            outputs=tuple(outputs) or _numbered("y", C_.shape[0]),
+        given = [_matrix(rows, (n, n), "A") for rows in _sequence(A, cells, "A")]
+        offsets = [_matrix([[v] for v in row], (n, 1), "b") for row in _sequence(b, cells, "b")]
+        empty = set(partition.empty_cells)
+        kept = [i for i in range(cells) if i not in empty]
+        system = cls._of(
+            partition.without(partition.empty_cells) if empty else partition,
+            Matrices(
+                A=tuple(given[i] for i in kept),
+                b=tuple(offsets[i] for i in kept),
+                B=_matrix(B, (n, None), "B"),
+                C=_matrix(C, (None, n), "C"),
+            ),
+            names=(tuple(states), tuple(inputs), tuple(outputs)),
+            remarks=tuple(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
         )
-        system._check_continuity(tolerance)
-        return system._without(partition.empty_cells)
+        return system._continuous(tolerance)
+
+    @classmethod
+    def _of(
+        cls,
+        partition: Partition,
+        exact: Matrices,
+        *,
+        names: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
+        remarks: tuple[str, ...],
+    ) -> "PWASystem":
+        n, m, q = exact.A[0].shape[0], exact.B.shape[1], exact.C.shape[0]
+        states, inputs, outputs = (
+            given or _numbered(*default) for given, default in zip(names, (("x", n), ("u", m), ("y", q)), strict=True)
+        )
+        return cls(
+            partition=partition,
+            A=stack(exact.A),
+            b=stack(exact.b)[:, :, 0],
+            B=exact.B.floats,
+            C=exact.C.floats,
+            exact=exact,
+            repair=None,
+            states=states,
+            inputs=inputs,
+            outputs=outputs,
+            remarks=remarks,
+        )
+
+    def with_matrices(self, exact: Matrices) -> "PWASystem":
+        """Return the same system with other numbers; that they make a continuous field is for the caller to see to."""
+        return replace(
+            self,
+            A=stack(exact.A),
+            b=stack(exact.b)[:, :, 0],
+            B=exact.B.floats,
+            C=exact.C.floats,
+            exact=exact,
+        )
 
     @property
     def cell_names(self) -> tuple[str, ...]:
@@ -97,18 +172,6 @@ class PWASystem:
         result: Array = self.A[i] @ x + self.b[i] + self.B @ u
         return result
 
-    def jump(self, facet: Facet) -> tuple[Array, Array]:
-        """Return what is left of A_i − A_j − g Hᵀ (n, n) and b_i − b_j − g h (n,) on a facet.
-
-        Both vanish for a suitable g exactly where the field is continuous
-        across the facet; g is read off the column where H is largest.
-        """
-        H, h = self.partition.H[facet.k], self.partition.h[facet.k]
-        dA, db = self.A[facet.i] - self.A[facet.j], self.b[facet.i] - self.b[facet.j]
-        pivot = int(np.argmax(np.abs(H)))
-        g = dA[:, pivot] / H[pivot]
-        return dA - np.outer(g, H), db - g * h
-
     def hyperplane_text(self, k: int) -> str:
         """Return hyperplane k as an equation in the names of the states.
 
@@ -116,61 +179,63 @@ class PWASystem:
         """
         return f"{linear_form_text(self.partition.H[k], self.states)} = {-self.partition.h[k] + 0.0:.6g}"
 
-    def _without(self, cells: Sequence[int]) -> "PWASystem":
-        if not cells:
+    def _continuous(self, tolerance: float) -> "PWASystem":
+        """Return the system with an exactly continuous field: see `continuity`."""
+        n = self.A.shape[1]
+        pairs = zip(self.exact.A, self.exact.b, strict=True)
+        joined = [_joined(A_i, b_i) for A_i, b_i in pairs]
+        try:
+            cells, repair = repaired(self.partition, joined, tolerance)
+        except Discontinuous as error:
+            raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in error.jumps)) from None
+        if repair is None:
             return self
-        kept = [i for i in range(len(self.A)) if i not in cells]
-        return replace(
-            self,
-            partition=self.partition.without(cells),
-            A=readonly(self.A[kept]),
-            b=readonly(self.b[kept]),
-            remarks=tuple(f"cell '{self.cell_names[i]}' has no interior and is left out" for i in cells),
+        A, b = (
+            tuple(
+                BallMatrix(on_entries(F.centre, range(n), columns), old.radius)
+                for F, old in zip(cells, before, strict=True)
+            )
+            for columns, before in ((range(n), self.exact.A), ([n], self.exact.b))
         )
+        return replace(self.with_matrices(replace(self.exact, A=A, b=b)), repair=repair)
 
-    def _check_continuity(self, tolerance: float) -> None:
-        scale = balancing(self.A)
-        problems = []
-        for facet in self.partition.facets:
-            jump_A, jump_b = self.jump(facet)
-            both = [facet.i, facet.j]
-            size_A = np.abs(self.A[both] / scale[:, None] * scale).max()
-            size_b = np.abs(np.vstack([self.b[both], self.b[facet.i] - self.b[facet.j] - jump_b]) / scale).max()
-            rest_A = np.abs(jump_A / scale[:, None] * scale).max()
-            rest_b = np.abs(jump_b / scale).max()
-            H, h = self.partition.H[facet.k] * scale, self.partition.h[facet.k]
-            rounding = 64 * np.finfo(np.float64).eps * size_A * abs(h) / np.abs(H).max()  # of g h, as g carries A's
-            too_much_A, too_much_b = rest_A > tolerance * size_A, rest_b > tolerance * size_b + rounding
-            if too_much_A or too_much_b:
-                problems.append(
-                    self._jump_problem(
-                        facet,
-                        jump_A if too_much_A else np.zeros_like(jump_A),
-                        jump_b,
-                        max(rest_A / size_A if size_A else 0.0, rest_b / size_b if size_b else 0.0),
-                        tolerance,
-                    )
-                )
-        if problems:
-            raise OutsideTheory(*problems)
-
-    def _jump_problem(self, facet: Facet, jump_A: Array, jump_b: Array, relative: float, tolerance: float) -> Problem:
-        if jump_A.any():
-            row, column = np.unravel_index(np.argmax(np.abs(jump_A)), jump_A.shape)
+    def _jump_problem(self, jump: Jump, tolerance: float) -> Problem:
+        facet, in_A = jump.facet, bool(jump.A.any())
+        if in_A:
+            row, column = np.unravel_index(np.argmax(np.abs(jump.A)), jump.A.shape)
             figure = (
-                f"A jumps by {abs(jump_A[row, column]):.6g} (row '{self.states[row]}', column '{self.states[column]}')"
+                f"A jumps by {abs(jump.A[row, column]):.6g} (row '{self.states[row]}', column '{self.states[column]}')"
             )
         else:
-            row = np.argmax(np.abs(jump_b))
-            figure = f"b jumps by {abs(jump_b[row]):.6g} (row '{self.states[row]}')"
+            row = np.argmax(np.abs(jump.b))
+            figure = f"b jumps by {abs(jump.b[row]):.6g} (row '{self.states[row]}')"
         one, other = self.cell_names[facet.i], self.cell_names[facet.j]
         return Problem(
-            message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: "
-            f"{figure}, {relative:.1e} of the largest entry; the field must be continuous (eq. (1))",
-            subject=("system", "cells", facet.i, "A" if jump_A.any() else "b"),
+            message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: {figure}, "
+            f"{jump.relative:.1e} of that equation's terms there; the field must be continuous (eq. (1))",
+            subject=("system", "cells", facet.i, "A" if in_A else "b"),
             hint="correct the cell; for data rounded in print, 'tolerance: {continuity: …}' accepts a larger jump "
             f"(in force: {tolerance:g})",
         )
+
+
+def _joined(A: BallMatrix, b: BallMatrix) -> BallMatrix:
+    """Return [A b]."""
+    return BallMatrix(beside([A.centre, b.centre]), A.radius)
+
+
+def _sequence(values: Any, length: int, name: str) -> Any:
+    if len(values) != length:
+        raise ValueError(f"{name} has {len(values)} matrices, expected {length}, one per cell")
+    return values
+
+
+def _matrix(rows: Any, shape: tuple[int | None, int | None], name: str) -> BallMatrix:
+    found = len(rows), len(rows[0]) if len(rows) else (shape[1] or 0)
+    fits = all(w is None or w == got for w, got in zip(shape, found, strict=True))
+    if not fits or any(len(row) != found[1] for row in rows):
+        raise ValueError(f"{name} has shape {found}, expected {shape}")
+    return BallMatrix.of(rows, found)
 
 
 def linear_form_text(row: Array, names: Sequence[str]) -> str:

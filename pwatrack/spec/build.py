@@ -4,6 +4,7 @@ import csv
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from pwatrack.model.reference import (
     total_signal,
 )
 from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.real import Real
 from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.problems import path_text
 from pwatrack.spec.schema import (
@@ -80,13 +82,15 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         OutsideTheory: If it is not a continuous PWA system with one B.
     """
     _refuse_other_B(system)
+    A: Any
+    b: Any
     if system.cells is None:
         partition, A, b = _from_nonlinearities(system)
     else:
         cells = system.cells
         partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
-        A = readonly([cell.A for cell in cells])
-        b = readonly([cell.b or np.zeros(len(system.states)) for cell in cells])
+        A = [cell.A for cell in cells]
+        b = [cell.b or [0] * len(system.states) for cell in cells]
     return PWASystem.create(
         partition=partition,
         A=A,
@@ -176,7 +180,7 @@ def _refuse_other_B(system: SystemSection) -> None:
     problems = [
         Problem(
             message=f"cell '{cell.name}' has an input matrix of its own: class (1) has one B for all cells; "
-            f"it differs by up to {np.abs(np.subtract(cell.B, system.B)).max():.4g}",
+            f"it differs by up to {np.abs(_doubles(cell.B) - _doubles(system.B)).max():.4g}",
             subject=("system", "cells", k, "B"),
             hint="move what switches into the state, for example an actuator's own dynamics",
         )
@@ -208,8 +212,8 @@ def _from_signs(system: SystemSection) -> Partition:
     values = {"+": 1, "-": -1, "0": 0}
     planes, cells = system.hyperplanes or [], system.cells or []
     return Partition.create(
-        H=np.array([plane.H for plane in planes]).reshape(-1, len(system.states)),
-        h=[plane.h for plane in planes],
+        H=_doubles([plane.H for plane in planes]).reshape(-1, len(system.states)),
+        h=[float(plane.h) for plane in planes],
         signs=[[values[sign] for sign in cell.signs or []] for cell in cells],
         names=[cell.name for cell in cells],
     )
@@ -239,7 +243,12 @@ def _from_nonlinearities(system: SystemSection) -> tuple[Partition, Array, Array
         )
     if problems:
         raise InvalidSpec(*problems)
-    return generate_cells(np.array(system.A), np.array(system.b or np.zeros(n)), elements)
+    b = np.zeros(n) if system.b is None else _doubles([system.b])[0]
+    return generate_cells(_doubles(system.A or []), b, elements)
+
+
+def _doubles(rows: Sequence[Sequence[Real]]) -> Array:
+    return np.array([[float(v) for v in row] for row in rows])
 
 
 def _courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:

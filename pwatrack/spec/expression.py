@@ -7,18 +7,22 @@ import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
+from pwatrack.real import Real, enclosed
 
+_OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "sqrt")
+FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in (*_OF_ONE, "atan2", "log")} | {
+    "abs": abs,
+    "min": min,
+    "max": max,
+}
 CONSTANTS = {"pi": math.pi}
-FUNCTIONS: dict[str, Callable[..., float]] = {
-    name: getattr(math, name)
-    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "sqrt")
-} | {"abs": abs, "min": min, "max": max}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
 _LONGEST = 500
@@ -41,27 +45,43 @@ class BrokenParameter(ExpressionError):
     """The expression uses a parameter that is in error itself, which is said elsewhere."""
 
 
-Parameters = Mapping[str, float | None]  # None: in error
+Parameters = Mapping[str, Real | float | None]  # None: in error
 
 
 @dataclass(frozen=True)
 class LinearForm:
-    """The form row · x + constant; sums and multiples are forms again."""
+    """The form row · x + constant; sums and multiples are forms again.
 
-    row: Array
-    constant: float
+    Attributes:
+        coefficients: The row, (n,), exactly.
+        offset: The constant, exactly.
+    """
 
-    def __add__(self, other: "LinearForm | float") -> "LinearForm":
+    coefficients: tuple[Real, ...]
+    offset: Real
+
+    @property
+    def row(self) -> Array:
+        """The row in doubles, (n,)."""
+        return np.array([float(c) for c in self.coefficients])
+
+    @property
+    def constant(self) -> float:
+        """The constant as a double."""
+        return float(self.offset)
+
+    def __add__(self, other: "LinearForm | Real | float") -> "LinearForm":
         """Return the sum."""
         if isinstance(other, LinearForm):
-            return LinearForm(self.row + other.row, self.constant + other.constant)
-        return LinearForm(self.row, self.constant + other)
+            both = zip(self.coefficients, other.coefficients, strict=True)
+            return LinearForm(tuple(a + b for a, b in both), self.offset + other.offset)
+        return LinearForm(self.coefficients, self.offset + other)
 
-    def __mul__(self, other: "LinearForm | float") -> "LinearForm":
+    def __mul__(self, other: "LinearForm | Real | float") -> "LinearForm":
         """Return a multiple."""
         if isinstance(other, LinearForm):
             raise NotRepresentable("is not linear in the states")
-        return LinearForm(self.row * other, self.constant * other)
+        return LinearForm(tuple(c * other for c in self.coefficients), self.offset * other)
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -69,21 +89,19 @@ class LinearForm:
         """Return the negative."""
         return self * -1.0
 
-    def __sub__(self, other: "LinearForm | float") -> "LinearForm":
+    def __sub__(self, other: "LinearForm | Real | float") -> "LinearForm":
         """Return the difference."""
         return self + -other
 
-    def __rsub__(self, other: float) -> "LinearForm":
+    def __rsub__(self, other: "Real | float") -> "LinearForm":  # type: ignore[misc]
         """Return the difference."""
         return -self + other
 
-    def __truediv__(self, other: "LinearForm | float") -> "LinearForm":
+    def __truediv__(self, other: "LinearForm | Real | float") -> "LinearForm":
         """Return a multiple."""
         if isinstance(other, LinearForm):
             raise NotRepresentable("is not linear in the states")
-        if other == 0:
-            raise ZeroDivisionError("division by zero")
-        return LinearForm(self.row / other, self.constant / other)
+        return self * (1 / Real.of(other))
 
     def __rtruediv__(self, other: float) -> "LinearForm":
         """Refuse."""
@@ -92,17 +110,31 @@ class LinearForm:
     __pow__ = __rpow__ = __rtruediv__
 
 
-def number(text: str, parameters: Parameters) -> float:
-    """Return the value of an expression in the parameters.
+def real(text: str, parameters: Parameters) -> Real:
+    """Return the value of an expression in the parameters, exactly where it is rational.
 
     Raises:
         ExpressionError: If the text is not such an expression or its value is not finite.
 
     Example:
+        >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
+        Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
+    """
+    value: Real = _evaluate(text, _exact(parameters))
+    return value
+
+
+def number(text: str, parameters: Parameters) -> float:
+    """Return the value of an expression in the parameters, as the nearest double.
+
+    Raises:
+        ExpressionError: As `real`.
+
+    Example:
         >>> number("-(k1 + 1e-3)/2**2", {"k1": 3.999})
         -1.0
     """
-    return float(_evaluate(text, {**CONSTANTS, **parameters}))
+    return float(real(text, parameters))
 
 
 def linear_form(text: str, states: Sequence[str], parameters: Parameters) -> LinearForm:
@@ -112,11 +144,12 @@ def linear_form(text: str, states: Sequence[str], parameters: Parameters) -> Lin
         ExpressionError: If the text is not linear in the states.
 
     Example:
-        >>> linear_form("2*(z2 - z1) + c", ["z1", "z2"], {"c": 5.0})
-        LinearForm(row=array([-2.,  2.]), constant=5.0)
+        >>> form = linear_form("2*(z2 - z1) + c", ["z1", "z2"], {"c": 5.0})
+        >>> form.row.tolist(), form.constant
+        ([-2.0, 2.0], 5.0)
     """
-    value = _evaluate(text, {**CONSTANTS, **parameters, **_units(states)})
-    return value if isinstance(value, LinearForm) else LinearForm(np.zeros(len(states)), value)
+    value = _evaluate(text, _exact(parameters) | _units(states))
+    return value if isinstance(value, LinearForm) else LinearForm((_ZERO,) * len(states), value)
 
 
 def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> list[LinearForm]:
@@ -132,7 +165,7 @@ def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> li
     tree = _parse(text)
     if not isinstance(tree, ast.Compare):
         raise ExpressionError(f"'{text}' is not an inequality such as 'z2 - z1 >= 0.05'")
-    reader = _Reader(text, {**CONSTANTS, **parameters, **_units(states)})
+    reader = _Reader(text, _exact(parameters) | _units(states))
     sides = [reader.read(node) for node in (tree.left, *tree.comparators)]
     forms = []
     for left, right, comparison in zip(sides[:-1], sides[1:], tree.ops, strict=True):
@@ -140,7 +173,7 @@ def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> li
             raise ExpressionError(f"'{text}': only <, <=, > and >= bound a cell")
         larger, smaller = (left, right) if isinstance(comparison, ast.Gt | ast.GtE) else (right, left)
         form = reader.combine(tree, operator.sub, larger, smaller)
-        if not isinstance(form, LinearForm) or not form.row.any():
+        if not isinstance(form, LinearForm) or all(c.centre == 0 for c in form.coefficients):
             raise ExpressionError(f"'{text}' does not depend on any state")
         forms.append(form)
     return forms
@@ -159,16 +192,51 @@ def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
         >>> round(formula("a*sin(2*t)**2", {"a": 3.0})(0.25), 6)
         0.689547
     """
-    value = _evaluate(text, {**CONSTANTS, **parameters, TIME: ExponentialPolynomial.time()})
+    known = {name: None if value is None else float(value) for name, value in parameters.items()}
+    reader = _Reader(text, {**CONSTANTS, **known, TIME: ExponentialPolynomial.time()}, exact=False)
+    value = reader.read(_parse(text))
     return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)
 
 
+_ZERO, _ONE = Real.of(0), Real.of(1)
+
+
+def _exact(parameters: Parameters) -> dict[str, Any]:
+    return {name: None if value is None else Real.of(value) for name, value in parameters.items()}
+
+
 def _units(states: Sequence[str]) -> dict[str, LinearForm]:
-    return {name: LinearForm(row, 0.0) for name, row in zip(states, np.eye(len(states)), strict=True)}
+    rows = [tuple(_ONE if k == j else _ZERO for k in range(len(states))) for j in range(len(states))]
+    return {name: LinearForm(row, _ZERO) for name, row in zip(states, rows, strict=True)}
 
 
 def _evaluate(text: str, names: Mapping[str, Any]) -> Any:
     return _Reader(text, names).read(_parse(text))
+
+
+def _log(x: Real, *base: Real) -> Real:
+    return x.applied("log") / base[0].applied("log") if base else x.applied("log")
+
+
+def _atan2(y: Real, x: Real) -> Real:
+    import flint
+
+    return enclosed(flint.arb.atan2, y, x)
+
+
+def _pi() -> Real:
+    import flint
+
+    return enclosed(flint.arb.pi)
+
+
+_EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x.applied(name) for name in _OF_ONE} | {
+    "log": _log,
+    "atan2": _atan2,
+    "abs": abs,
+    "min": min,
+    "max": max,
+}
 
 
 def _parse(text: str) -> ast.expr:
@@ -189,11 +257,12 @@ _ALLOWED = {
 
 
 class _Reader:
-    """Turns an expression tree into a float, or into what its names make of it."""
+    """Turns an expression tree into a `Real`, or into what its names make of it; into doubles if not `exact`."""
 
-    def __init__(self, text: str, names: Mapping[str, Any]) -> None:
+    def __init__(self, text: str, names: Mapping[str, Any], *, exact: bool = True) -> None:
         self.text = text.strip()
         self.names = names
+        self.exact = exact
 
     def read(self, node: ast.AST) -> Any:
         try:
@@ -219,20 +288,24 @@ class _Reader:
         if isinstance(value, complex):
             raise ExpressionError(f"{self._quote(node)} is not real")
         value = float(value) if isinstance(value, int | float) else value
-        parts = (
-            [value]
-            if isinstance(value, float)
-            else [value.constant, *value.row]
-            if isinstance(value, LinearForm)
-            else []
-        )
+        try:
+            value = value.shortened() if isinstance(value, Real) else value
+            parts = (
+                [float(value)]
+                if isinstance(value, Real | float)
+                else [value.constant, *value.row]
+                if isinstance(value, LinearForm)
+                else []
+            )
+        except OverflowError:
+            parts = [math.inf]
         if not np.isfinite(parts).all():
             raise ExpressionError(f"{self._quote(node)} is not finite")
         return value
 
     def _read(self, node: ast.AST) -> Any:
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-            return self.combine(node, float, node.value)
+            return self.combine(node, self._literal, node)
         if isinstance(node, ast.Name):
             return self._named(node.id)
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
@@ -243,7 +316,20 @@ class _Reader:
             return self._called(node, node.func.id, [self._read(argument) for argument in node.args])
         raise ExpressionError(f"{self._quote(node)} is not allowed in an expression")
 
+    def _literal(self, node: ast.Constant) -> Real | float:
+        """Return a number with all the digits that it is written with."""
+        value = float(node.value)  # type: ignore[arg-type]
+        if not self.exact or math.isinf(value):
+            return value
+        try:
+            written = ast.get_source_segment(self.text, node) or ""
+            return Real(Fraction(written)) if abs(value) > 1e-300 else Real.of(value)
+        except ValueError:
+            return Real.of(node.value)  # type: ignore[arg-type]
+
     def _named(self, name: str) -> Any:
+        if self.exact and name == "pi":
+            return _pi()
         if name not in self.names:
             close = difflib.get_close_matches(name, self.names, n=1)
             guess = f"; did you mean '{close[0]}'?" if close else ""
@@ -255,8 +341,8 @@ class _Reader:
     def _called(self, node: ast.AST, name: str, arguments: list[Any]) -> Any:
         if name not in FUNCTIONS:
             raise ExpressionError(f"unknown function '{name}'; known are {', '.join(sorted(FUNCTIONS))}")
-        if all(isinstance(argument, float) for argument in arguments):
-            return self.combine(node, FUNCTIONS[name], *arguments)
+        if all(isinstance(argument, Real | float) for argument in arguments):
+            return self.combine(node, (_EXACT_FUNCTIONS if self.exact else FUNCTIONS)[name], *arguments)
         method = getattr(arguments[0], name, None) if len(arguments) == 1 else None
         if method is None:
             what = "the states" if any(isinstance(a, LinearForm) for a in arguments) else "t"

@@ -17,9 +17,10 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
+from pwatrack.real import Real
 from pwatrack.simulation.region import Region
 from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference, build_regions
-from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, number
+from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, real
 from pwatrack.spec.problems import (
     condition_problems,
     goal_problems,
@@ -133,7 +134,7 @@ class PlantRecipe:
             context = replace(self.context, parameters=values)
             try:
                 system = SystemSection.model_validate(section, context=context)
-                changed = {name: value for name in parameters if (value := values[name]) is not None}
+                changed = {name: float(value) for name in parameters if (value := values[name]) is not None}
                 return build_plant(system, self.tolerance), changed
             except ValidationError as error:
                 problems = [replace(p, message=f"system.{p.message}") for p in validation_problems(error, section)]
@@ -202,7 +203,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         name=file.name,
         path=path,
         sha256=digest,
-        parameters={name: value for name, value in values.items() if value is not None},
+        parameters={name: float(value) for name, value in values.items() if value is not None},
         plant=plant,
         units=file.system.units,
         tracking=file.design.tracking,
@@ -270,10 +271,10 @@ def _read(path: Path) -> tuple[Document, str]:
 
 def _parameters(
     section: Any, overrides: Mapping[str, float | str], outside: Collection[str] | None = None
-) -> tuple[dict[str, float | None], list[Problem]]:
+) -> tuple[dict[str, Real | None], list[Problem]]:
     """Evaluate the parameters in order; each may use those before it. `outside` are the overrides not in the file."""
     outside = overrides if outside is None else outside
-    values: dict[str, float | None] = {}
+    values: dict[str, Real | None] = {}
     problems = []
     texts = dict(section) if isinstance(section, dict) else {}
     for name in overrides:
@@ -289,7 +290,7 @@ def _parameters(
         try:
             if not isinstance(text, str | int | float):
                 raise ExpressionError("a number or an expression is expected")
-            values[name] = number(str(text), values)
+            values[name] = real(str(text), values)
         except BrokenParameter:
             values[name] = None
         except ExpressionError as error:

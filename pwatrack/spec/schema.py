@@ -31,7 +31,8 @@ from pwatrack.model.nonlinearity import (
     spring,
 )
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number
+from pwatrack.real import Real
+from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number, real
 
 _LARGEST = 1e60  # products of a few entries stay finite
 _LONGEST_NAME = 100
@@ -47,7 +48,7 @@ class Context:
         states, inputs, outputs: The names declared under `system`.
     """
 
-    parameters: Mapping[str, float | None]
+    parameters: Mapping[str, Real | None]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -61,6 +62,15 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
     result = number(value, info.context.parameters)
     if abs(result) > _LARGEST:
         raise ValueError(f"{result:g} is larger than {_LARGEST:g}")
+    return result
+
+
+def _real(value: Any, info: ValidationInfo[Context]) -> Real:
+    if not isinstance(value, str):
+        raise ValueError("a number or an expression is expected")
+    result = real(value, info.context.parameters)
+    if abs(result.centre) > _LARGEST:
+        raise ValueError(f"{float(result):g} is larger than {_LARGEST:g}")
     return result
 
 
@@ -131,8 +141,8 @@ def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | 
     return validate
 
 
-def _not_all_zero(values: list[float]) -> list[float]:
-    if not any(values):
+def _not_all_zero(values: list[Real]) -> list[Real]:
+    if not any(value.centre for value in values):
         raise ValueError("all entries are 0: this is no hyperplane")
     return values
 
@@ -181,12 +191,15 @@ def _listed(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_number)]
+Exact = Annotated[Real, PlainValidator(_real)]
 Positive = Annotated[Number, AfterValidator(_positive)]
 Name = Annotated[str, AfterValidator(_name)]
 Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
 Vector = list[Number]
 Rows = list[list[Number]]
+ExactVector = list[Exact]
+ExactRows = list[list[Exact]]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
 
 
@@ -202,16 +215,16 @@ class CellSection(Section):
     name: str
     where: list[Annotated[list[LinearForm], PlainValidator(_inequalities)]] | None = None
     signs: list[Literal["+", "-", "0"]] | None = None
-    A: Rows
-    b: Vector | None = None
-    B: Rows | None = None
+    A: ExactRows
+    b: ExactVector | None = None
+    B: ExactRows | None = None
 
 
 class HyperplaneSection(Section):
     """The set H x + h = 0."""
 
-    H: Annotated[Vector, AfterValidator(_not_all_zero)]
-    h: Number = 0.0
+    H: Annotated[ExactVector, AfterValidator(_not_all_zero)]
+    h: Exact = Real.of(0)
 
 
 class ElementSection(Section):
@@ -301,12 +314,12 @@ class SystemSection(Section):
     inputs: Names
     outputs: Names
     units: dict[str, str] = {}
-    B: Rows
-    C: Rows
+    B: ExactRows
+    C: ExactRows
     cells: Annotated[list[CellSection], Field(min_length=1)] | None = None
     hyperplanes: list[HyperplaneSection] | None = None
-    A: Rows | None = None
-    b: Vector | None = None
+    A: ExactRows | None = None
+    b: ExactVector | None = None
     nonlinearities: list[Element] | None = None
 
 

@@ -1,0 +1,130 @@
+"""Matrices whose entries are exact, or known to within a radius: what a proof is about."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.rational import Rational, floats, fraction_of, rational
+from pwatrack.real import Real
+
+
+@dataclass(frozen=True)
+class BallMatrix:
+    """All X with |X_jk − centre_jk| ≤ radius_jk.
+
+    Sums and products hold every sum and product of what is in them.
+
+    Attributes:
+        centre: (j, k).
+        radius: (j, k), nowhere negative; None where all is exact.
+
+    Example:
+        >>> A = BallMatrix.of([["1/3", Real(Fraction(2), Fraction(1, 10))]])
+        >>> (A @ A.transpose()).texts, A.floats.round(3).tolist()
+        ([['37/9']], [[0.333, 2.0]])
+        >>> (A @ A.transpose()).radius_texts
+        [['0.41']]
+    """
+
+    centre: Rational
+    radius: Rational | None = None
+
+    @classmethod
+    def of(cls, rows: Any, shape: tuple[int, int] | None = None) -> "BallMatrix":
+        """Return a matrix of numbers as they are written: `Real`, fractions, doubles as the decimals they print as.
+
+        Args:
+            rows: (j, k), nested sequences or an array.
+            shape: (j, k), needed where there is no entry.
+        """
+        numbers = [
+            [Real.of(v if isinstance(v, Real | Fraction | int | str) else float(v)) for v in row] for row in rows
+        ]
+        shape = shape or (len(numbers), len(numbers[0]))
+        uncertain = any(v.radius for row in numbers for v in row)
+        return cls(
+            rational([[v.centre for v in row] for row in numbers], shape),
+            rational([[v.radius for v in row] for row in numbers], shape) if uncertain else None,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.centre.nrows(), self.centre.ncols()
+
+    @cached_property
+    def floats(self) -> Array:
+        """The doubles nearest to the centre, (j, k)."""
+        return readonly(floats(self.centre))
+
+    def __add__(self, other: "BallMatrix") -> "BallMatrix":
+        """Return the sum."""
+        return BallMatrix(self.centre + other.centre, _sum(self.radius, other.radius))
+
+    def __sub__(self, other: "BallMatrix") -> "BallMatrix":
+        """Return the difference."""
+        return BallMatrix(self.centre - other.centre, _sum(self.radius, other.radius))
+
+    def __matmul__(self, other: "BallMatrix") -> "BallMatrix":
+        """Return the product."""
+        radius = None
+        if other.radius is not None:
+            radius = absolute(self.centre) * other.radius
+        if self.radius is not None:
+            radius = _sum(radius, self.radius * absolute(other.centre))
+        if self.radius is not None and other.radius is not None:
+            radius = _sum(radius, self.radius * other.radius)
+        return BallMatrix(self.centre * other.centre, radius)
+
+    def transpose(self) -> "BallMatrix":
+        """Return the transpose."""
+        return BallMatrix(self.centre.transpose(), None if self.radius is None else self.radius.transpose())
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """The centre as decimals and fractions."""
+        return texts(self.centre)
+
+    @property
+    def radius_texts(self) -> list[list[str]] | None:
+        """The radius, likewise; None where all is exact."""
+        return None if self.radius is None else texts(self.radius)
+
+
+def stack(matrices: Sequence[BallMatrix]) -> Array:
+    """Return the doubles nearest to some matrices of one shape, (l, j, k)."""
+    return readonly([matrix.floats for matrix in matrices])
+
+
+def texts(X: Rational) -> list[list[str]]:
+    """Return a rational matrix as text that no reader rounds: decimals where they end, else fractions.
+
+    Example:
+        >>> texts(rational([[Fraction(3, 10), Fraction(-1, 3), Fraction(10) ** 20]], (1, 3)))
+        [['0.3', '-1/3', '1e20']]
+    """
+    return [[text(fraction_of(v)) for v in row] for row in X.tolist()]
+
+
+def text(value: Fraction) -> str:
+    """Return a rational number as text that no reader rounds."""
+    shown = repr(float(value)) if abs(value) < 1e300 else ""
+    if shown and Fraction(shown) == value:
+        return shown.removesuffix(".0").replace("e+", "e")
+    return str(value)
+
+
+def absolute(X: Rational) -> Rational:
+    """Return the sizes of all entries."""
+    import flint
+
+    return flint.fmpq_mat(X.nrows(), X.ncols(), [abs(v) for v in X.entries()])
+
+
+def _sum(one: Rational | None, other: Rational | None) -> Rational | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
