@@ -19,11 +19,11 @@ from rich.console import Console
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.rational import decimals
 from pwatrack.report.files import certificate_content
 
 SPECS = Path(__file__).parent.parent / "specs"
@@ -125,7 +125,7 @@ def main() -> None:
         n = M.shape[1]
         P = np.diag(1.0 / 4.0 ** np.arange(n)) if seed % 2 else np.eye(n)
         certificate = prove(M, P)
-        exact = [decimals(M_i) for M_i in M]
+        exact = [BallMatrix.of(M_i) for M_i in M]
         proof = None if certificate is None else prove_exactly("controller", exact, certificate.P, certificate.rate)
         content = {"format": auditor.FORMAT, "A": M.tolist(), "B": [[0]] * n, "C": [], "K": [[0] * n], "L": None}
         if proof is not None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.rational import Rational, floats, fraction_of, rational
+from pwatrack.rational import Rational, floats, fraction_of, identity, on_entries, rational, stacked
 from pwatrack.real import Real
 
 
@@ -79,6 +79,27 @@ class BallMatrix:
             radius = _sum(radius, self.radius * other.radius)
         return BallMatrix(self.centre * other.centre, radius)
 
+    def inverse(self) -> "BallMatrix":
+        """Return all inverses: |(T + E)⁻¹ − T⁻¹| ≤ (I − Q)⁻¹ Q |T⁻¹| with Q = |T⁻¹| |E|, where I − Q is an M-matrix.
+
+        Raises:
+            ZeroDivisionError: If a matrix in it may be singular.
+        """
+        inverse = self.centre.inv()
+        if self.radius is None:
+            return BallMatrix(inverse)
+        size = absolute(inverse)
+        Q = size * self.radius
+        grown = (identity(Q.nrows()) - Q).inv()
+        if any(v < 0 for v in grown.entries()):
+            raise ZeroDivisionError("a matrix in the ball may be singular")
+        return BallMatrix(inverse, grown * Q * size)
+
+    def part(self, rows: Sequence[int], columns: Sequence[int]) -> "BallMatrix":
+        """Return the entries of some rows and columns."""
+        chosen = (None if X is None else on_entries(X, rows, columns) for X in (self.centre, self.radius))
+        return BallMatrix(*chosen)
+
     def transpose(self) -> "BallMatrix":
         """Return the transpose."""
         return BallMatrix(self.centre.transpose(), None if self.radius is None else self.radius.transpose())
@@ -92,6 +113,12 @@ class BallMatrix:
     def radius_texts(self) -> list[list[str]] | None:
         """The radius, likewise; None where all is exact."""
         return None if self.radius is None else texts(self.radius)
+
+
+def above(one: BallMatrix, other: BallMatrix) -> BallMatrix:
+    """Return one matrix on top of another."""
+    both = [_or_zero(X) for X in (one, other)] if one.radius is not None or other.radius is not None else None
+    return BallMatrix(stacked([one.centre, other.centre]), None if both is None else stacked(both))
 
 
 def stack(matrices: Sequence[BallMatrix]) -> Array:
@@ -122,6 +149,10 @@ def absolute(X: Rational) -> Rational:
     import flint
 
     return flint.fmpq_mat(X.nrows(), X.ncols(), [abs(v) for v in X.entries()])
+
+
+def _or_zero(X: BallMatrix) -> Rational:
+    return X.centre - X.centre if X.radius is None else X.radius
 
 
 def _sum(one: Rational | None, other: Rational | None) -> Rational | None:

@@ -176,12 +176,11 @@ def design(spec: Spec) -> Controller:
     """
     with spec.located():
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
-        gains = synthesize(  # (8), (9)
-            spec.plant, controller=spec.controller, observer=spec.observer, solver=spec.solver
-        )
-        proofs = prove_design(spec.plant, gains, generator, solver=spec.solver)
+        plant = spec.plant if generator is None else generator.form.plant
+        gains = synthesize(plant, controller=spec.controller, observer=spec.observer, solver=spec.solver)  # (8), (9)
+        proofs = prove_design(plant, gains, generator, solver=spec.solver)
         return Controller(  # (18), (19)
-            plant=spec.plant,
+            plant=plant,
             design=gains,
             trajectory=trajectory,
             generator=generator,

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from pwatrack import design, load_spec, write_design
 from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
@@ -96,7 +97,9 @@ def test_finder_and_auditor_never_disagree_and_never_err(seed: int, n: int, expo
     M[0, 0] = (-1 if stable else 1) * 10.0**exponent
     assert is_hurwitz(decimals(M)) == stable
     certificate = best_certificate(M[None]) if stable else None
-    proof = None if certificate is None else prove_exactly("generator", [decimals(M)], certificate.P, certificate.rate)
+    proof = (
+        None if certificate is None else prove_exactly("generator", [BallMatrix.of(M)], certificate.P, certificate.rate)
+    )
     if proof is not None:
         P = {"integers": [list(r) for r in proof.integers], "exponents": list(proof.exponents)}
         claim = {"rate": proof.rate, "margin": proof.margin, "radius": proof.radius, "P": P}
@@ -164,4 +167,4 @@ def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequal
     assert auditor.check([[[Fraction(1)]]], [], claim) == [
         "P is not symmetric and positive definite, of the order of the matrices"
     ]
-    assert prove_exactly("generator", [decimals(np.array([[1.0]]))], np.array([[1.0]]), 0.5) is None
+    assert prove_exactly("generator", [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None

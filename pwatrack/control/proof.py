@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
@@ -10,7 +11,6 @@ from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import PWASystem
-from pwatrack.rational import Rational, decimals
 
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
 
@@ -32,18 +32,18 @@ def prove_design(
         >>> [proof.of for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
         ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
-    B, C, K, L = (decimals(X) for X in (plant.B, plant.C, design.K, design.L))
-    A = [decimals(A_i) for A_i in plant.A]
+    exact, K, L = plant.exact, BallMatrix.of(design.K), BallMatrix.of(design.L)
     proofs = [
-        *_prove("controller", [A_i + B * K for A_i in A], design.controller, solver),
-        *_prove("observer", [(A_i + L * C).transpose() for A_i in A], design.observer, solver),
+        *_prove("controller", [A_i + exact.B @ K for A_i in exact.A], design.controller, solver),
+        *_prove("observer", [(A_i + L @ exact.C).transpose() for A_i in exact.A], design.observer, solver),
     ]
     if generator is not None and generator.A_eta.shape[1]:
-        proofs += _prove("generator", [decimals(A_i.T) for A_i in generator.A_eta], generator.certificate, solver)
+        M = [A_i.transpose() for A_i in generator.form.exact.A_eta]
+        proofs += _prove("generator", M, generator.certificate, solver)
     return tuple(proofs)
 
 
-def _prove(of: str, M: Sequence[Rational], certificate: Certificate, solver: Solver) -> list[Proof]:
+def _prove(of: str, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot."""
     best = prove_exactly(of, M, certificate.P, certificate.rate)
     if best is None:

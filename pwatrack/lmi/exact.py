@@ -10,7 +10,8 @@ from fractions import Fraction
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational, scalar
+from pwatrack.ball_matrix import BallMatrix, absolute
+from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 _BITS = 40  # of the entries of P, once its diagonal is about 1
@@ -19,6 +20,8 @@ _BITS = 40  # of the entries of P, once its diagonal is about 1
 @dataclass(frozen=True, kw_only=True)
 class Proof:
     """P ≻ 0 and −(M_i P + P M_iᵀ) − 2 rate P − margin I ≻ 0 for every i, proved exactly.
+
+    Where M_i has irrational entries, for every matrix in its ball.
 
     Attributes:
         of: "controller" for (8), "observer" for (9), "generator" for (17).
@@ -36,12 +39,12 @@ class Proof:
     radius: float
 
 
-def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proof | None:
+def prove_exactly(of: str, M: Sequence[BallMatrix], P: Array, rate: float) -> Proof | None:
     """Round P and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
         of: What the proof is of.
-        M: The matrices M_i, exact.
+        M: The matrices M_i.
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
     """
@@ -54,8 +57,9 @@ def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proo
     exact_P = unpacked(integers, exponents.tolist())
     if not is_positive_definite(exact_P):
         return None
-    products = [M_i * exact_P for M_i in M]
-    left = [-(MP + MP.transpose()) for MP in products]
+    products = [M_i.centre * exact_P for M_i in M]
+    open_ = [unsure(M_i.radius, exact_P, unit) for M_i in M]
+    left = [-(MP + MP.transpose()) - D for MP, D in zip(products, open_, strict=True)]
     size = float(np.linalg.norm(P))
     for shrink in (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
         short_rate = _rounded_down(rate * (1 - shrink), 6)
@@ -71,6 +75,26 @@ def prove_exactly(of: str, M: Sequence[Rational], P: Array, rate: float) -> Proo
                 radius=_rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
             )
     return None
+
+
+def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Rational:
+    """Return a diagonal D ⪰ ±(E P + P Eᵀ) for every E with |E_jk| ≤ radius_jk.
+
+    With X = radius |P| + |P| radiusᵀ and any s_j > 0, Σ X_jk |v_j v_k| ≤ Σ_j v_j² Σ_k X_jk s_j / s_k.
+
+    Args:
+        radius: (n, n); None for 0.
+        P: (n, n).
+        unit: s_j, about the root of P_jj.
+    """
+    n = P.nrows()
+    if radius is None:
+        return identity(n) * 0
+    half = radius * absolute(P)
+    D, X = [[Fraction(0)] * n for _ in range(n)], (half + half.transpose()).tolist()
+    for j, row in enumerate(X):
+        D[j][j] = sum((fraction_of(v) * unit[j] / s for v, s in zip(row, unit, strict=True)), Fraction(0))
+    return rational(D, (n, n))
 
 
 def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> Rational:

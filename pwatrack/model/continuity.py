@@ -47,6 +47,12 @@ class Repair:
     b: Array
     relative: float
 
+    def and_then(self, other: "Repair | None") -> "Repair":
+        """Return both repairs as one."""
+        if other is None:
+            return self
+        return Repair(A=self.A + other.A, b=self.b + other.b, relative=self.relative + other.relative)
+
     def disturbance(self, x: Array) -> Array:
         """Return by how much ẋ may differ between the data given and the repaired ones where |x| is no larger, (n,)."""
         return np.asarray(self.A @ np.abs(x) + self.b)

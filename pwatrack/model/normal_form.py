@@ -1,12 +1,16 @@
 """The normal form (11)–(12): relative degree, the coordinates ξ and η, the change of state."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pwatrack.arrays import Array, balancing, readonly
+from pwatrack.ball_matrix import BallMatrix, above, stack
 from pwatrack.errors import OutsideTheory, Problem
-from pwatrack.model.pwa import PWASystem, linear_form_text
+from pwatrack.model.continuity import Repair
+from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
+from pwatrack.rational import Rational, floats
 
 _STATE_TRACKING = "state tracking (Theorem 2, 'tracking: state') needs no form (11), only (8) and (9)"
 _ZERO = 0.25  # of the worst rounding error, below which δ counts as 0
@@ -26,8 +30,10 @@ class NormalForm:
     η is chosen so that u does not enter its equation (ν = 0).
 
     Attributes:
-        plant: The system this is the normal form of.
+        plant: The system this is the normal form of, exactly: where c_k A_i differ between cells by rounding, or
+            c_k B is rounding, the plant given is repaired.
         r: Relative degree, 1 … n.
+        exact: T (n, n), the offset (n, 1), and A_ηi, N A_i restricted to η, exactly.
         T, offset: Change of state, (n, n) and (n,).
         T_inverse: Its inverse, x = T_inverse ([ξ; η] − offset).
         alpha, beta, gamma: (l, r), (l, n − r), (l,).
@@ -38,6 +44,7 @@ class NormalForm:
 
     plant: PWASystem
     r: int
+    exact: "ExactForm"
     T: Array
     offset: Array
     T_inverse: Array
@@ -49,6 +56,20 @@ class NormalForm:
     Psi: Array
     sigma: Array
     eta_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExactForm:
+    """What of a normal form proofs are about.
+
+    Attributes:
+        T, offset: [ξ; η] = T x + offset, (n, n) and (n, 1).
+        A_eta: (n − r, n − r), one per cell.
+    """
+
+    T: BallMatrix
+    offset: BallMatrix
+    A_eta: tuple[BallMatrix, ...]
 
 
 def normal_form(plant: PWASystem) -> NormalForm:
@@ -67,35 +88,89 @@ def normal_form(plant: PWASystem) -> NormalForm:
                 hint=_STATE_TRACKING,
             )
         )
-    rows, offsets, delta = _output_derivatives(plant)
+    rows, delta = _output_derivatives(plant)
     r, n = len(rows), plant.A.shape[1]
-    N = _complement(plant, rows, delta)
-    T = np.vstack([rows, N]) if len(N) else rows
-    offset = np.concatenate([offsets, np.zeros(n - r)])
-    T_inverse = np.linalg.inv(T)
-    A = T @ plant.A @ T_inverse
-    b = plant.b @ T.T - A @ offset
+    try:
+        T, offset = _coordinates(plant.exact, r, _complement(plant, rows, delta))
+        plant, inverse = _repaired(plant, T, offset, r), T.inverse()
+    except ZeroDivisionError:
+        raise _unsure(r, delta, abs(delta)) from None
+    exact = plant.exact
+    whole = [T @ A_i @ inverse for A_i in exact.A]
+    A, o = stack(whole), offset.floats[:, 0]
+    b = stack([T @ b_i - A_i @ offset for b_i, A_i in zip(exact.b, whole, strict=True)])[:, :, 0]
+    etas = range(r, n)
     return NormalForm(
         plant=plant,
         r=r,
-        T=readonly(T),
-        offset=readonly(offset),
-        T_inverse=readonly(T_inverse),
+        exact=ExactForm(T=T, offset=offset, A_eta=tuple(A_i.part(etas, etas) for A_i in whole)),
+        T=T.floats,
+        offset=readonly(o),
+        T_inverse=inverse.floats,
         alpha=readonly(A[:, r - 1, :r]),
         beta=readonly(A[:, r - 1, r:]),
         gamma=readonly(b[:, r - 1]),
-        delta=delta,
+        delta=float((T @ exact.B).floats[r - 1, 0]),
         chi=readonly(A[:, r:, :r]),
         Psi=readonly(A[:, r:, r:]),
         sigma=readonly(b[:, r:]),
-        eta_names=tuple(linear_form_text(row, plant.states) for row in N),
+        eta_names=tuple(linear_form_text(row, plant.states) for row in T.floats[r:]),
     )
 
 
-def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
-    """Return rows c_k and offsets o_k with y⁽ᵏ⁾ = c_k x + o_k for k < r, and δ = c_{r−1} B."""
-    c, o = plant.C[0], 0.0
-    rows, offsets = [c], [o]
+def _coordinates(exact: Matrices, r: int, internal: Sequence[int]) -> tuple[BallMatrix, BallMatrix]:
+    """Return T and the offset: the rows c_k of the first cell, then e_j − (B_j / δ) c_{r−1} for some states j."""
+    n = exact.A[0].shape[0]
+    row, T, offset = exact.C, exact.C, BallMatrix.of([[0]])
+    for _ in range(r - 1):
+        offset = above(offset, row @ exact.b[0])
+        row = row @ exact.A[0]
+        T = above(T, row)
+    share = exact.B @ (row @ exact.B).inverse()  # B / δ
+    for j in internal:
+        unit = BallMatrix.of(np.eye(n)[[j]])
+        T = above(T, unit - share.part([j], [0]) @ row)
+        offset = above(offset, BallMatrix.of([[0]]))
+    return T, offset
+
+
+def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PWASystem:
+    """Return the plant with c_k A_i = c_{k+1}, c_k b_i = o_{k+1} and c_k B = 0 for k < r − 1, exactly.
+
+    With S the columns of T⁻¹ that belong to c_0 … c_{r−2}, Ã_i = A_i − S (c A_i − c₊) and so on. The difference of two
+    cells is multiplied by I − S c then, so that what was continuous stays so.
+    """
+    n, first, following = plant.A.shape[1], range(r - 1), range(1, r)
+    c = BallMatrix(T.part(first, range(n)).centre)
+    c_next, o_next = T.part(following, range(n)).centre, offset.part(following, [0]).centre
+    S = BallMatrix(T.centre.inv()).part(range(n), first)
+    exact = plant.exact
+    missed_A = [c.centre * A_i.centre - c_next for A_i in exact.A]
+    missed_b = [c.centre * b_i.centre - o_next for b_i in exact.b]
+    missed_B = c.centre * exact.B.centre
+    if not any(any(X.entries()) for X in (*missed_A, *missed_b, missed_B)):
+        return plant
+
+    def mended(X: BallMatrix, missed: Rational) -> BallMatrix:
+        return BallMatrix(X.centre - S.centre * missed, X.radius)
+
+    new = Matrices(
+        A=tuple(mended(X, missed) for X, missed in zip(exact.A, missed_A, strict=True)),
+        b=tuple(mended(X, missed) for X, missed in zip(exact.b, missed_b, strict=True)),
+        B=mended(exact.B, missed_B),
+        C=exact.C,
+    )
+    A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
+    d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
+    share = np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)
+    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), relative=float(share.max()))
+    return replace(plant.with_matrices(new), repair=repair.and_then(plant.repair))
+
+
+def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
+    """Return rows c_k with y⁽ᵏ⁾ = c_k x + o_k for k < r, and δ = c_{r−1} B, decided with a bound on rounding."""
+    c = plant.C[0]
+    rows = [c]
     size_A, n = np.abs(plant.A).max(axis=0), plant.A.shape[1]
     rounding = 4 * n * np.finfo(np.float64).eps
     error = np.zeros(n)  # bounds how far rounding may have moved the entries of c
@@ -104,17 +179,10 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
         delta = float(c @ B)
         doubt = float((error + rounding * np.abs(c)) @ np.abs(B))
         if abs(delta) > doubt:
-            return np.array(rows), np.array(offsets), delta
+            return np.array(rows), delta
         if abs(delta) > _ZERO * doubt:
-            raise OutsideTheory(
-                Problem(
-                    message=f"the relative degree is not sure: C A^{len(rows) - 1} B = {delta:.3g} may be rounding, "
-                    f"which can reach {doubt:.3g}",
-                    subject=("system", "B"),
-                    hint="write the plant in states of similar size that act on each other directly",
-                )
-            )
-        following, constants = c @ plant.A, plant.b @ c
+            raise _unsure(len(rows), delta, doubt)
+        following = c @ plant.A
         error = error @ size_A + rounding * (np.abs(c) @ size_A)
         if not B.any():
             break
@@ -131,11 +199,10 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
                     hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
                 )
             )
-        c, o = following[0], float(constants[0])
+        c = following[0]
         if not (np.abs(c) > 2 * error).any():
             break
         rows.append(c)
-        offsets.append(o)
     raise OutsideTheory(
         Problem(
             message=f"no relative degree in cell '{plant.cell_names[0]}': the input never reaches the output "
@@ -146,24 +213,35 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, Array, float]:
     )
 
 
-def _complement(plant: PWASystem, rows: Array, delta: float) -> Array:
-    """Return N (n − r, n) with N B = 0 and [rows; N] invertible, made of original states where possible.
+def _unsure(r: int, delta: float, doubt: float) -> OutsideTheory:
+    return OutsideTheory(
+        Problem(
+            message=f"the relative degree is not sure: C A^{r - 1} B = {delta:.3g} may be rounding, "
+            f"which can reach {doubt:.3g}",
+            subject=("system", "B"),
+            hint="write the plant in states of similar size that act on each other directly",
+        )
+    )
+
+
+def _complement(plant: PWASystem, rows: Array, delta: float) -> list[int]:
+    """Return n − r states j for the rows of N, with [rows; N] invertible; those that are η themselves come first.
 
     State j itself qualifies if B_j = 0; otherwise x_j − (B_j / δ) c_{r−1} x does.
     """
     n, B = rows.shape[1], plant.B[:, 0]
     if len(rows) == n:
-        return np.zeros((0, n))
+        return []
     d = balancing(plant.A)
     unit = np.eye(n)
-    candidates = [unit[j] for j in range(n) if B[j] == 0]
-    candidates += [unit[j] - B[j] / delta * rows[-1] for j in range(n) if B[j] != 0]
-    candidates = [v for v in candidates if v.any()]
-    directions = np.array(candidates) * d
+    states = [j for j in range(n) if B[j] == 0] + [j for j in range(n) if B[j] != 0]
+    candidates = [(j, unit[j] - B[j] / delta * rows[-1]) for j in states]
+    candidates = [(j, v) for j, v in candidates if v.any()]
+    directions = np.array([v for _, v in candidates]) * d
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     scaled = rows * d
     basis, _ = np.linalg.qr((scaled / np.linalg.norm(scaled, axis=1, keepdims=True)).T)
-    chosen: list[Array] = []
+    chosen: list[int] = []
     while len(rows) + len(chosen) < n:
         rest = directions
         for _ in range(2):  # the second pass removes what rounding left
@@ -171,6 +249,6 @@ def _complement(plant: PWASystem, rows: Array, delta: float) -> Array:
         fresh = np.linalg.norm(rest, axis=1)
         good = np.flatnonzero(fresh > _FRESH)
         best = int(good[0]) if len(good) else int(np.argmax(fresh))
-        chosen.append(candidates[best])
+        chosen.append(candidates[best][0])
         basis = np.column_stack([basis, rest[best] / fresh[best]])
-    return np.array(chosen).reshape(n - len(rows), n)
+    return chosen
