@@ -19,26 +19,31 @@ from rich.console import Console
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.report.files import certificate_content
+from pwatrack.report.certificate import design_certificate
 
 SPECS = Path(__file__).parent.parent / "specs"
 NAMES = ("two_mass_backlash.yaml", "gallery/quarter_car_bump_stop.yaml")
 
 
+PLANT = ("A", "b", "B", "C", "H", "h")
+PLACES = (*PLANT, "K", "L", "A_eta", "T", "rate", "margin", "radius", "integers", "exponents")
+
+
 def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
     """Return a certificate with one number changed."""
     changed = copy.deepcopy(content)
-    where = random.choice(["A", "B", "C", "K", "L", "A_eta", "rate", "margin", "radius", "integers", "exponents"])
+    where = str(random.choice(PLACES))
     proof = changed["proofs"][random.integers(len(changed["proofs"]))]
     if where in ("rate", "margin", "radius"):
-        proof[where] = float(proof[where]) * float(10 ** random.uniform(-1, 3))
+        proof[where] = repr(float(proof[where]) * float(10 ** random.uniform(-1, 3)))
         return changed
-    entry: Any = changed[where] if where in changed else proof["P"][where]
+    homes = (changed["plant"], changed, changed["generator"], proof["P"])
+    entry: Any = next(home[where] for home in homes if where in home)
     while isinstance(entry[0], list):
         entry = entry[random.integers(len(entry))]
     k = int(random.integers(len(entry)))
@@ -47,29 +52,28 @@ def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, 
     elif where == "exponents":
         entry[k] += int(random.choice([-2, -1, 1, 2]))
     else:
-        entry[k] = float(entry[k]) + float(random.choice([-1, 1]) * 10.0 ** random.uniform(-6, 2))
+        change = float(random.choice([-1, 1]) * 10.0 ** random.uniform(-6, 2))
+        entry[k] = text(Fraction(entry[k]) + Fraction(repr(change)))
     return changed
 
 
 def is_true(content: dict[str, Any]) -> bool:
-    """Decide every claim of a certificate by leading minors in exact rational arithmetic."""
-    exact = json.loads(json.dumps(content), parse_float=Fraction, parse_int=Fraction)
-    for proof in exact["proofs"]:
+    """Decide every matrix inequality of a certificate by leading minors in exact rational arithmetic."""
+    plant = auditor.Plant(content["plant"])
+    K, L = auditor.matrix(content["K"]), auditor.matrix(content["L"])
+    A_eta = plant.tracking_dynamics(content["generator"])
+    for proof in content["proofs"]:
+        rate, margin, radius = (Fraction(proof[name]) for name in ("rate", "margin", "radius"))
         powers = [Fraction(2) ** int(e) for e in proof["P"]["exponents"]]
         n = len(powers)
         P = [[proof["P"]["integers"][j][k] * powers[j] * powers[k] for k in range(n)] for j in range(n)]
         if any(P[j][k] != P[k][j] for j in range(n) for k in range(n)) or not minors_positive(P):
             return False
-        if min(proof["rate"], proof["margin"]) <= 0:
+        if min(rate, margin) <= 0 or (2 * radius) ** 2 * sum(v * v for row in P for v in row) > margin**2:
             return False
-        if (2 * proof["radius"]) ** 2 * sum(v * v for row in P for v in row) > proof["margin"] ** 2:
-            return False
-        for M in auditor.problem(exact, proof["of"])[0]:
+        for M, _ in plant.problem(proof["of"], K, L, A_eta)[0]:
             MP = [[sum(M[j][s] * P[s][k] for s in range(n)) for k in range(n)] for j in range(n)]
-            S = [
-                [-MP[j][k] - MP[k][j] - 2 * proof["rate"] * P[j][k] - proof["margin"] * (j == k) for k in range(n)]
-                for j in range(n)
-            ]
+            S = [[-MP[j][k] - MP[k][j] - 2 * rate * P[j][k] - margin * (j == k) for k in range(n)] for j in range(n)]
             if not minors_positive(S):
                 return False
     return True
@@ -100,7 +104,7 @@ def nearly_singular(seed: int) -> tuple[Array, bool]:
 def claim_of(proof: Proof) -> dict[str, Any]:
     """Return a proof as it stands in a file."""
     P = {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)}
-    return {"of": proof.of, "rate": proof.rate, "margin": proof.margin, "radius": proof.radius, "P": P}
+    return {name: repr(getattr(proof, name)) for name in ("rate", "margin", "radius")} | {"P": P}
 
 
 def main() -> None:
@@ -112,11 +116,11 @@ def main() -> None:
     false = true = 0
     for name in NAMES:
         spec = load_spec(SPECS / name)
-        content = certificate_content(spec, design(spec))
+        content = json.loads(json.dumps(design_certificate(spec, design(spec))))
         random = np.random.default_rng(2026)
         for _ in range(options.tampered // len(NAMES)):
             changed = tampered(content, random)
-            if not auditor.audit(json.dumps(changed)):
+            if not auditor.audit(json.dumps(changed))[1]:
                 true, false = (true + 1, false) if is_true(changed) else (true, false + 1)
     console.print(f"tampered certificates: {options.tampered}, accepted {true + false}, of these false: {false}")
     proved = refuted = wrong = 0
@@ -127,15 +131,15 @@ def main() -> None:
         certificate = prove(M, P)
         exact = [BallMatrix.of(M_i) for M_i in M]
         proof = None if certificate is None else prove_exactly("controller", exact, certificate.P, certificate.rate)
-        content = {"format": auditor.FORMAT, "A": M.tolist(), "B": [[0]] * n, "C": [], "K": [[0] * n], "L": None}
+        balls = [(auditor.matrix(ball.texts), []) for ball in exact]
         if proof is not None:
             proved += 1
-            wrong += not stable or bool(auditor.audit(json.dumps(content | {"proofs": [claim_of(proof)]})))
+            wrong += not stable or bool(auditor.check(balls, [], claim_of(proof), None))
         found = refute(M, np.zeros((n, 0))) if not stable else refute(M[:1], np.zeros((n, 0)))
         if found is not None:
             refuted += 1
-            Z = {"of": "controller", "rate": 0, "Z": {str(i): Z_i for i, Z_i in found.Z.items()}}
-            wrong += stable or bool(auditor.audit(json.dumps(content | {"proofs": [Z]})))
+            Z = {"rate": 0, "Z": {str(i): Z_i for i, Z_i in found.Z.items()}}
+            wrong += stable or bool(auditor.refuted(balls, [], Z, None))
     console.print(
         f"nearly singular stacks: {options.singular}, proved stable {proved}, proved impossible {refuted}, "
         f"wrong or in disagreement: {wrong}"

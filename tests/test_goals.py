@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -109,10 +110,10 @@ def test_a_rate_out_of_reach_is_proved_to_be(specs: Path, tmp_path: Path, rate: 
         evidence = refusal.value.evidence
         assert isinstance(evidence, Impossibility)
         text = write_refusal(spec, evidence, tmp_path).read_text()
-        assert auditor.audit(text) == []
+        assert auditor.audit(text)[1] == []
         slower = json.loads(text)
-        slower["proofs"][0]["rate"] = 0.1  # which can be reached: the same multipliers must not prove otherwise
-        assert auditor.audit(json.dumps(slower)) != []
+        slower["proofs"][0]["rate"] = "0.1"  # which can be reached: the same multipliers must not prove otherwise
+        assert auditor.audit(json.dumps(slower))[1] != []
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
@@ -231,20 +232,16 @@ def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     found = refute(A, B)
     if found is None:
         return
-    content = {
-        "format": auditor.FORMAT,
-        "A": A.tolist(),
-        "B": B.tolist(),
-        "C": [],
-        "K": None if B.shape[1] else [[0.0] * n],
-        "L": None,
-        "proofs": [{"of": "controller", "rate": 0, "Z": {str(i): Z for i, Z in found.Z.items()}}],
-    }
-    if not B.shape[1]:
-        content["B"] = [[0.0]] * n
-    assert auditor.audit(json.dumps(content)) == []
-    damped = dict(content, A=(A - 100 * np.eye(n)).tolist())  # of which it is false
-    assert auditor.audit(json.dumps(damped)) != []
+    proof = {"rate": 0, "Z": {str(i): Z for i, Z in found.Z.items()}}
+    exact: list[auditor.Ball] = [(fractions(A_i), []) for A_i in A]
+    exact_B = fractions(B) if B.shape[1] else []
+    assert auditor.refuted(exact, exact_B, proof, None) == []
+    damped: list[auditor.Ball] = [(fractions(A_i - 100 * np.eye(n)), []) for A_i in A]  # of which it is false
+    assert auditor.refuted(damped, exact_B, proof, None) != []
+
+
+def fractions(X: Array) -> list[list[Fraction]]:
+    return [[Fraction(repr(float(v))) for v in row] for row in X]
 
 
 def test_a_smallest_gain_is_no_larger_than_the_default_one_of_its_rate() -> None:

@@ -49,14 +49,11 @@ class TrajectoryGenerator:
 def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17).
 
-    Because u does not enter η̇ in `form`, (14) reads A_ηi = Ψ_i, b_ηi = σ_i, B_ηi = [χ_i 0].
-
     Raises:
         Infeasible: If (17) is proved to have no solution: the zero dynamics do not converge.
         Undecided: If neither is proved.
     """
-    A_eta, b_eta = form.Psi, form.sigma
-    B_eta = readonly(np.concatenate([form.chi, np.zeros((*form.chi.shape[:2], 1))], axis=2))
+    A_eta, B_eta, b_eta = tracking_dynamics(form)
     certificate = prove_convergence(
         np.swapaxes(A_eta, 1, 2),
         claim="(17), convergence of the zero dynamics,",
@@ -75,6 +72,14 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
         shift=assumption_2_shift(A_eta, B_eta[:, :, :-1]),
         certificate=certificate,
     )
+
+
+def tracking_dynamics(form: NormalForm) -> tuple[Array, Array, Array]:
+    """Return A_η (l, n − r, n − r), B_η (l, n − r, r + 1) and b_η (l, n − r) of (14).
+
+    Because u does not enter η̇ in `form`, it reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i.
+    """
+    return form.Psi, readonly(np.concatenate([form.chi, np.zeros((*form.chi.shape[:2], 1))], axis=2)), form.sigma
 
 
 def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:

@@ -1,72 +1,311 @@
-"""Check a pwatrack certificate with whole numbers only; runs alone: python audit.py certificate.json .
+"""Check a pwatrack certificate with fractions only; runs alone: python audit.py certificate.json .
 
-Every number is read as the decimal it is. A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and
--(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i,
-or of their transposes, decays at least as fast as exp(-rate t). An impossibility has Z_i with sum Z_i B = 0 and
-sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not all are 0, or there is one alone and it is not <= 0:
-so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P < 0 for all i.
+Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again.
+
+- The cells cover R^n without overlap, and the field is continuous: two cells on opposite sides of one hyperplane
+  H x + h = 0 have [A_i b_i] - [A_j b_j] = g [H h], or do not touch. Linear programs in fractions decide the geometry.
+- The normal form (11): c_0 = C, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j - B_j / delta c_r-1
+  for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
+- A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
+  > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
+  as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
+  balls, it holds for all that is in them.
+- A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
+- An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
+  all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P
+  < 0 for all i. It is about the centres of balls.
 """
 
 import json
+import re
 import sys
 from fractions import Fraction
+from itertools import combinations
 from math import lcm
 from typing import Any
 
-FORMAT = "pwatrack certificate 2"
+FORMAT = "pwatrack certificate 3"
+NAMES = {
+    "plant": "(7) plant",
+    "controller": "(8) controller",
+    "observer": "(9) observer",
+    "generator": "(17) generator",
+}
 Matrix = list[list[Fraction]]
+Ball = tuple[Matrix, Matrix]  # centre and radius
+_NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/[0-9]+)?")
+_LARGEST = 100_000  # characters of a file's number, and binary exponent
 
 
-def audit(text: str) -> list[str]:
-    """Return what is wrong with a certificate, in sentences; nothing if it proves what it says."""
+class Fault(Exception):
+    """Something in the file is wrong, or does not hold."""
+
+
+def audit(text: str) -> tuple[list[str], list[str]]:
+    """Return what a certificate proves, and what is wrong with it, both in sentences."""
     try:
-        content = json.loads(text, parse_float=Fraction, parse_int=Fraction, parse_constant=Fraction)
+        content = json.loads(text, parse_float=str, parse_constant=str)
         if content["format"] != FORMAT:
-            return [f"the format is not '{FORMAT}'"]
+            return [], [f"the format is not '{FORMAT}'"]
+        return judged(content)
+    except Fault as fault:
+        return [], [str(fault)]
+    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError, AttributeError, RecursionError) as error:
+        missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        return [], [f"not a certificate: {missing}"[:200]]
+
+
+def judged(content: Any) -> tuple[list[str], list[str]]:
+    """Decide every claim of a certificate."""
+    plant = Plant(content["plant"])
+    said, faults = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous"], plant.faults()
+    K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
+    generator = content["generator"]
+    A_eta = None if generator is None else plant.tracking_dynamics(generator)
+    decided = set()
+    for proof in content["proofs"]:
+        of = proof["of"]
+        M, B = plant.problem(of, K, L, A_eta)
+        kind = refuted if "Z" in proof else cost if "X" in proof else check
+        wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
+        faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
+        said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}")
+        decided.add("impossible" if "Z" in proof else "" if "X" in proof else of)
+    if "impossible" not in decided:
+        wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
+        absent = sorted(NAMES[of] for of in wanted - decided)
+        if content["tracking"] not in ("output", "state") or (content["tracking"] == "output") != (A_eta is not None):
+            faults.append("a generator goes with output tracking, and only with that")
+        theorem = "Theorem 3, output tracking" if A_eta is not None else "Theorem 2, state tracking"
+        faults += [f"{name} is absent, which {theorem} needs" for name in absent]
+        said.append(f"{theorem}: none of its inequalities is absent")
+    return said, faults
+
+
+def claim(proof: Any, cells: list[str]) -> str:
+    """Say what one entry claims."""
+    if "X" in proof:
+        return "the bound of the cost is proved"
+    rate = f"{float(number(proof['rate'])):g} 1/s"
+    if "Z" in proof:
+        beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
+        return f"proved impossible{beyond}, by multipliers for " + ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
+    return f"proved, rate {rate}"
+
+
+class Plant:
+    """x' = A_i x + b_i + B u in cell i, y = C x."""
+
+    def __init__(self, content: Any) -> None:
+        radius = content["radius"]
+        self.A, self.b = (
+            [ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b")
+        )
+        self.B, self.C = (ball(content[name], radius[name]) for name in ("B", "C"))
+        self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
+        self.signs = [[int(s) for s in row] for row in content["signs"]]
+        n, k, cells = len(self.B[0]), len(self.planes), len(self.A)
+        shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in self.signs}
+        rows = {len(row) for row in (*self.C[0], *(plane[1:] for plane in self.planes))}
+        if not n or not cells or len(self.signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
+            raise Fault("the matrices of the plant do not fit together")
+        if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
+            raise Fault("the matrices of the plant do not fit together")
+
+    def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
+        """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
+        if of == "plant":
+            return [flipped(A) for A in self.A], []
+        if of == "generator":
+            return [flipped(A) for A in A_eta], []
+        A, B, gain = (self.A, self.B, K) if of == "controller" else ([flipped(A) for A in self.A], flipped(self.C), L)
+        if gain is None:
+            return A, B[0]
+        BK = times(B, (gain if of == "controller" else transposed(gain), []))
+        return [(added(X, BK[0]), added_or(R, BK[1])) for X, R in A], []
+
+    def tracking_dynamics(self, generator: Any) -> list[Ball]:
+        """Return A_eta, (17), after checking that the plant has the form (11) that is claimed."""
+        n, r = len(self.B[0]), int(generator["relative_degree"])
+        internal = [int(j) for j in generator["internal"]]
+        if len(self.C[0]) != 1 or len(self.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
+            raise Fault("the form (11) does not fit the plant")
+        row, T = self.C, self.C
+        for k in range(r):
+            following, reached = times(row, self.A[0]), product(row[0], self.B[0])[0][0]
+            if (reached == 0) != (k < r - 1):
+                raise Fault(f"the relative degree is not {r}")
+            for (A, _), (b, _) in zip(self.A, self.b, strict=True):
+                if k < r - 1 and (
+                    product(row[0], A) != following[0] or product(row[0], b) != product(row[0], self.b[0][0])
+                ):
+                    raise Fault("the derivatives of the output differ between cells before the input enters")
+            if k < r - 1:
+                row = following
+                T = stacked(T, row)
+        delta = times(row, self.B)
+        for j in internal:
+            share = times(([self.B[0][j]], [self.B[1][j]] if self.B[1] else []), inverse(delta))
+            taken = times(share, row)
+            T = stacked(T, (added([[Fraction(int(j == k)) for k in range(n)]], taken[0], -1), taken[1]))
+        back = inverse(T)
+        found = []
+        for A in self.A:
+            X, R = times(times(T, A), back)
+            found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
+        if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found] or matrix(generator["T"]) != T[0]:
+            raise Fault("A_eta or T is not that of the plant")
+        return found
+
+    def faults(self) -> list[str]:
+        """Return where cells overlap, where none is, and where the field jumps."""
         faults = []
-        for proof in content["proofs"]:
-            decide = refuted if "Z" in proof else check
-            faults += [f"{proof['of']}: {fault}" for fault in decide(*problem(content, proof["of"]), proof)]
-        return faults if content["proofs"] else ["there is no proof in it"]
-    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
-        return [f"not a certificate: {error}" + " is missing" * isinstance(error, KeyError)]
+        for i, j in combinations(range(len(self.A)), 2):
+            one, other = self.signs[i], self.signs[j]
+            opposite = [k for k, (s, t) in enumerate(zip(one, other, strict=True)) if s * t < 0]
+            both = [s or t for s, t in zip(one, other, strict=True)]
+            if not opposite and self.interior(both):
+                faults.append(f"cells {i + 1} and {j + 1} overlap")
+            if len(opposite) == 1 and self.jumps(i, j, opposite[0]) and self.interior(both, on=opposite[0]):
+                faults.append(f"the field jumps between cells {i + 1} and {j + 1}")
+        if not faults and self.hole([0] * len(self.planes), list(range(len(self.A)))):
+            faults.append("the cells do not cover the state space")
+        return faults
+
+    def jumps(self, i: int, j: int, k: int) -> bool:
+        """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
+        plane = self.planes[k]
+        pivot = next((p for p, v in enumerate(plane[:-1]) if v), None)
+        if pivot is None:
+            raise Fault("a hyperplane has a zero normal")
+        for a, b, c, d in zip(self.A[i][0], self.A[j][0], self.b[i][0], self.b[j][0], strict=True):
+            row = [v - w for v, w in zip((*a, *c), (*b, *d), strict=True)]
+            if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
+                return True
+        return False
+
+    def hole(self, region: list[int], cells: list[int]) -> bool:
+        """Say whether some point strictly inside a region is in none of these cells."""
+        if not self.interior(region):
+            return False
+        for position, i in enumerate(cells):
+            if any(s * t < 0 for s, t in zip(region, self.signs[i], strict=True)):
+                continue
+            inside = list(region)
+            for k, s in enumerate(self.signs[i]):
+                if s and not region[k]:
+                    outside = list(inside)
+                    outside[k] = -s
+                    if self.hole(outside, cells[position + 1 :]):
+                        return True
+                    inside[k] = s
+            return False
+        return True
+
+    def interior(self, signs: list[int], on: int | None = None) -> bool:
+        """Decide whether s (H x + h) > 0 has a solution for all signs s but 0, on a hyperplane if one is given."""
+        rows = [[s * v for v in self.planes[k]] for k, s in enumerate(signs) if s and k != on]
+        if on is not None:
+            plane = self.planes[on]
+            pivot = next(p for p, v in enumerate(plane) if v)
+            rows = [[v - row[pivot] / plane[pivot] * p for v, p in zip(row, plane, strict=True)] for row in rows]
+        return strictly_feasible(rows)
 
 
-def problem(content: Any, of: str) -> tuple[list[Matrix], Matrix]:
-    """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
-    if of in ("generator", "plant"):
-        return [transposed(A) for A in content["A_eta" if of == "generator" else "A"]], []
-    dual = [transposed(A) for A in content["A"]], transposed(content["C"]), transposed(content["L"] or [])
-    A, B, K = {"controller": (content["A"], content["B"], content["K"]), "observer": dual}[of]
-    return ([added(M, product(B, K)) for M in A], []) if K else (A, B)
+def strictly_feasible(rows: list[list[Fraction]]) -> bool:
+    """Decide whether a x + c > 0 for all rows (a, c) has a solution.
+
+    The least w >= 0 with a x + c >= 1 - w is below 1 then; it is found by the simplex method with Bland's rule.
+    """
+    width = 2 * (len(rows[0]) - 1) + 1 if rows else 0  # x as a difference of two positive vectors, and w
+    table = [
+        [*row[:-1], *(-v for v in row[:-1]), Fraction(1), row[-1] - 1] for row in rows
+    ]  # each basic variable of these
+    basis, free = [-1 - k for k in range(len(rows))], list(range(width))
+    if all(row[-1] >= 0 for row in table):
+        return True
+    goal: list[Fraction] = [Fraction(0)] * width + [Fraction(0)]
+    goal[width - 1] = Fraction(1)
+    leaving, entering = min(range(len(table)), key=lambda k: table[k][-1]), width - 1
+    while True:
+        row = table[leaving]
+        factor = -1 / row[entering]
+        row[entering] = Fraction(-1)
+        table[leaving] = row = [factor * v for v in row]
+        basis[leaving], free[entering] = free[entering], basis[leaving]
+        for other in (*(t for k, t in enumerate(table) if k != leaving), goal):
+            scale, other[entering] = other[entering], Fraction(0)
+            if scale:
+                other[:] = [v + scale * p for v, p in zip(other, row, strict=True)]
+        if goal[-1] < 1:
+            return True
+        falling = [k for k in range(width) if goal[k] < 0]
+        if not falling:
+            return False
+        entering = min(falling, key=lambda k: free[k])
+        limits = [(t[-1] / -t[entering], basis[k], k) for k, t in enumerate(table) if t[entering] < 0]
+        leaving = min(limits)[2]
 
 
-def check(matrices: list[Matrix], _: Matrix, proof: Any) -> list[str]:
+def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     """Return what is wrong with one proof of a design."""
-    rate, margin, radius = (Fraction(proof[name]) for name in ("rate", "margin", "radius"))
-    powers = [Fraction(2) ** int(e) for e in proof["P"]["exponents"]]
+    rate, margin, radius = (number(proof[name]) for name in ("rate", "margin", "radius"))
+    exponents = [int(e) for e in proof["P"]["exponents"]]
+    if any(abs(e) > _LARGEST for e in exponents):
+        raise Fault("an exponent is too large to be read")
+    powers = [Fraction(2) ** e for e in exponents]
     rows = zip(proof["P"]["integers"], powers, strict=True)
-    P = [[v * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
-    if transposed(P) != P or not definite(P) or not matrices or any(len(M) != len(P) for M in matrices):
+    P = [[number(v) * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
+    if not P or transposed(P) != P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
         return ["P is not symmetric and positive definite, of the order of the matrices"]
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
-    for i, M in enumerate(matrices):
+    for i, (M, R) in enumerate(matrices):
         half = product(added(M, identity(len(P), rate)), P)
-        if not definite(added(added(half, transposed(half)), identity(len(P), margin)), sign=-1):
+        left = added(added(half, transposed(half)), identity(len(P), margin))
+        enlarge(left, product(R, sizes(P)) if R else [], powers)
+        if not definite(left, sign=-1):
             faults.append(f"the inequality fails in cell {i + 1}")
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
     return faults
 
 
-def refuted(matrices: list[Matrix], B: Matrix, proof: Any) -> list[str]:
+def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
+    """Add a diagonal above every symmetric E with |E| <= half + half^T.
+
+    For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j.
+    """
+    for j, row in enumerate(added(half, transposed(half))):
+        left[j][j] += sum((v * powers[j] / power for v, power in zip(row, powers, strict=True)), Fraction(0))
+
+
+def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
+    """Return what is wrong with one bound of a cost."""
+    X, Q, R = (matrix(proof[name]) for name in ("X", "Q", "R"))
+    if transposed(X) != X or not definite(X) or not definite(R) or not definite(Q, semi=True):
+        return ["X, Q or R is not positive definite"]
+    weight, faults = added(Q, product(transposed(K), product(R, K))), []
+    powers = [
+        Fraction(2) ** ((row[j].numerator.bit_length() - row[j].denominator.bit_length()) // 2)
+        for j, row in enumerate(X)
+    ]
+    for i, (M, radius) in enumerate(matrices):
+        half = product(X, M)
+        left = added(added(half, transposed(half)), weight)
+        enlarge(left, product(sizes(X), radius) if radius else [], powers)
+        if not definite(left, sign=-1):
+            faults.append(f"the bound of the cost fails in cell {i + 1}")
+    return faults
+
+
+def refuted(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     """Return what is wrong with one proof of impossibility."""
-    n, Z = len(matrices[0]), {int(i): Z_i for i, Z_i in proof["Z"].items()}
+    n, Z = len(matrices[0][0]), {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
     total = S = identity(n, 0)
     for i, Z_i in Z.items():
         if len(Z_i) != n or transposed(Z_i) != Z_i or i < 0:
             return ["Z is not symmetric of the order of the matrices"]
-        half = product(Z_i, added(matrices[i], identity(n, proof["rate"])))
+        half = product(Z_i, added(matrices[i][0], identity(n, number(proof["rate"]))))
         total, S = added(total, Z_i), added(S, added(half, transposed(half)))
     alone = len(Z) == 1 and not definite(total, semi=True, sign=-1)
     right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z.values()))
@@ -91,6 +330,83 @@ def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
     return True
 
 
+def number(value: Any) -> Fraction:
+    """Return a number of the file as the decimal or fraction it is written as."""
+    if isinstance(value, str) and len(value) < _LARGEST and _NUMBER.fullmatch(value):
+        return Fraction(value)
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() < _LARGEST:
+        return Fraction(value)
+    raise Fault(f"not a number: {str(value)[:40]}")
+
+
+def matrix(rows: Any) -> Matrix:
+    """Return a matrix of the file."""
+    return [[number(v) for v in row] for row in rows]
+
+
+def ball(rows: Any, radius: Any) -> Ball:
+    """Return a matrix of the file with its radius; [] for none."""
+    R = matrix(radius) if radius else []
+    if any(v < 0 for row in R for v in row):
+        raise Fault("a radius is negative")
+    return matrix(rows), R
+
+
+def times(one: Ball, other: Ball) -> Ball:
+    """Return all products of what is in two balls."""
+    (X, R), (Y, S) = one, other
+    radius: Matrix = product(sizes(X), S) if S else []
+    radius = added_or(radius, product(R, added_or(sizes(Y), S)) if R else [])
+    return product(X, Y), radius
+
+
+def sizes(X: Matrix) -> Matrix:
+    """Return the sizes of all entries."""
+    return [[abs(v) for v in row] for row in X]
+
+
+def inverse(ball_: Ball) -> Ball:
+    """Return all inverses: |(X + E)^-1 - X^-1| <= (I - Q)^-1 Q |X^-1| with Q = |X^-1| |E|, if (I - Q)^-1 >= 0."""
+    X, R = ball_
+    back = inverted(X)
+    if not R:
+        return back, []
+    size = sizes(back)
+    Q = product(size, R)
+    grown = inverted(added(identity(len(X), 1), Q, -1))
+    if any(v < 0 for row in grown for v in row):
+        raise Fault("a change of state in a ball may be singular")
+    return back, product(grown, product(Q, size))
+
+
+def inverted(X: Matrix) -> Matrix:
+    """Return the inverse, by Gauss and Jordan's elimination."""
+    n = len(X)
+    rows = [[*row, *unit] for row, unit in zip(X, identity(n, 1), strict=True)]
+    for k in range(n):
+        found = next((j for j in range(k, n) if rows[j][k]), None)
+        if found is None:
+            raise Fault("a change of state is singular")
+        rows[k], rows[found] = rows[found], rows[k]
+        rows[k] = [v / rows[k][k] for v in rows[k]]
+        for j in range(n):
+            if j != k and rows[j][k]:
+                rows[j] = [v - rows[j][k] * p for v, p in zip(rows[j], rows[k], strict=True)]
+    return [row[n:] for row in rows]
+
+
+def flipped(ball_: Ball) -> Ball:
+    """Return the transposes."""
+    return transposed(ball_[0]), transposed(ball_[1])
+
+
+def stacked(one: Ball, other: Ball) -> Ball:
+    """Return one matrix on top of another."""
+    (X, R), (Y, S) = one, other
+    zero = [[[Fraction(0)] * len(row) for row in Z] for Z in (X, Y)]
+    return X + Y, ((R or zero[0]) + (S or zero[1]) if R or S else [])
+
+
 def identity(n: int, factor: Any) -> Matrix:
     """Return factor I."""
     return [[Fraction(factor) * (j == k) for k in range(n)] for j in range(n)]
@@ -99,12 +415,19 @@ def identity(n: int, factor: Any) -> Matrix:
 def product(X: Matrix, Y: Matrix) -> Matrix:
     """Return X Y."""
     columns = transposed(Y)
+    if any(len(row) != len(Y) for row in X):
+        raise Fault("matrices do not fit together")
     return [[sum((a * b for a, b in zip(row, c, strict=True) if a and b), Fraction(0)) for c in columns] for row in X]
 
 
-def added(X: Matrix, Y: Matrix) -> Matrix:
-    """Return X + Y."""
-    return [[a + b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
+def added(X: Matrix, Y: Matrix, factor: int = 1) -> Matrix:
+    """Return X + factor Y."""
+    return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
+
+
+def added_or(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X + Y, where [] is 0."""
+    return added(X, Y) if X and Y else X or Y
 
 
 def transposed(X: Matrix) -> Matrix:
@@ -112,8 +435,17 @@ def transposed(X: Matrix) -> Matrix:
     return [list(column) for column in zip(*X, strict=True)]
 
 
+def main(path: str) -> int:
+    """Print what the file proves and what is wrong with it; return the exit code."""
+    try:
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123
+            said, faults = audit(file.read())
+    except (OSError, UnicodeDecodeError) as error:
+        said, faults = [], [f"cannot read {path}: {error}"]
+    lines = [f"wrong: {fault}" for fault in faults] or [*said, "every number was read as it is written; fractions only"]
+    print("\n".join(lines))  # noqa: T201
+    return 6 if faults else 0
+
+
 if __name__ == "__main__":
-    with open(sys.argv[1], encoding="utf-8") as file:  # noqa: PTH123
-        found = audit(file.read())
-    print("\n".join(found) or "proved")  # noqa: T201
-    sys.exit(6 if found else 0)
+    sys.exit(main(sys.argv[1]) if len(sys.argv) == 2 else "usage: python audit.py certificate.json")

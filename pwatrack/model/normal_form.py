@@ -65,11 +65,13 @@ class ExactForm:
     Attributes:
         T, offset: [ξ; η] = T x + offset, (n, n) and (n, 1).
         A_eta: (n − r, n − r), one per cell.
+        internal: The states j of the rows N = e_j − (B_j / δ) c_{r−1} of T, n − r of them.
     """
 
     T: BallMatrix
     offset: BallMatrix
     A_eta: tuple[BallMatrix, ...]
+    internal: tuple[int, ...]
 
 
 def normal_form(plant: PWASystem) -> NormalForm:
@@ -91,7 +93,8 @@ def normal_form(plant: PWASystem) -> NormalForm:
     rows, delta = _output_derivatives(plant)
     r, n = len(rows), plant.A.shape[1]
     try:
-        T, offset = _coordinates(plant.exact, r, _complement(plant, rows, delta))
+        internal = _complement(plant, rows, delta)
+        T, offset = _coordinates(plant.exact, r, internal)
         plant, inverse = _repaired(plant, T, offset, r), T.inverse()
     except ZeroDivisionError:
         raise _unsure(r, delta, abs(delta)) from None
@@ -103,7 +106,9 @@ def normal_form(plant: PWASystem) -> NormalForm:
     return NormalForm(
         plant=plant,
         r=r,
-        exact=ExactForm(T=T, offset=offset, A_eta=tuple(A_i.part(etas, etas) for A_i in whole)),
+        exact=ExactForm(
+            T=T, offset=offset, A_eta=tuple(A_i.part(etas, etas) for A_i in whole), internal=tuple(internal)
+        ),
         T=T.floats,
         offset=readonly(o),
         T_inverse=inverse.floats,

@@ -15,12 +15,9 @@ from pwatrack import __version__
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
-from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.pareto import Front
-from pwatrack.lmi.audit import FORMAT
-from pwatrack.lmi.exact import Proof
-from pwatrack.model.normal_form import normal_form
 from pwatrack.pipeline import Result
+from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
@@ -184,9 +181,9 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     costs = {part: X.tolist() for part, X in controller.costs.items()}
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
-    run.json("certificate.json", certificate_content(spec, controller))
+    run.json("certificate.json", design_certificate(spec, controller))
     if generator is not None:
-        run.json("generator.json", _generator(generator))
+        run.json("generator.json", generator_content(generator.form, generator.shift))
 
 
 def write_refusal(spec: Spec, evidence: Impossibility, folder: str | Path) -> Path:
@@ -203,72 +200,9 @@ def write_refusal(spec: Spec, evidence: Impossibility, folder: str | Path) -> Pa
     Raises:
         InvalidSpec: If the folder cannot be written.
     """
-    A_eta = normal_form(spec.plant).Psi if evidence.of == "generator" else None
-    goal = spec.controller if evidence.of == "controller" else spec.observer
-    given = goal.given if evidence.of in ("controller", "observer") else None
-    K, L = (given, None) if evidence.of == "controller" else (None, None if given is None else given.T)
-    Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
-    proofs = [{"of": evidence.of, "impossible": True, "rate": evidence.rate, "Z": Z}]
     with run_folder(folder) as run:
-        run.json(REFUSAL, _certificate(spec, K, L, A_eta, proofs))
+        run.json(REFUSAL, refusal_certificate(spec, evidence))
     return Path(folder) / REFUSAL
-
-
-def certificate_content(spec: Spec, controller: Controller) -> dict[str, Any]:
-    """Return what certificate.json holds: the matrices as printed, and the proofs."""
-    generator, design = controller.generator, controller.design
-    A_eta = None if generator is None else generator.A_eta
-    return _certificate(spec, design.K, design.L, A_eta, [_proof(proof) for proof in controller.proofs])
-
-
-def _certificate(
-    spec: Spec, K: Array | None, L: Array | None, A_eta: Array | None, proofs: list[dict[str, Any]]
-) -> dict[str, Any]:
-    plant = spec.plant
-    return {
-        "format": FORMAT,
-        "claim": "exactly, for these decimals: P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every i, "
-        "P_jk = integers_jk 2^(exponents_j + exponents_k); or, by multipliers Z_i, that no such P exists for any gain "
-        "(or for the one that is given); controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T; "
-        "generator: M_i = A_eta_i^T",
-        "spec_sha256": spec.sha256,
-        "parameters": dict(spec.parameters),
-        "cells": list(plant.cell_names),
-        **{letter: getattr(plant, letter).tolist() for letter in "ABC"},
-        "K": None if K is None else K.tolist(),
-        "L": None if L is None else L.tolist(),
-        "A_eta": [] if A_eta is None else A_eta.tolist(),
-        "proofs": proofs,
-    }
-
-
-def _proof(proof: Proof) -> dict[str, Any]:
-    return {
-        "of": proof.of,
-        "rate": proof.rate,
-        "margin": proof.margin,
-        "radius": proof.radius,
-        "P": {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)},
-    }
-
-
-def _generator(generator: TrajectoryGenerator) -> dict[str, Any]:
-    form = generator.form
-    return {
-        "relative_degree": form.r,
-        "eta": list(form.eta_names),
-        "T": form.T.tolist(),
-        "offset": form.offset.tolist(),
-        "cells": list(form.plant.cell_names),
-        "A_eta": generator.A_eta.tolist(),
-        "b_eta": generator.b_eta.tolist(),
-        "B_eta": generator.B_eta.tolist(),
-        "alpha": form.alpha.tolist(),
-        "beta": form.beta.tolist(),
-        "gamma": form.gamma.tolist(),
-        "delta": form.delta,
-        "shift": None if generator.shift is None else generator.shift.tolist(),
-    }
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:

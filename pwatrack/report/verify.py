@@ -1,13 +1,25 @@
-"""Prove a certificate again from its file, and check that it belongs to its gains and its spec."""
+"""Prove a certificate again from its file, and check that the files of its folder and its spec tell the same story."""
 
 import json
+import stat
+from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
+from pwatrack.control.goal import Goal
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.lmi.audit import audit
+from pwatrack.lmi.audit import audit, number
+from pwatrack.model.normal_form import normal_form
+from pwatrack.report.certificate import decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
-from pwatrack.spec.load import load_spec
+from pwatrack.spec.load import Spec, load_spec
+
+_LARGEST = 2**28  # bytes of a file that is read
+_CLOSE = 1e-12  # relative: figures that are computed again
 
 
 def verify(path: Path, spec: Path | None = None) -> list[str]:
@@ -26,26 +38,22 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     """
     file = path if not path.is_dir() else _certificate_in(path)
     text = _read(file)
-    faults = audit(text)
-    if faults:
-        raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
-    content = json.loads(text)
-    said = [_claim(proof, content["cells"]) for proof in content["proofs"]]
-    said.append("every number was read as the decimal it is; the proof uses whole numbers only")
-    faults = []
-    gains = file.parent / "gains.json"
-    if gains.is_file() and file.name != REFUSAL:
-        beside = json.loads(_read(gains))
-        faults += [
-            f"{letter} in gains.json is not the one that was proved"
-            for letter in ("K", "L")
-            if beside.get(letter) != content[letter]
-        ]
-        said.append("it belongs to gains.json beside it")
-    spec = spec or _named_spec(file.parent)
-    if spec is not None:
-        faults += _against_spec(content, spec)
-        said.append(f"it belongs to {spec}: same bytes, same matrices")
+    said, faults = audit(text)
+    if not faults:
+        said.append("every number was read as it is written; the proofs use fractions only")
+        content, index = json.loads(text), _json(file.parent / INDEX)
+        named = spec or _named_spec(index)
+        described = None if named is None else load_spec(named, content["set"])
+        if described is None:
+            said.append("not compared with a spec: none is at hand; name it with --spec")
+        else:
+            faults += _against_spec(content, described)
+            changed = ", ".join(f"{name} = {value}" for name, value in content["set"].items())
+            said.append(f"it belongs to {named}{' with ' + changed if changed else ''}: same plant, gains and goals")
+        if file.name != REFUSAL and not faults:
+            for name, fault in _against_folder(content, file.parent, index, described):
+                faults += [fault] if fault else []
+                said.append(f"{name} beside it tells the same")
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     return said
@@ -57,31 +65,100 @@ def _certificate_in(folder: Path) -> Path:
     return refusal if refusal.is_file() and not certificate.is_file() else certificate
 
 
-def _claim(proof: dict[str, Any], cells: list[str]) -> str:
-    if "Z" not in proof:
-        return f"{proof['of']}: proved, rate {proof['rate']:g} 1/s, for changes below {proof['radius']:g}"
-    names = ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
-    rate = f" at a rate of {proof['rate']:g} 1/s" if proof["rate"] else ""
-    return f"{proof['of']}: proved impossible{rate}, by multipliers for {names}"
+def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
+    """Return what of a certificate is not what the spec asks for."""
+    subject = subject_content(spec)
+    faults = [
+        f"{name} is not that of {spec.path}"
+        for name in ("tracking", "plant", "generator")
+        if content[name] != subject[name]
+    ]
+    if content["spec_sha256"] != spec.sha256:
+        faults.append(f"{spec.path} has other bytes than the spec it was made for")
+    impossible = any("Z" in proof for proof in content["proofs"])
+    for part, letter in (("controller", "K"), ("observer", "L")):
+        goal: Goal = getattr(spec, part)
+        given = goal.given if part == "controller" or goal.given is None else goal.given.T
+        proofs = [proof for proof in content["proofs"] if proof["of"] == part]
+        if not impossible:
+            faults += [f"{part}: {fault}" for fault in _missed(goal, content[letter], proofs)]
+        elif proofs and content[letter] != decimals(given):
+            faults.append(f"{letter} is not the one that {spec.path} asks to be proved")
+        elif proofs and number(proofs[0]["rate"]) > Fraction(repr(float(goal.least_rate))):
+            faults.append(f"{part}: a rate was refused that {spec.path} does not ask for")
+        if given is not None and not impossible and content[letter] != decimals(given):
+            faults.append(f"{letter} is not the one that {spec.path} gives")
+    return faults
 
 
-def _against_spec(content: dict[str, Any], path: Path) -> list[str]:
-    spec = load_spec(path, content["parameters"])
-    faults = [] if spec.sha256 == content["spec_sha256"] else [f"{path} has other bytes than the spec it was made for"]
-    differ = [letter for letter in ("A", "B", "C") if getattr(spec.plant, letter).tolist() != content[letter]]
-    return faults + [f"{letter} is not that of {path}" for letter in differ]
+def _missed(goal: Goal, gain: Any, proofs: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield what of a goal is not proved."""
+    rates = [number(proof["rate"]) for proof in proofs if "rate" in proof]
+    if not rates or max(rates) < Fraction(repr(float(goal.least_rate))):
+        yield f"the rate asked for, {goal.least_rate:g} 1/s, is not proved"
+    norm = float(np.linalg.norm([[float(number(v)) for v in row] for row in gain], 2))
+    if norm > goal.bound * (1 + _CLOSE):
+        yield f"the gain has a norm of {norm:.6g}, above the bound {goal.bound:g}"
+    if goal.Q is not None:
+        wanted = decimals(goal.Q), decimals(goal.R)
+        if not any((proof.get("Q"), proof.get("R")) == wanted for proof in proofs):
+            yield "the bound of the cost asked for is not there"
 
 
-def _named_spec(folder: Path) -> Path | None:
+def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spec | None) -> Iterator[tuple[str, str]]:
+    """Yield each file of the folder that was looked at, and what is wrong with it ('' for nothing)."""
+    if (gains := _json(folder / "gains.json")) is not None:
+        wrong = [letter for letter in ("K", "L") if not _same(gains.get(letter), content[letter])]
+        yield "gains.json", f"{' and '.join(wrong)} in gains.json is not the one that was proved" if wrong else ""
+    if (generator := _json(folder / "generator.json")) is not None:
+        subject = content["generator"] or {}
+        same = all(_same(generator.get(name), subject.get(name)) for name in ("T", "A_eta"))
+        if spec is not None and same:
+            form = normal_form(spec.plant)
+            A_eta, B_eta, _ = tracking_dynamics(form)
+            same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, :-1]))
+        yield "generator.json", "" if same else "generator.json is not that of this plant"
+    if index is not None:
+        figures, proved = index.get("figures", {}), dict[str, list[float]]()
+        for proof in content["proofs"]:
+            if "rate" in proof:
+                proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
+        wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
+        wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
+        yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
+
+
+def _same(doubles: Any, texts: Any) -> bool:
+    """Say whether nested lists of doubles are the doubles nearest to the numbers that are written."""
+    if isinstance(doubles, list) and isinstance(texts, list):
+        return len(doubles) == len(texts) and all(map(_same, doubles, texts))
+    return isinstance(doubles, int | float) and not isinstance(texts, list) and float(number(texts)) == doubles
+
+
+def _named_spec(index: Any) -> Path | None:
+    named = Path(str(index.get("spec", ""))) if isinstance(index, dict) else Path()
+    return named if named.is_file() else None
+
+
+def _json(path: Path) -> Any:
+    """Return what a JSON file holds that is a mapping, or None if there is no such file."""
     try:
-        named = Path(json.loads((folder / INDEX).read_text(encoding="utf-8"))["spec"])
-        return named if named.is_file() else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+        content = json.loads(_read(path)) if path.is_file() else None
+    except (ValueError, RecursionError):
+        raise CheckFailed(Problem(message=f"{path} is not JSON", subject=None)) from None
+    if content is not None and not isinstance(content, dict):
+        raise CheckFailed(Problem(message=f"{path} holds no mapping", subject=None))
+    return content
 
 
 def _read(path: Path) -> str:
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise InvalidSpec(Problem(message=f"{path} is no regular file", subject=None))
+        if found.st_size > _LARGEST:
+            message = f"{path} has {found.st_size:,} bytes, at most {_LARGEST:,} are read"
+            raise InvalidSpec(Problem(message=message, subject=None))
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidSpec(Problem(message=f"cannot read {path}: {error}", subject=None)) from None

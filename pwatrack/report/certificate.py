@@ -1,0 +1,150 @@
+"""What certificate.json, refusal.json and generator.json hold: plant, gains and proofs in exact numbers."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.control.controller import Controller
+from pwatrack.control.convergence import Impossibility
+from pwatrack.control.generator import tracking_dynamics
+from pwatrack.control.goal import Goal
+from pwatrack.lmi.audit import FORMAT
+from pwatrack.lmi.exact import Proof
+from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.model.pwa import PWASystem
+from pwatrack.spec.load import Spec
+
+_CLAIM = (
+    "Exactly, for the numbers as they are written here (decimals, fractions; where a radius is given, for every value "
+    "within it of the entry): the cells cover the state space, the field is continuous, and controller: "
+    "M_i = A_i + B K; observer: M_i = (A_i + L C)^T; generator: M_i = A_eta_i^T, the tracking dynamics of this plant; "
+    "P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every cell i, "
+    "P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0. "
+    "Multipliers Z_i prove that no such P exists for any gain, or for the one that is given. The file can be checked "
+    "with pwatrack verify, or with audit.py of pwatrack alone."
+)
+
+
+def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
+    """Return the content of certificate.json."""
+    proofs: list[dict[str, Any]] = [_proof(proof) for proof in controller.proofs]
+    for of, X in controller.costs.items():
+        goal: Goal = getattr(spec, of)
+        proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
+    return _content(spec, controller.design.K, controller.design.L, proofs)
+
+
+def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
+    """Return the content of refusal.json."""
+    goal = spec.controller if evidence.of == "controller" else spec.observer
+    given = goal.given if evidence.of in ("controller", "observer") else None
+    K, L = (given, None) if evidence.of == "controller" else (None, None if given is None else given.T)
+    Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
+    proofs = [{"of": evidence.of, "rate": _decimal(evidence.rate), "Z": Z}]
+    return _content(spec, K, L, proofs)
+
+
+def subject_content(spec: Spec) -> dict[str, Any]:
+    """Return the part of either that the spec alone decides: what is proved something of."""
+    form = normal_form(spec.plant) if spec.tracking == "output" else None
+    return {
+        "tracking": spec.tracking,
+        "plant": _plant(spec.plant if form is None else form.plant),
+        "generator": None if form is None else _generator(form),
+    }
+
+
+def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
+    """Return the content of generator.json: (15) and (16) in doubles.
+
+    Args:
+        form: The normal form (11).
+        shift: M of Assumption 2, or None if there is none.
+    """
+    A_eta, B_eta, b_eta = tracking_dynamics(form)
+    return {
+        "relative_degree": form.r,
+        "eta": list(form.eta_names),
+        "T": form.T.tolist(),
+        "offset": form.offset.tolist(),
+        "cells": list(form.plant.cell_names),
+        "A_eta": A_eta.tolist(),
+        "b_eta": b_eta.tolist(),
+        "B_eta": B_eta.tolist(),
+        "alpha": form.alpha.tolist(),
+        "beta": form.beta.tolist(),
+        "gamma": form.gamma.tolist(),
+        "delta": form.delta,
+        "shift": None if shift is None else shift.tolist(),
+    }
+
+
+def decimals(X: Array | None) -> list[list[str]] | None:
+    """Return a matrix of doubles as the decimals that they print as."""
+    return None if X is None else BallMatrix.of(X, (X.shape[0], X.shape[1])).texts
+
+
+def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "claim": _CLAIM,
+        "spec_sha256": spec.sha256,
+        "set": {name: str(value) for name, value in spec.recipe.overrides.items()},
+        **subject_content(spec),
+        "K": decimals(K),
+        "L": decimals(L),
+        "proofs": list(proofs),
+    }
+
+
+def _plant(plant: PWASystem) -> dict[str, Any]:
+    exact, partition = plant.exact, plant.partition
+    return {
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "cells": list(plant.cell_names),
+        "H": decimals(partition.H),
+        "h": [_decimal(v) for v in partition.h.tolist()],
+        "signs": partition.signs.tolist(),
+        "A": [X.texts for X in exact.A],
+        "b": [X.texts for X in exact.b],
+        "B": exact.B.texts,
+        "C": exact.C.texts,
+        "radius": {
+            "A": _radii(exact.A),
+            "b": _radii(exact.b),
+            "B": exact.B.radius_texts,
+            "C": exact.C.radius_texts,
+        },
+    }
+
+
+def _radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
+    return None if all(X.radius is None for X in matrices) else [X.radius_texts for X in matrices]
+
+
+def _generator(form: NormalForm) -> dict[str, Any]:
+    return {
+        "relative_degree": form.r,
+        "internal": list(form.exact.internal),
+        "eta": list(form.eta_names),
+        "T": form.exact.T.texts,
+        "A_eta": [X.texts for X in form.exact.A_eta],
+    }
+
+
+def _proof(proof: Proof) -> dict[str, Any]:
+    return {
+        "of": proof.of,
+        "rate": _decimal(proof.rate),
+        "margin": _decimal(proof.margin),
+        "radius": _decimal(proof.radius),
+        "P": {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)},
+    }
+
+
+def _decimal(value: float) -> str:
+    return text(Fraction(repr(float(value))))
