@@ -150,8 +150,8 @@ class Plant:
             T = stacked(T, (added([[Fraction(int(j == k)) for k in range(n)]], taken[0], -1), taken[1]))
         back = inverse(T)
         found = []
-        for A in self.A:
-            X, R = times(times(T, A), back)
+        for cell in self.A:
+            X, R = times(times(T, cell), back)
             found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
         if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found] or matrix(generator["T"]) != T[0]:
             raise Fault("A_eta or T is not that of the plant")

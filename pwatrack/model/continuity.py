@@ -53,6 +53,11 @@ class Repair:
             return self
         return Repair(A=self.A + other.A, b=self.b + other.b, relative=self.relative + other.relative)
 
+    @property
+    def size(self) -> str:
+        """How large the change is, in words."""
+        return f"at most {self.relative:.1e} of the terms of an equation"
+
     def disturbance(self, x: Array) -> Array:
         """Return by how much ẋ may differ between the data given and the repaired ones where |x| is no larger, (n,)."""
         return np.asarray(self.A @ np.abs(x) + self.b)

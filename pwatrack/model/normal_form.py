@@ -169,7 +169,11 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
     d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
     share = np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)
     repair = Repair(A=readonly(A), b=readonly(b[:, 0]), relative=float(share.max()))
-    return replace(plant.with_matrices(new), repair=repair.and_then(plant.repair))
+    remark = (
+        f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
+    )
+    whole = plant.with_matrices(new)
+    return replace(whole, repair=repair.and_then(plant.repair), remarks=(*plant.remarks, remark))
 
 
 def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:

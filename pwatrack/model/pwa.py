@@ -197,7 +197,12 @@ class PWASystem:
             )
             for columns, before in ((range(n), self.exact.A), ([n], self.exact.b))
         )
-        return replace(self.with_matrices(replace(self.exact, A=A, b=b)), repair=repair)
+        remark = (
+            f"the data jump at facets by rounding, {repair.size}: proofs and simulation are about the continuous plant "
+            "next to them"
+        )
+        whole = self.with_matrices(replace(self.exact, A=A, b=b))
+        return replace(whole, repair=repair, remarks=(*self.remarks, remark))
 
     def _jump_problem(self, jump: Jump, tolerance: float) -> Problem:
         facet, in_A = jump.facet, bool(jump.A.any())

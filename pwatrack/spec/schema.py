@@ -30,12 +30,14 @@ from pwatrack.model.nonlinearity import (
     saturation,
     spring,
 )
+from pwatrack.model.pwa import ROUNDING
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.real import Real
 from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number, real
 
 _LARGEST = 1e60  # products of a few entries stay finite
 _LONGEST_NAME = 100
+_COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
 
 
@@ -513,10 +515,16 @@ class SimulationSection(Section):
     ensemble: EnsembleSection = EnsembleSection()
 
 
-class ToleranceSection(Section):
-    """Rounding in the data that is accepted, relative to its size."""
+def _rounding(value: float) -> float:
+    if value > _COARSEST:
+        raise ValueError(f"{value:g} is more than data are rounded by in print: at most {_COARSEST:g} is accepted")
+    return value
 
-    continuity: Positive = 1e-9
+
+class ToleranceSection(Section):
+    """Rounding in the data that is repaired, relative to the terms of each equation at a facet."""
+
+    continuity: Annotated[Positive, AfterValidator(_rounding)] = ROUNDING
 
 
 class ExpectSection(Section):
