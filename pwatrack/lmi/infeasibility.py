@@ -60,7 +60,14 @@ class Refutation:
     eigenvalues: Mapping[int, complex]
 
 
-def refute(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel") -> Refutation | None:
+def refute(
+    A: Array,
+    B: Array,
+    *,
+    rate: float = 0.0,
+    solver: Solver = "clarabel",
+    exact: tuple[Sequence[Rational], Rational] | None = None,
+) -> Refutation | None:
     """Prove that no P ≻ 0, Y have A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ≺ 0 for all cells, or return None.
 
     Args:
@@ -68,6 +75,7 @@ def refute(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel"
         B: (n, m); m = 0 where the gain is given.
         rate: In 1/s, exactly as printed.
         solver: Which interior-point solver to ask for multipliers.
+        exact: The matrices A_i and B that the proof is about, where they are not the decimals that A and B print as.
 
     Example: an integrator cannot be stabilised from nowhere.
 
@@ -76,7 +84,8 @@ def refute(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel"
         (((1,),), {0: 0j})
     """
     shift = decimals(np.array([[rate]]))[0, 0] * identity(A.shape[1])
-    exact_A, exact_B = [decimals(A_i) + shift for A_i in A], decimals(B)
+    numbers, exact_B = ([decimals(A_i) for A_i in A], decimals(B)) if exact is None else exact
+    exact_A = [A_i + shift for A_i in numbers]
     return _stuck_modes(exact_A, exact_B) or _conflict(A + rate * np.eye(A.shape[1]), B, exact_A, exact_B, solver)
 
 
