@@ -1,17 +1,34 @@
 """Hyperplanes H_jᵀx + h_j = 0, the polyhedral cells Λ_i they bound, and the facets between cells."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from fractions import Fraction
 from functools import cached_property
-from itertools import combinations
+from itertools import chain
+from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, IntArray, readonly
-from pwatrack.errors import OutsideTheory, Problem, Undecided
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
+from pwatrack.model.hyperplanes import claims, merge
+from pwatrack.model.polyhedron import (
+    Row,
+    borders,
+    coordinates,
+    interior_point,
+    lifted,
+    oriented,
+    primitive,
+    restricted,
+    value,
+)
+from pwatrack.model.tiling import Tiling
+from pwatrack.real import Real
 
-_INTERIOR = 1e-9  # least inner radius of a set with an interior, in units of the least distance of a plane from 0
+_SIZES = Fraction(1, 10**100), Fraction(10**100)  # of the largest entry of a normal, beyond which it is rescaled
 
 
 @dataclass(frozen=True)
@@ -30,11 +47,19 @@ class Partition:
     Cell i is the set of x with `signs[i, j] * (H[j] @ x + h[j]) >= 0` for all
     j; a sign of 0 means that hyperplane j does not bound the cell.
 
+    Which cells have an interior, share a facet, overlap or leave a hole is decided for the exact numbers, in whole
+    numbers, whatever their sizes.
+
     Attributes:
-        H: Normals of the hyperplanes, (k, n).
-        h: Offsets of the hyperplanes, (k,).
+        H: Normals of the hyperplanes, (k, n): the doubles nearest to `exact_H`.
+        h: Offsets of the hyperplanes, (k,): likewise.
         signs: Side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1.
         names: Name of each cell, l of them.
+        exact_H, exact_h: The same numbers as they were written; the middle of what is only known to lie in a ball.
+        complete: Whether the cells are all regions that the hyperplanes cut ℝⁿ into, by construction; then nothing
+            is left to prove.
+        repair: Largest change of a border that two cells write with different roundings, relative to its numbers.
+        remarks: What was noticed when it was made.
 
     Example:
         >>> halves = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["left", "right"])
@@ -46,29 +71,100 @@ class Partition:
     h: Array
     signs: IntArray
     names: tuple[str, ...]
+    exact_H: tuple[tuple[Fraction, ...], ...]
+    exact_h: tuple[Fraction, ...]
+    complete: bool = False
+    repair: float = 0.0
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def create(cls, *, H: object, h: object, signs: object, names: Sequence[str]) -> "Partition":
         """Check the shapes, merge hyperplanes that are the same set, and return the partition.
 
+        Hyperplanes whose numbers differ by at most 1e-12 of themselves are merged too, where no cell is between them:
+        the first one stands for both, and a remark says so.
+
+        Args:
+            H: Normals, (k, n): int, Fraction, `Real`, or float, which means the decimal that it is printed as.
+            h: Offsets, (k,).
+            signs: (l, k).
+            names: l of them.
+
         Raises:
-            ValueError: If the shapes do not fit or a hyperplane has a zero normal.
+            ValueError: If the shapes do not fit, a number is not finite or a hyperplane has a zero normal.
+            InvalidSpec: If an offset is beyond the range of a double.
         """
         cell_names = tuple(names)
         sign_table = np.array(signs, dtype=np.int64).reshape(len(cell_names), -1)
-        count = sign_table.shape[1]
-        normals = readonly(H, shape=(count, None), name="H")
-        offsets = readonly(h, shape=(count,), name="h")
-        if count and not np.abs(normals).max(axis=1).all():
-            raise ValueError("a hyperplane has a zero normal")
-        normals, offsets, sign_table = _merge(normals, offsets, sign_table)
-        sign_table.flags.writeable = False
-        return cls(H=normals, h=offsets, signs=sign_table, names=cell_names)
+        planes, n = _exact_planes(H, h, sign_table.shape[1])
+        found = merge([primitive(plane) for plane in planes], sign_table)
+        remarks = []
+        for k, other, size in found.repairs:
+            one, first = (cell_names[int(np.argmax(sign_table[:, j] != 0))] for j in (k, other))
+            remarks.append(
+                f"the borders of cells '{first}' and '{one}' differ by {float(size):.1e} of their numbers: "
+                f"they are taken for one, as '{first}' writes it"
+            )
+        created = cls._of([planes[k] for k in found.kept], n, found.signs, cell_names)
+        repair = float(max((size for *_, size in found.repairs), default=Fraction(0)))
+        return replace(created, repair=repair, remarks=tuple(remarks))
+
+    @classmethod
+    def regions(cls, *, H: object, h: object, most: int) -> "Partition":
+        """Return all regions that some hyperplanes cut ℝⁿ into, as cells without names.
+
+        They cover ℝⁿ and do not overlap, as each is the set of all x with its signs; two of them share a facet if
+        and only if they differ in one sign. Hyperplanes are merged only where they are exactly the same.
+
+        Raises:
+            ValueError: As `create`.
+            InvalidSpec: If there are more than `most`.
+
+        Example: three lines through one point.
+
+            >>> len(Partition.regions(H=[[1, 0], [0, 1], [1, 1]], h=[0, 0, 0], most=100).signs)
+            6
+        """
+        planes, n = _exact_planes(H, h, None)
+        kept: dict[Row, list[Fraction]] = {}
+        for plane in planes:
+            kept.setdefault(oriented(primitive(plane))[0], plane)
+        planes = list(kept.values())
+        try:
+            found = arrangement([primitive(plane) for plane in planes], most)
+        except TooMany:
+            message = f"{len(planes)} hyperplanes make more than {most:,} cells"
+            raise InvalidSpec(Problem(message=message, subject=("system",), hint="fewer nonlinearities")) from None
+        bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
+        signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
+        return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)
+
+    @classmethod
+    def _of(cls, planes: list[list[Fraction]], n: int, signs: IntArray, names: tuple[str, ...]) -> "Partition":
+        signs.flags.writeable = False
+        exact = [_rescaled(plane) for plane in planes]
+        try:
+            doubles = np.array([[float(v) for v in plane] for plane in exact]).reshape(len(exact), n + 1)
+        except OverflowError:
+            problem = Problem(message="a border of the cells lies beyond the range of numbers", subject=("system",))
+            raise InvalidSpec(problem) from None
+        return cls(
+            H=readonly(doubles[:, :-1]),
+            h=readonly(doubles[:, -1]),
+            signs=signs,
+            names=names,
+            exact_H=tuple(tuple(plane[:-1]) for plane in exact),
+            exact_h=tuple(plane[-1] for plane in exact),
+        )
 
     def locate(self, x: Array) -> int:
         """Return the cell that contains x (n,), the first one if x lies on a facet."""
-        inside = (self.signs * (self.H @ x + self.h)).min(axis=1, initial=0.0)
-        return int(np.argmax(inside))
+        sides = self.H @ x + self.h
+        doubt = (len(x) + 3) * np.finfo(np.float64).eps * (np.abs(self.H) @ np.abs(x) + np.abs(self.h)) + 1e-300
+        for k in np.flatnonzero((np.abs(sides) <= doubt) & np.isfinite(doubt)):
+            side = value(self.rows[k], primitive([*map(Fraction, x.tolist()), Fraction(1)]))
+            sides[k] = (side > 0) - (side < 0)
+        return int(np.argmax((self.signs * np.sign(sides) >= 0).all(axis=1)))
 
     def between(self, i: int, j: int) -> list[int]:
         """Return the hyperplanes that cells i and j are on opposite sides of."""
@@ -76,185 +172,185 @@ class Partition:
 
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
-        """All pairs of cells that share a facet.
-
-        Two cells with disjoint interiors that meet in dimension n − 1 are on
-        opposite sides of exactly one hyperplane; a linear program decides
-        whether they really touch there.
-        """
-        found = []
-        for i, j in combinations(range(len(self.names)), 2):
-            opposite = self.between(i, j)
-            if len(opposite) == 1:
-                k = opposite[0]
-                if self.interior_point(_join(self.signs[i], self.signs[j]), on=k) is not None:
-                    found.append(Facet(i, j, k))
-        return tuple(found)
+        """All pairs of cells that share a facet, a set of dimension n − 1; of a partition that passes `check`."""
+        found = self._facets_by_signs() if self._cells is not None else self._facets_by_tiling()
+        return tuple(sorted(found, key=lambda facet: (facet.i, facet.j)))
 
     @cached_property
     def empty_cells(self) -> tuple[int, ...]:
         """The cells whose inequalities leave them no interior; nothing is lost without them."""
-        return tuple(i for i in range(len(self.names)) if self.interior_point(self.signs[i]) is None)
+        if self.complete:
+            return ()
+        full = self._tiling.cells if self._cells is None else self._cells.values()
+        return tuple(sorted(set(range(len(self.names))).difference(full)))
 
-    def without(self, cells: Sequence[int]) -> "Partition":
-        """Return the partition without some of its cells."""
-        kept = [i for i in range(len(self.names)) if i not in cells]
-        return Partition(H=self.H, h=self.h, signs=self.signs[kept], names=tuple(self.names[i] for i in kept))
+    def without(self, cells: Iterable[int]) -> "Partition":
+        """Return the partition without some of its cells, and without the hyperplanes that then bound none."""
+        left_out = set(cells)
+        kept = [i for i in range(len(self.names)) if i not in left_out]
+        used = [int(k) for k in np.flatnonzero(self.signs[kept].any(axis=0))]
+        signs = self.signs[kept][:, used]
+        signs.flags.writeable = False
+        return replace(
+            self,
+            H=readonly(self.H[used]),
+            h=readonly(self.h[used]),
+            signs=signs,
+            names=tuple(self.names[i] for i in kept),
+            exact_H=tuple(self.exact_H[k] for k in used),
+            exact_h=tuple(self.exact_h[k] for k in used),
+            complete=self.complete and not left_out,
+        )
 
     def check(self) -> None:
-        """Prove by linear programs that the cells do not overlap and cover ℝⁿ.
+        """Prove that the cells do not overlap and cover ℝⁿ.
 
         Raises:
-            OutsideTheory: With one problem per overlapping pair, and a witness point for a hole.
+            OutsideTheory: With one problem per overlapping pair that was found, or a witness point for a hole.
         """
-        problems = []
-        for i, j in combinations(range(len(self.names)), 2):
-            if not (self.signs[i] * self.signs[j] < 0).any():
-                witness = self.interior_point(_join(self.signs[i], self.signs[j]))
-                if witness is not None:
-                    problems.append(
-                        Problem(
-                            message=f"cells '{self.names[i]}' and '{self.names[j]}' overlap, "
-                            f"for example at x = {_point(witness)}",
-                            subject=("system", "cells", j),
-                            hint="interiors of cells must be disjoint (Section II)",
-                        )
-                    )
-        if not problems:
-            hole = self._hole(np.zeros_like(self.signs[0]), list(range(len(self.names))))
-            if hole is not None:
-                problems.append(
-                    Problem(
-                        message=f"the cells do not cover the state space: no cell contains x = {_point(hole)}",
-                        subject=("system", "cells"),
-                        hint="every state must belong to a cell (Section II)",
-                    )
-                )
-        if not problems:
-            problems += self._lonely()
+        if self.complete:
+            return
+        found = self._missing_region() if self._cells is not None else None
+        problems = [_hole(found)] if found else []
+        if self._cells is None:
+            problems = self._faults()
         if problems:
             raise OutsideTheory(*problems)
 
-    def _lonely(self) -> list[Problem]:
-        """Cover and disjointness imply that facets connect all cells; where they do not, rounding hid one."""
-        full = [i for i in range(len(self.names)) if i not in self.empty_cells]
-        reached, frontier = set(full[:1]), full[:1]
-        while frontier:
-            i = frontier.pop()
-            for facet in self.facets:
-                for one, other in ((facet.i, facet.j), (facet.j, facet.i)):
-                    if one == i and other in full and other not in reached:
-                        reached.add(other)
-                        frontier.append(other)
-        return [
-            Problem(
-                message=f"cell '{self.names[i]}' shares no facet with the others: its borders do not match theirs",
-                subject=("system", "cells", i),
-                hint="write the border between two cells with the same numbers in both",
-            )
-            for i in full
-            if i not in reached
-        ]
-
-    def _hole(self, region: IntArray, cells: list[int]) -> Array | None:
-        """Return a point inside `region` (a sign vector) that is in none of `cells`."""
-        point = self.interior_point(region)
-        if point is None:
-            return None
-        for position, i in enumerate(cells):
-            if (region * self.signs[i] < 0).any():
-                continue
-            open_rows = np.flatnonzero((self.signs[i] != 0) & (region == 0))
-            inside = region.copy()
-            for k in open_rows:
-                outside = inside.copy()
-                outside[k] = -self.signs[i, k]
-                hole = self._hole(outside, cells[position + 1 :])
-                if hole is not None:
-                    return hole
-                inside[k] = self.signs[i, k]
-            return None
-        return point
-
-    def interior_point(self, signs: IntArray, on: int | None = None) -> Array | None:
+    def interior_point(self, signs: IntArray, on: int | None = None) -> tuple[Fraction, ...] | None:
         """Return an inner point (n,) of the polyhedron of a sign vector (k,), or None if it has no interior.
 
         With `on`, the interior is meant relative to that hyperplane.
-
-        Raises:
-            Undecided: If the linear program is not solved.
         """
-        rows = np.flatnonzero(signs)
-        rows = rows[rows != on] if on is not None else rows
-        H, h, d = self._scaled
-        n = H.shape[1]
-        if not len(rows):
-            return np.zeros(n) if on is None else -h[on] * H[on] * d
-        solution = linprog(
-            np.append(np.zeros(n), -1.0),
-            A_ub=np.column_stack([-signs[rows, None] * H[rows], np.ones(len(rows))]),
-            b_ub=signs[rows] * h[rows],
-            A_eq=None if on is None else np.append(H[on], 0.0)[None],
-            b_eq=None if on is None else [-h[on]],
-            bounds=[(None, None)] * n + [(None, 1.0)],
-            method="highs",
-            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
-        )
-        if solution.status == 2 or solution.x is None:
-            return None
-        if solution.status != 0:
-            raise Undecided(f"a linear program on the cells was not solved: {solution.message}")
-        return d * np.asarray(solution.x[:-1], dtype=np.float64) if solution.x[-1] >= _INTERIOR else None
+        rows, n = claims(self.rows, signs if on is None else _without(signs, on)), self.H.shape[1]
+        if on is None:
+            point = interior_point(rows, n)
+        else:
+            plane, _ = oriented(self.rows[on])
+            point = interior_point(restricted(rows, plane), n - 1)
+            point = None if point is None else lifted(point, plane)
+        return None if point is None else coordinates(point)
 
     @cached_property
-    def _scaled(self) -> tuple[Array, Array, Array]:
-        """Return H' (k, n) with unit rows, h' (k,) and d (n,) with H x + h ∝ H' z + h', x = d z, and |h'| ≥ 1 or 0."""
-        return _equilibrated(self.H, self.h)
+    def rows(self) -> tuple[Row, ...]:
+        """The hyperplanes in whole numbers (H_j, h_j), times a positive factor each."""
+        return tuple(primitive([*H, h]) for H, h in zip(self.exact_H, self.exact_h, strict=True))
+
+    @cached_property
+    def _arrangement(self) -> Arrangement | None:
+        """All regions of the hyperplanes, where every cell claims a side of every one and the cells may be all."""
+        distinct = len({oriented(row)[0] for row in self.rows}) == len(self.rows)
+        if not distinct or not self.signs.all() or len(set(self._regions)) < len(self.names):
+            return None
+        try:
+            return arrangement(self.rows, 2 * len(self.names) + 100)
+        except TooMany:
+            return None
+
+    @cached_property
+    def _regions(self) -> list[int]:
+        """The number of each cell as a region of an arrangement."""
+        return [sum(1 << k for k in np.flatnonzero(row > 0).tolist()) for row in self.signs]
+
+    @cached_property
+    def _cells(self) -> dict[int, int] | None:
+        """The cells with an interior by their numbers as regions; None where cells are not regions."""
+        cells = {region: i for i, region in enumerate(self._regions)}
+        if self.complete:
+            return cells
+        if self._arrangement is None:
+            return None
+        return {region: cells[region] for region in self._arrangement.regions if region in cells}
+
+    @cached_property
+    def _tiling(self) -> Tiling:
+        shapes = (borders(claims(self.rows, signs), self.H.shape[1]) for signs in self.signs)
+        return Tiling({i: shape for i, shape in enumerate(shapes) if shape is not None}, self.H.shape[1])
+
+    def _facets_by_signs(self) -> list[Facet]:
+        """Between regions that differ in one sign: a line from one to the other crosses no other hyperplane."""
+        assert self._cells is not None
+        found = []
+        for region, i in self._cells.items():
+            for k in range(len(self.h)):
+                j = self._cells.get(region ^ 1 << k, -1)
+                if j > i:
+                    found.append(Facet(i, j, k))
+        return found
+
+    def _facets_by_tiling(self) -> list[Facet]:
+        numbers = {oriented(row)[0]: k for k, row in reversed(list(enumerate(self.rows)))}
+        return [Facet(min(i, j), max(i, j), numbers[plane]) for i, j, plane in self._tiling.facets()]
+
+    def _missing_region(self) -> tuple[Fraction, ...] | None:
+        """Return a point of a region that is no cell. As all cells are different regions, they do not overlap."""
+        assert self._arrangement is not None
+        assert self._cells is not None
+        for position, region in enumerate(self._arrangement.regions):
+            if region not in self._cells:
+                return self._arrangement.point(position, self.H.shape[1])
+        return None
+
+    def _faults(self) -> list[Problem]:
+        """Return a problem per overlapping pair, or else one for a hole."""
+        faults, n = self._tiling.faults(), self.H.shape[1]
+        shapes = self._tiling.cells
+        overlaps: dict[tuple[int, int], Any] = {}
+        for point, owners in faults:
+            if len(owners) > 1:
+                overlaps.setdefault((owners[0], owners[1]), coordinates(point))
+        for i in sorted(set(chain.from_iterable(overlaps))):  # these may overlap others too
+            for j in shapes:
+                pair = (min(i, j), max(i, j))
+                if i != j and pair not in overlaps and borders(shapes[i] + shapes[j], n) is not None:
+                    overlaps[pair] = coordinates(interior_point(shapes[i] + shapes[j], n) or ())
+        if not overlaps:
+            return [_hole(coordinates(point)) for point, owners in faults[:1]]
+        return [
+            Problem(
+                message=f"cells '{self.names[i]}' and '{self.names[j]}' overlap, for example at x = {_point(witness)}",
+                subject=("system", "cells", j),
+                hint="interiors of cells must be disjoint (Section II)",
+            )
+            for (i, j), witness in sorted(overlaps.items())
+        ]
 
 
-def _join(one: IntArray, other: IntArray) -> IntArray:
-    return np.where(one != 0, one, other)
+def _without(signs: IntArray, k: int) -> IntArray:
+    left = signs.copy()
+    left[k] = 0
+    return left
 
 
-def _equilibrated(H: Array, h: Array) -> tuple[Array, Array, Array]:
-    d = np.ones(H.shape[1])
-    rows = H.copy()
-    for _ in range(4):
-        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-        size = np.abs(rows).max(axis=0, initial=0.0)
-        factor = np.where(size > 0, 2.0 ** -np.round(np.log2(np.where(size > 0, size, 1.0))), 1.0)
-        rows, d = rows * factor, d * factor
-    norm = np.linalg.norm(H * d, axis=1)
-    distance = h / norm
-    unit = float(np.abs(distance)[distance != 0].min(initial=np.inf))
-    unit = unit if np.isfinite(unit) else 1.0
-    return H * d / norm[:, None], distance / unit, d * unit
+def _exact_planes(H: Any, h: Any, count: int | None) -> tuple[list[list[Fraction]], int]:
+    """Return the rows (H_j, h_j) as fractions, and n."""
+    normals, offsets = np.array(H, dtype=object), np.array(h, dtype=object)
+    count = len(offsets) if count is None else count
+    if normals.ndim != 2 or offsets.shape != (count,) or len(normals) != count:
+        raise ValueError(f"H has shape {normals.shape} and h {offsets.shape}, expected ({count}, n) and ({count},)")
+    planes = [[_exact(v) for v in (*row, c)] for row, c in zip(normals.tolist(), offsets.tolist(), strict=True)]
+    if not all(any(plane[:-1]) for plane in planes):
+        raise ValueError("a hyperplane has a zero normal")
+    return planes, normals.shape[1]
 
 
-def _merge(H: Array, h: Array, signs: IntArray) -> tuple[Array, Array, IntArray]:
-    """Merge hyperplanes that are equal as sets, except where a cell claims both sides of one."""
-    kept: list[int] = []
-    table = np.zeros_like(signs)
-    unit_H, unit_h, _ = _equilibrated(H, h)
-    unit = np.column_stack([unit_H, unit_h])
-    for k in range(len(h)):
-        for position, other in enumerate(kept):
-            side = _same(unit[k], unit[other]) * signs[:, k]
-            if side.any() and (table[:, position] * side >= 0).all():
-                table[:, position] = np.where(side != 0, side, table[:, position])
-                break
-        else:
-            table[:, len(kept)] = signs[:, k]
-            kept.append(k)
-    return readonly(H[kept]), readonly(h[kept]), table[:, : len(kept)].copy()
+def _exact(number: Any) -> Fraction:
+    return Real.of(number.item() if isinstance(number, np.generic) else number).centre
 
 
-def _same(one: Array, other: Array) -> int:
-    """Return ±1 if two scaled rows (unit normal, offset) are one hyperplane to `_INTERIOR`, else 0."""
-    sign = 1 if one[:-1] @ other[:-1] > 0 else -1
-    near = np.abs(one - sign * other) <= 0.5 * _INTERIOR * np.append(np.ones(len(one) - 1), max(1.0, abs(one[-1])))
-    return sign if near.all() else 0
+def _rescaled(plane: list[Fraction]) -> list[Fraction]:
+    """Return a hyperplane with numbers that doubles can hold, where its normal is very small or very large."""
+    size = max(abs(v) for v in plane[:-1])
+    return plane if _SIZES[0] <= size <= _SIZES[1] else [v / size for v in plane]
 
 
-def _point(x: Array) -> str:
-    return "(" + ", ".join(f"{v:.4g}" for v in x) + ")"
+def _hole(x: Sequence[Fraction]) -> Problem:
+    return Problem(
+        message=f"the cells do not cover the state space: no cell contains x = {_point(x)}",
+        subject=("system", "cells"),
+        hint="every state must belong to a cell (Section II)",
+    )
+
+
+def _point(x: Sequence[Fraction]) -> str:
+    return "(" + ", ".join(f"{Decimal(v.numerator) / Decimal(v.denominator):.4g}" for v in x) + ")"
