@@ -141,7 +141,6 @@ class Partition:
 
     @classmethod
     def _of(cls, planes: list[list[Fraction]], n: int, signs: IntArray, names: tuple[str, ...]) -> "Partition":
-        signs.flags.writeable = False
         exact = [_rescaled(plane) for plane in planes]
         try:
             doubles = np.array([[float(v) for v in plane] for plane in exact]).reshape(len(exact), n + 1)
@@ -151,7 +150,7 @@ class Partition:
         return cls(
             H=readonly(doubles[:, :-1]),
             h=readonly(doubles[:, -1]),
-            signs=signs,
+            signs=_frozen(signs),
             names=names,
             exact_H=tuple(tuple(plane[:-1]) for plane in exact),
             exact_h=tuple(plane[-1] for plane in exact),
@@ -189,18 +188,39 @@ class Partition:
         left_out = set(cells)
         kept = [i for i in range(len(self.names)) if i not in left_out]
         used = [int(k) for k in np.flatnonzero(self.signs[kept].any(axis=0))]
-        signs = self.signs[kept][:, used]
-        signs.flags.writeable = False
         return replace(
             self,
             H=readonly(self.H[used]),
             h=readonly(self.h[used]),
-            signs=signs,
+            signs=_frozen(self.signs[kept][:, used]),
             names=tuple(self.names[i] for i in kept),
             exact_H=tuple(self.exact_H[k] for k in used),
             exact_h=tuple(self.exact_h[k] for k in used),
             complete=self.complete and not left_out,
         )
+
+    def ordered(self, order: Sequence[int] | IntArray, names: tuple[str, ...]) -> "Partition":
+        """Return the same cells in another order, with these names."""
+        return replace(self, signs=_frozen(self.signs[order]), names=names)
+
+    def sides(self, *, H: object, h: object) -> IntArray:
+        """Return the side of some hyperplanes that each cell is on, (l, k); they must be among those of the partition.
+
+        Example:
+            >>> halves = Partition.regions(H=[[1]], h=[-1], most=2)
+            >>> (halves.sides(H=[[-2], [3]], h=[2, -3]) * halves.signs).tolist()
+            [[-1, 1], [-1, 1]]
+        """
+        numbers = {}
+        for k, row in enumerate(self.rows):
+            plane, side = oriented(row)
+            numbers[plane] = k, side
+        found = []
+        for plane in _exact_planes(H, h, None)[0]:
+            row, side = oriented(primitive(plane))
+            k, same = numbers[row]
+            found.append(side * same * self.signs[:, k])
+        return np.column_stack(found)
 
     def check(self) -> None:
         """Prove that the cells do not overlap and cover ℝⁿ.
@@ -314,6 +334,12 @@ class Partition:
             )
             for (i, j), witness in sorted(overlaps.items())
         ]
+
+
+def _frozen(signs: IntArray) -> IntArray:
+    found = signs.copy()
+    found.flags.writeable = False
+    return found
 
 
 def _without(signs: IntArray, k: int) -> IntArray:

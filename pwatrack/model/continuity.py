@@ -13,7 +13,7 @@ import numpy as np
 from pwatrack.arrays import Array, balancing, readonly
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Facet, Partition
-from pwatrack.rational import Rational, column_space, decimals, floats, left_null_space, on_entries, stacked
+from pwatrack.rational import Rational, column_space, floats, left_null_space, on_entries, rational, stacked
 
 _MOST_CYCLES = 2_000  # tree edges times other facets: with more, facets that do not close are refused at once
 
@@ -112,7 +112,8 @@ def repaired(
 
 def decimals_of(partition: Partition, k: int) -> Rational:
     """Return the row [Hᵀ h] of a hyperplane, exactly, (1, n + 1)."""
-    return decimals(np.append(partition.H[k], partition.h[k])[None])
+    row = [*partition.exact_H[k], partition.exact_h[k]]
+    return rational([row], (1, len(row)))
 
 
 class _Sizes:

@@ -126,12 +126,12 @@ def difference(one: Row, other: Row) -> Fraction | None:
 
 def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
     """Return the pairs of hyperplanes that differ by rounding."""
-    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows]).reshape(len(rows), -1)
+    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
     found = []
     for k in range(len(rows) - 1):
         with np.errstate(invalid="ignore"):  # of entries that are 0 in both
             ratio = logs[k + 1 :] - logs[k]
-        spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
+            spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
         for other in np.flatnonzero(spread < 1e-6):  # far coarser than these logarithms and the true limit
             size = difference(rows[k], rows[k + 1 + other])
             if size is not None:

@@ -1,13 +1,22 @@
 """Scalar piecewise linear elements φ(s), s = row · x + constant, and the cells they make of the state space."""
 
 import itertools
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
+from pwatrack.real import Real
+
+Number = Real | Fraction | float
+
+_MOST_CELLS = 20_000  # that nonlinearities may make together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,18 +35,18 @@ class PiecewiseLinear:
         [-3.0, 1.5, 6.0]
     """
 
-    breakpoints: tuple[float, ...]
-    slopes: tuple[float, ...]
-    value: float
+    breakpoints: tuple[Real, ...]
+    slopes: tuple[Real, ...]
+    value: Real
     segments: tuple[str, ...]
 
     def __call__(self, s: float) -> float:
         """Return φ(s)."""
-        k = int(np.searchsorted(self.breakpoints, s))
-        return self.slopes[k] * s + self.intercepts[k]
+        k = bisect_left([float(breakpoint) for breakpoint in self.breakpoints], s)
+        return float(self.slopes[k]) * s + float(self.intercepts[k])
 
-    @property
-    def intercepts(self) -> tuple[float, ...]:
+    @cached_property
+    def intercepts(self) -> tuple[Real, ...]:
         """The c_k with φ(s) = slopes[k] s + c_k on segment k."""
         found = [self.value - self.slopes[0] * self.breakpoints[0]]
         for k, s in enumerate(self.breakpoints):
@@ -45,56 +54,57 @@ class PiecewiseLinear:
         return tuple(found)
 
 
-def dead_zone(*, lower: float, upper: float, lower_slope: float = 1.0, upper_slope: float = 1.0) -> PiecewiseLinear:
+def dead_zone(*, lower: Number, upper: Number, lower_slope: Number = 1, upper_slope: Number = 1) -> PiecewiseLinear:
     """Return φ = 0 between lower and upper, and a line from there on either side: gaps, backlash springs, stops."""
-    _increasing(lower, upper)
-    return PiecewiseLinear(
-        breakpoints=(lower, upper),
-        slopes=(lower_slope, 0.0, upper_slope),
-        value=0.0,
-        segments=("below", "inside", "above"),
-    )
+    return _function([lower, upper], [lower_slope, 0, upper_slope], 0, ("below", "inside", "above"))
 
 
-def saturation(*, lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinear:
+def saturation(*, lower: Number, upper: Number, slope: Number = 1) -> PiecewiseLinear:
     """Return φ(s) = slope · clip(s, lower, upper)."""
-    _increasing(lower, upper)
-    return PiecewiseLinear(
-        breakpoints=(lower, upper),
-        slopes=(0.0, slope, 0.0),
-        value=slope * lower,
-        segments=("low", "linear", "high"),
-    )
+    value = Real.of(slope) * lower
+    return _function([lower, upper], [0, slope, 0], value, ("low", "linear", "high"))
 
 
-def spring(*, start: float = 0.0, slope: float = 1.0) -> PiecewiseLinear:
+def spring(*, start: Number = 0, slope: Number = 1) -> PiecewiseLinear:
     """Return φ(s) = slope · max(0, s − start): a one-sided spring, a ReLU, an ideal diode."""
-    return PiecewiseLinear(breakpoints=(start,), slopes=(0.0, slope), value=0.0, segments=("off", "on"))
+    return _function([start], [0, slope], 0, ("off", "on"))
 
 
-def absolute(*, slope: float = 1.0) -> PiecewiseLinear:
+def absolute(*, slope: Number = 1) -> PiecewiseLinear:
     """Return φ(s) = slope · |s|."""
-    return PiecewiseLinear(breakpoints=(0.0,), slopes=(-slope, slope), value=0.0, segments=("negative", "positive"))
+    return _function([0], [-Real.of(slope), slope], 0, ("negative", "positive"))
 
 
 def piecewise_linear(
-    *, breakpoints: Sequence[float], slopes: Sequence[float], value: float | None = None
+    *, breakpoints: Sequence[Number], slopes: Sequence[Number], value: Number | None = None
 ) -> PiecewiseLinear:
     """Return φ with free breakpoints and slopes; without `value` at the first breakpoint, φ(0) = 0.
 
     Raises:
         ValueError: If the breakpoints do not increase or there is not one slope more than breakpoints.
     """
-    _increasing(*breakpoints)
-    if not breakpoints:
-        raise ValueError("at least one breakpoint is expected")
-    if len(slopes) != len(breakpoints) + 1:
-        raise ValueError(f"{len(slopes)} slopes for {len(breakpoints)} breakpoints, expected one more than breakpoints")
     names = tuple(f"segment {k + 1}" for k in range(len(slopes)))
-    function = PiecewiseLinear(breakpoints=tuple(breakpoints), slopes=tuple(slopes), value=0.0, segments=names)
-    if value is None:
-        value = -function(0.0)
-    return PiecewiseLinear(breakpoints=tuple(breakpoints), slopes=tuple(slopes), value=value, segments=names)
+    function = _function(breakpoints, slopes, 0 if value is None else value, names)
+    if value is not None:
+        return function
+    at_zero = function.intercepts[bisect_left(function.breakpoints, Real.of(0))]
+    return _function(breakpoints, slopes, -at_zero, names)
+
+
+def _function(
+    breakpoints: Sequence[Number], slopes: Sequence[Number], value: Number, segments: tuple[str, ...]
+) -> PiecewiseLinear:
+    marks = tuple(Real.of(s) for s in breakpoints)
+    for left, right in itertools.pairwise(marks):
+        if not left < right:
+            raise ValueError(f"{float(left):g} and {float(right):g} are not in increasing order")
+    if not marks:
+        raise ValueError("at least one breakpoint is expected")
+    if len(slopes) != len(marks) + 1:
+        raise ValueError(f"{len(slopes)} slopes for {len(marks)} breakpoints, expected one more than breakpoints")
+    return PiecewiseLinear(
+        breakpoints=marks, slopes=tuple(Real.of(v) for v in slopes), value=Real.of(value), segments=segments
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,67 +116,58 @@ class Nonlinearity:
         function: φ.
         row, constant: The linear form, (n,) and a scalar.
         direction: (n,).
+
+    All numbers are `Real`, fractions, or doubles, which count as the decimals that they print as.
     """
 
     name: str
     function: PiecewiseLinear
-    row: Array
-    constant: float
-    direction: Array
+    row: Any
+    constant: Number
+    direction: Any
 
 
-def generate_cells(A: Array, b: Array, nonlinearities: Sequence[Nonlinearity]) -> tuple[Partition, Array, Array]:
-    """Return the cells, A (l, n, n) and b (l, n) of ẋ = A x + b + Σ direction φ(row · x + constant).
+def generate_cells(
+    A: Any, b: Any, nonlinearities: Sequence[Nonlinearity]
+) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
+    """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
 
-    One cell for each combination of segments that has an interior.
+    One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
+    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
+
+    Raises:
+        InvalidSpec: If there are more than 20,000 cells.
     """
-    H = [n.row for n in nonlinearities for _ in n.function.breakpoints]
-    h = [n.constant - s for n in nonlinearities for s in n.function.breakpoints]
-    combinations: list[tuple[int, ...]] = [()]
-    trial = _Arrangement(np.array(H).reshape(-1, len(A)), np.array(h), nonlinearities)
-    for _ in nonlinearities:
-        grown = [(*c, k) for c in combinations for k in range(trial.segments(len(c)))]
-        combinations = [c for c in grown if trial.exists(c)]
-    signs = np.array([trial.signs(c) for c in combinations]).reshape(len(combinations), len(h))
-    names = [", ".join(_names(n, k) for n, k in zip(nonlinearities, c, strict=True)) for c in combinations]
-    stack_A, stack_b = np.repeat(A[None], len(combinations), 0), np.repeat(b[None], len(combinations), 0)
-    for i, combination in enumerate(combinations):
-        for n, k in zip(nonlinearities, combination, strict=True):
-            slope, intercept = n.function.slopes[k], n.function.intercepts[k]
-            stack_A[i] += slope * np.outer(n.direction, n.row)
-            stack_b[i] += (slope * n.constant + intercept) * n.direction
+    n = len(b)
+    constant, rest = BallMatrix.of(A, (n, n)), BallMatrix.of([[v] for v in b], (n, 1))
     if not nonlinearities:
-        names = ["everywhere"]
-    return Partition.create(H=trial.H, h=h, signs=signs, names=names), stack_A, stack_b
+        return Partition.create(H=np.zeros((0, n)), h=[], signs=[[]], names=["everywhere"]), [constant], [rest]
+    rows = [element.row for element in nonlinearities for _ in element.function.breakpoints]
+    offsets = [Real.of(element.constant) - s for element in nonlinearities for s in element.function.breakpoints]
+    regions = Partition.regions(H=np.array([list(row) for row in rows], dtype=object), h=offsets, most=_MOST_CELLS)
+    sides = regions.sides(H=rows, h=offsets)
+    last = np.cumsum([len(element.function.breakpoints) for element in nonlinearities])[:-1]
+    combinations = np.array([(part > 0).sum(axis=1) for part in np.split(sides, last, axis=1)]).T
+    order = np.lexsort(combinations.T[::-1])
+    chosen = [tuple(combination) for combination in combinations[order].tolist()]
+    names = tuple(", ".join(map(_name, nonlinearities, combination)) for combination in chosen)
+    sums = {(): (constant, rest)}
+    for position, element in enumerate(nonlinearities):
+        steps = _steps(element)
+        grown = dict.fromkeys(combination[: position + 1] for combination in chosen)
+        sums = {c: tuple(old + new for old, new in zip(sums[c[:-1]], steps[c[-1]], strict=True)) for c in grown}
+    return regions.ordered(order, names), [sums[c][0] for c in chosen], [sums[c][1] for c in chosen]
 
 
-class _Arrangement:
-    """The hyperplanes of all breakpoints, and which combinations of segments exist."""
-
-    def __init__(self, H: Array, h: Array, nonlinearities: Sequence[Nonlinearity]) -> None:
-        self.H = H
-        self.nonlinearities = nonlinearities
-        self.everything = Partition(H=H, h=h, signs=np.zeros((1, len(h)), dtype=np.int64), names=("",))
-
-    def segments(self, position: int) -> int:
-        return len(self.nonlinearities[position].function.slopes)
-
-    def signs(self, combination: tuple[int, ...]) -> IntArray:
-        rows: list[int] = []
-        for n, k in zip(self.nonlinearities, combination, strict=False):
-            count = len(n.function.breakpoints)
-            rows += [1 if j < k else -1 for j in range(count)]
-        return np.array(rows + [0] * (len(self.H) - len(rows)), dtype=np.int64)
-
-    def exists(self, combination: tuple[int, ...]) -> bool:
-        return self.everything.interior_point(self.signs(combination)) is not None
+def _steps(element: Nonlinearity) -> list[tuple[BallMatrix, BallMatrix]]:
+    """Return what an element adds to A and b on each of its segments."""
+    row, found = BallMatrix.of([element.row]), []
+    for slope, intercept in zip(element.function.slopes, element.function.intercepts, strict=True):
+        offset = slope * Real.of(element.constant) + intercept
+        across, along = (BallMatrix.of([[Real.of(v) * factor] for v in element.direction]) for factor in (slope, offset))
+        found.append((across @ row, along))
+    return found
 
 
-def _names(nonlinearity: Nonlinearity, segment: int) -> str:
+def _name(nonlinearity: Nonlinearity, segment: int) -> str:
     return f"{nonlinearity.name} {nonlinearity.function.segments[segment]}"
-
-
-def _increasing(*values: float) -> None:
-    for left, right in itertools.pairwise(values):
-        if not left < right:
-            raise ValueError(f"{left:g} and {right:g} are not in increasing order")

@@ -94,7 +94,7 @@ class PWASystem:
         Args:
             partition: The l cells.
             A, b, B, C: Nested sequences or arrays of `Real`, fractions, or doubles, which count as the decimals that
-                they print as.
+                they print as; or `BallMatrix` (b_i as a column).
             states, inputs, outputs: Names.
             tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
                 repaired: relative to the terms of that row at a point of the facet of typical size.
@@ -107,7 +107,8 @@ class PWASystem:
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
         given = [_matrix(rows, (n, n), "A") for rows in _sequence(A, cells, "A")]
-        offsets = [_matrix([[v] for v in row], (n, 1), "b") for row in _sequence(b, cells, "b")]
+        columns = (v if isinstance(v, BallMatrix) else [[entry] for entry in v] for v in _sequence(b, cells, "b"))
+        offsets = [_matrix(column, (n, 1), "b") for column in columns]
         empty = set(partition.empty_cells)
         kept = [i for i in range(cells) if i not in empty]
         system = cls._of(
@@ -119,7 +120,10 @@ class PWASystem:
                 C=_matrix(C, (None, n), "C"),
             ),
             names=(tuple(states), tuple(inputs), tuple(outputs)),
-            remarks=tuple(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
+            remarks=(
+                *partition.remarks,
+                *(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
+            ),
         )
         return system._continuous(tolerance)
 
@@ -236,6 +240,10 @@ def _sequence(values: Any, length: int, name: str) -> Any:
 
 
 def _matrix(rows: Any, shape: tuple[int | None, int | None], name: str) -> BallMatrix:
+    if isinstance(rows, BallMatrix):
+        if any(w is not None and w != got for w, got in zip(shape, rows.shape, strict=True)):
+            raise ValueError(f"{name} has shape {rows.shape}, expected {shape}")
+        return rows
     found = len(rows), len(rows[0]) if len(rows) else (shape[1] or 0)
     fits = all(w is None or w == got for w, got in zip(shape, found, strict=True))
     if not fits or any(len(row) != found[1] for row in rows):

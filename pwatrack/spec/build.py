@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
@@ -194,15 +195,15 @@ def _refuse_other_B(system: SystemSection) -> None:
 def _from_inequalities(system: SystemSection) -> Partition:
     cells = system.cells or []
     forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
-    rows = [form.row for cell in forms for form in cell]
+    rows = [form.coefficients for cell in forms for form in cell]
     signs = np.zeros((len(forms), len(rows)), dtype=np.int64)
     start = 0
     for i, cell in enumerate(forms):
         signs[i, start : start + len(cell)] = 1
         start += len(cell)
     return Partition.create(
-        H=np.array(rows).reshape(-1, len(system.states)),
-        h=[form.constant for cell in forms for form in cell],
+        H=np.array(rows, dtype=object).reshape(-1, len(system.states)),
+        h=[form.offset for cell in forms for form in cell],
         signs=signs,
         names=[cell.name for cell in cells],
     )
@@ -212,14 +213,14 @@ def _from_signs(system: SystemSection) -> Partition:
     values = {"+": 1, "-": -1, "0": 0}
     planes, cells = system.hyperplanes or [], system.cells or []
     return Partition.create(
-        H=_doubles([plane.H for plane in planes]).reshape(-1, len(system.states)),
-        h=[float(plane.h) for plane in planes],
+        H=np.array([plane.H for plane in planes], dtype=object).reshape(-1, len(system.states)),
+        h=[plane.h for plane in planes],
         signs=[[values[sign] for sign in cell.signs or []] for cell in cells],
         names=[cell.name for cell in cells],
     )
 
 
-def _from_nonlinearities(system: SystemSection) -> tuple[Partition, Array, Array]:
+def _from_nonlinearities(system: SystemSection) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
     n = len(system.states)
     elements, problems = [], []
     for k, section in enumerate(system.nonlinearities or []):
@@ -229,22 +230,21 @@ def _from_nonlinearities(system: SystemSection) -> tuple[Partition, Array, Array
             subject: Subject = ("system", "nonlinearities", k)
             problems.append(Problem(message=f"nonlinearity '{section.name}': {error}", subject=subject))
             continue
-        direction = np.zeros(n)
+        direction = [Real.of(0)] * n
         for state, factor in section.into.items():
             direction[system.states.index(state)] = factor
         elements.append(
             Nonlinearity(
                 name=section.name,
                 function=function,
-                row=section.of.row,
-                constant=section.of.constant,
+                row=section.of.coefficients,
+                constant=section.of.offset,
                 direction=direction,
             )
         )
     if problems:
         raise InvalidSpec(*problems)
-    b = np.zeros(n) if system.b is None else _doubles([system.b])[0]
-    return generate_cells(_doubles(system.A or []), b, elements)
+    return generate_cells(system.A, [Real.of(0)] * n if system.b is None else system.b, elements)
 
 
 def _doubles(rows: Sequence[Sequence[Real]]) -> Array:

@@ -234,18 +234,18 @@ class ElementSection(Section):
 
     name: str
     of: Annotated[LinearForm, PlainValidator(_form)]
-    into: Annotated[dict[str, Number], Field(min_length=1)]
+    into: Annotated[dict[str, Exact], Field(min_length=1)]
 
 
 class DeadZoneSection(ElementSection):
     """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
     kind: Literal["dead_zone", "stop"]
-    lower: Number
-    upper: Number
-    slope: Number = 1.0
-    lower_slope: Number | None = None
-    upper_slope: Number | None = None
+    lower: Exact
+    upper: Exact
+    slope: Exact = Real.of(1)
+    lower_slope: Exact | None = None
+    upper_slope: Exact | None = None
 
     def function(self) -> PiecewiseLinear:
         """Return φ."""
@@ -258,9 +258,9 @@ class SaturationSection(ElementSection):
     """φ(s) = slope · clip(s, lower, upper)."""
 
     kind: Literal["saturation"]
-    lower: Number
-    upper: Number
-    slope: Number = 1.0
+    lower: Exact
+    upper: Exact
+    slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
         """Return φ."""
@@ -271,8 +271,8 @@ class SpringSection(ElementSection):
     """φ(s) = slope · max(0, s − start)."""
 
     kind: Literal["spring"]
-    start: Number = 0.0
-    slope: Number = 1.0
+    start: Exact = Real.of(0)
+    slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
         """Return φ."""
@@ -283,7 +283,7 @@ class AbsoluteSection(ElementSection):
     """φ(s) = slope · |s|."""
 
     kind: Literal["absolute"]
-    slope: Number = 1.0
+    slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
         """Return φ."""
@@ -294,9 +294,9 @@ class PiecewiseLinearSection(ElementSection):
     """φ with free breakpoints and slopes."""
 
     kind: Literal["piecewise_linear"]
-    breakpoints: list[Number]
-    slopes: list[Number]
-    value: Number | None = None
+    breakpoints: list[Exact]
+    slopes: list[Exact]
+    value: Exact | None = None
 
     def function(self) -> PiecewiseLinear:
         """Return φ."""
