@@ -53,7 +53,7 @@ def identity(n: int) -> Rational:
 
 def floats(X: Rational) -> Array:
     """Return the nearest doubles."""
-    entries = [float(fraction_of(v)) for v in X.entries()]
+    entries = [int(v.p) / int(v.q) for v in X.entries()]  # whole numbers divide correctly rounded
     return np.array(entries, dtype=np.float64).reshape(X.nrows(), X.ncols())
 
 

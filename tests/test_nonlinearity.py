@@ -75,7 +75,7 @@ def test_the_generated_cells_are_the_sum_of_the_elements(seed: int, names: list[
     for x in 3 * random.normal(size=(20, 4)):
         expected = A @ x + b
         for n in nonlinearities:
-            expected = expected + n.direction * n.function(float(n.row @ x) + n.constant)
+            expected = expected + n.direction * n.function(float(n.row @ x) + float(n.constant))
         np.testing.assert_allclose(plant.field(x, np.zeros(1)), expected, atol=1e-9)
 
 

@@ -11,10 +11,21 @@ follows the number of regions.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
 from math import lcm, prod
 
-from pwatrack.model.polyhedron import Point, Row, lifted, moved, oriented, pivot, primitive, restricted, shortened, value
+from pwatrack.model.polyhedron import (
+    Point,
+    Row,
+    lifted,
+    moved,
+    oriented,
+    pivot,
+    primitive,
+    restricted,
+    shortened,
+    value,
+)
 
 
 class TooMany(Exception):
@@ -59,10 +70,11 @@ def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
     """
     columns, forms = _independent_normals(planes)
     back = _inverse([[Fraction(form[j]) for j in columns] for form in forms])
-    own = []
-    for row in planes:
-        normal = [sum((row[j] * b for j, b in zip(columns, side, strict=True)), Fraction(0)) for side in zip(*back)]
-        own.append(primitive([*normal, Fraction(row[-1])]))
+    sides = list(zip(*back, strict=True))
+    own = [
+        primitive([*(sum(row[j] * b for j, b in zip(columns, side, strict=True)) for side in sides), row[-1]])
+        for row in planes
+    ]
     found = _regions(own, len(columns), most)
     return Arrangement(regions=tuple(found), points=tuple(found.values()), columns=tuple(columns), back=back)
 
@@ -90,7 +102,7 @@ def _boxes(planes: Sequence[Row], across: Sequence[Sequence[int]]) -> dict[int, 
     for j, ks in enumerate(across):
         marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
         region = sum(1 << k for _, k in marks if planes[k][j] < 0)
-        inner = [_between(low, high) for (low, _), (high, _) in zip(marks, marks[1:], strict=False)]
+        inner = [_between(low, high) for (low, _), (high, _) in pairwise(marks)]
         samples = [marks[0][0] - 1, *inner, marks[-1][0] + 1]
         found = [(region, samples[0])]
         for (_, k), sample in zip(marks, samples[1:], strict=True):

@@ -56,6 +56,7 @@ class Partition:
         signs: Side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1.
         names: Name of each cell, l of them.
         exact_H, exact_h: The same numbers as they were written; the middle of what is only known to lie in a ball.
+            Where a normal is beyond 1e±100 they are divided by its largest entry.
         complete: Whether the cells are all regions that the hyperplanes cut ℝⁿ into, by construction; then nothing
             is left to prove.
         repair: Largest change of a border that two cells write with different roundings, relative to its numbers.
@@ -216,9 +217,9 @@ class Partition:
             plane, side = oriented(row)
             numbers[plane] = k, side
         found = []
-        for plane in _exact_planes(H, h, None)[0]:
-            row, side = oriented(primitive(plane))
-            k, same = numbers[row]
+        for numbers_given in _exact_planes(H, h, None)[0]:
+            plane, side = oriented(primitive(numbers_given))
+            k, same = numbers[plane]
             found.append(side * same * self.signs[:, k])
         return np.column_stack(found)
 

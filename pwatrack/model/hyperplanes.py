@@ -59,22 +59,23 @@ def merge(rows: Sequence[Row], signs: IntArray) -> Merge:
 
 
 def _same(rows: Sequence[Row], signs: IntArray) -> Merge:
-    """Merge equal sets. A cell that claims both sides of one, which has no interior, keeps a second copy of it."""
+    """Merge equal sets. Of one whose both sides a cell claims, which has no interior, that cell has a second copy."""
     kept: list[int] = []
-    table = np.zeros_like(signs)
+    columns: list[IntArray] = []
     homes: dict[Row, list[tuple[int, int]]] = {}
     for k, row in enumerate(rows):
         plane, side = oriented(row)
+        claimed = signs[:, k]
         for position, other in homes.setdefault(plane, []):
-            claimed = side * other * signs[:, k]
-            if (table[:, position] * claimed >= 0).all():
-                table[:, position] = np.where(claimed != 0, claimed, table[:, position])
-                break
-        else:
+            facing = side * other * claimed
+            free = columns[position] * facing >= 0
+            columns[position] = np.where(free & (facing != 0), facing, columns[position])
+            claimed = np.where(free, 0, claimed)
+        if claimed.any() or not homes[plane]:
             homes[plane].append((len(kept), side))
-            table[:, len(kept)] = signs[:, k]
+            columns.append(claimed)
             kept.append(k)
-    return Merge(kept=tuple(kept), signs=table[:, : len(kept)].copy())
+    return Merge(kept=tuple(kept), signs=np.array(columns, dtype=np.int64).reshape(len(kept), len(signs)).T)
 
 
 def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Merge:
@@ -132,10 +133,10 @@ def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
         with np.errstate(invalid="ignore"):  # of entries that are 0 in both
             ratio = logs[k + 1 :] - logs[k]
             spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
-        for other in np.flatnonzero(spread < 1e-6):  # far coarser than these logarithms and the true limit
+        for other in np.flatnonzero(spread < 1e-6).tolist():  # far coarser than these logarithms and the true limit
             size = difference(rows[k], rows[k + 1 + other])
             if size is not None:
-                found.append((size, k, int(k + 1 + other)))
+                found.append((size, k, k + 1 + other))
     return found
 
 
@@ -149,4 +150,4 @@ def _has_interior(rows: Sequence[Row], signs: IntArray) -> bool:
 
 def claims(rows: Sequence[Row], signs: IntArray) -> list[Row]:
     """Return the inequalities of a vector of signs."""
-    return [rows[k] if signs[k] > 0 else opposite(rows[k]) for k in np.flatnonzero(signs)]
+    return [rows[k] if signs[k] > 0 else opposite(rows[k]) for k in np.flatnonzero(signs).tolist()]

@@ -42,7 +42,7 @@ class PiecewiseLinear:
 
     def __call__(self, s: float) -> float:
         """Return φ(s)."""
-        k = bisect_left([float(breakpoint) for breakpoint in self.breakpoints], s)
+        k = bisect_left([float(mark) for mark in self.breakpoints], s)
         return float(self.slopes[k]) * s + float(self.intercepts[k])
 
     @cached_property
@@ -164,7 +164,9 @@ def _steps(element: Nonlinearity) -> list[tuple[BallMatrix, BallMatrix]]:
     row, found = BallMatrix.of([element.row]), []
     for slope, intercept in zip(element.function.slopes, element.function.intercepts, strict=True):
         offset = slope * Real.of(element.constant) + intercept
-        across, along = (BallMatrix.of([[Real.of(v) * factor] for v in element.direction]) for factor in (slope, offset))
+        across, along = (
+            BallMatrix.of([[Real.of(v) * factor] for v in element.direction]) for factor in (slope, offset)
+        )
         found.append((across @ row, along))
     return found
 

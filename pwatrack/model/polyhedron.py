@@ -190,10 +190,10 @@ def interior_point(rows: Sequence[Row], n: int) -> Point | None:
         denominator = _exchange(T, r, c, denominator)
         basic[r], free[c] = free[c], basic[r]
 
-    for c in range(columns):  # z has no sign: it becomes basic and stays so
-        r = next((r for r in range(m) if basic[r] < m and T[r][c]), None)
-        if r is not None:
-            exchange(r, c)
+    for column in range(columns):  # z has no sign: it becomes basic and stays so
+        row = next((r for r in range(m) if basic[r] < m and T[r][column]), None)
+        if row is not None:
+            exchange(row, column)
     while True:
         r = min((r for r in range(m) if basic[r] < m and T[r][-1] < 0), key=basic.__getitem__, default=None)
         if r is None:
@@ -203,9 +203,9 @@ def interior_point(rows: Sequence[Row], n: int) -> Point | None:
             return None
         exchange(r, c)
     z = [0] * columns
-    for label, row in zip(basic, T, strict=True):
+    for label, numbers in zip(basic, T, strict=True):
         if label >= m:
-            z[label - m] = row[-1]
+            z[label - m] = numbers[-1]
     return primitive(z)
 
 

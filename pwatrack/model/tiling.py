@@ -96,9 +96,7 @@ def _sheets(pieces: Sequence[Piece]) -> dict[Row, list[Piece]]:
     return found
 
 
-def _uneven(
-    pieces: Sequence[Piece], sheets: dict[Row, list[Piece]], n: int, wanted: int
-) -> Iterator[Point]:
+def _uneven(pieces: Sequence[Piece], sheets: dict[Row, list[Piece]], n: int, wanted: int) -> Iterator[Point]:
     """Give points, off all borders, that do not count `wanted`; none if that is what almost all points count."""
     planes = list(sheets)
     even = True

@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
@@ -15,42 +15,62 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Goal
 from pwatrack.control.guarantees import Contraction, Guarantees
+from pwatrack.model.cells import Facet
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import ensemble_measures, error_unit, measures
 from pwatrack.spec.load import Spec
 from pwatrack.variation import EnsembleResult
 
+_MOST_SHOWN = 20  # of cells or facets at the terminal
+_FEW = 5  # of more than that
+
 
 def print_plant(console: Console, name: str, report: Applicability) -> None:
-    """Say what the plant is and which theorems apply."""
-    content = plant_json(name, report)
-    sizes = ", ".join(f"{len(content[kind])} {kind}" for kind in ("states", "inputs", "outputs", "cells"))
+    """Say what the plant is and which theorems apply; of many cells and facets the first ones."""
+    plant, form = report.plant, report.form
+    facets = plant.partition.facets
+    counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
+    sizes = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
     table = _titled(name)
-    table.add_row("plant (1)", f"{sizes}; continuous across all {len(content['facets'])} facets")
-    for cell in content["cells"]:
-        eigenvalues = content["zero_dynamics"].get(cell)
-        shown = (
-            ": zero dynamics " + ", ".join(complex_text(complex(*pair)) for pair in eigenvalues) if eigenvalues else ""
-        )
-        table.add_row("cell", cell + shown)
-    for facet in content["facets"]:
-        table.add_row("facet", f"{facet['cells'][0]} | {facet['cells'][1]}, on {facet['hyperplane']}")
-    if report.form is not None:
+    table.add_row("plant (1)", f"{sizes}; continuous across all {len(facets)} facets")
+    _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
+    _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
+    if form is not None:
         table.add_row(
-            "form (11)",
-            f"relative degree {report.form.r}, internal states η = {', '.join(report.form.eta_names) or 'none'}",
+            "form (11)", f"relative degree {form.r}, internal states η = {', '.join(form.eta_names) or 'none'}"
         )
-    for theorem, answer in content["theorems"].items():
+    for theorem, answer in report.theorems().items():
         table.add_row(theorem, answer)
-    for remark in content["remarks"]:
+    for remark in plant.remarks:
         table.add_row("remark", remark)
     console.print(table)
+
+
+def _some_rows(table: Table, kind: str, count: int, text: Callable[[int], str]) -> None:
+    """Add a row for each of some things, or for the first of many."""
+    shown = count if count <= _MOST_SHOWN else _FEW
+    for k in range(shown):
+        table.add_row(kind, text(k))
+    if shown < count:
+        table.add_row("", f"… and {count - shown:,} more {kind}s (--json lists all)")
+
+
+def _cell_text(report: Applicability, i: int) -> str:
+    name = report.plant.cell_names[i]
+    values = () if report.zero_dynamics is None else report.zero_dynamics[i]
+    return f"{name}: zero dynamics {', '.join(complex_text(complex(v)) for v in values)}" if len(values) else name
+
+
+def _facet_text(plant: PWASystem, facet: Facet) -> str:
+    return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
 def plant_json(name: str, report: Applicability) -> dict[str, Any]:
     """Return what `print_plant` says, for machines."""
     plant, form = report.plant, report.form
+    planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
     values = report.zero_dynamics if report.zero_dynamics is not None else ()
     return {
         "name": name,
@@ -61,7 +81,7 @@ def plant_json(name: str, report: Applicability) -> dict[str, Any]:
         "facets": [
             {
                 "cells": [plant.cell_names[facet.i], plant.cell_names[facet.j]],
-                "hyperplane": plant.hyperplane_text(facet.k),
+                "hyperplane": planes[facet.k],
             }
             for facet in plant.partition.facets
         ],
