@@ -149,13 +149,31 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
                 return None
     kept = [row for _, row in tight.values()]
     if not independent(lines):  # else every side of every strip is a border
-        if interior_point(kept, n) is None:
+        inside = interior_point(kept, n)
+        if inside is None:
             return None
-        for row in list(kept):
+        met = {_first_met(inside, [-a for a in row[:-1]], kept) for row in kept}
+        sure = [row for row in kept if row in met]
+        for row in [row for row in kept if row not in met]:
             others = [other for other in kept if other != row]
-            if interior_point([*others, opposite(row)], n) is None:
+            if any(interior_point([*some, opposite(row)], n) is None for some in (sure, others)):
                 kept = others
     return tuple(sorted(kept))
+
+
+def _first_met(point: Point, direction: Sequence[int], rows: Sequence[Row]) -> Row | None:
+    """Return the inequality that ends first on a ray from an inner point, which is a border; None if two do."""
+    met, best, nearness = None, 0, 1  # the ray meets it at the time best / nearness
+    for row in rows:
+        speed = -sum(map(mul, row, direction))
+        if speed > 0:
+            here = value(row, point)
+            sooner = here * nearness - best * speed
+            if met is None and best == 0 or sooner < 0:
+                met, best, nearness = row, here, speed
+            elif sooner == 0:
+                met = None
+    return met
 
 
 def independent(rows: Sequence[Row]) -> bool:
