@@ -4,7 +4,7 @@ Nothing here rounds. An inequality a·x + c ≥ 0 is a `Row` (a_1, …, a_n, c) 
 a point x = X / W a `Point` (X_1, …, X_n, W) with W > 0, so that their product has the sign of a·x + c.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from fractions import Fraction
 from math import gcd, lcm
 from operator import mul
@@ -129,6 +129,29 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
         >>> borders([(1, 0), (-1, 0)], 1) is None
         True
     """
+    kept = tightest(rows)
+    if kept is None:
+        return None
+    if not independent({oriented(_direction(row))[0] for row in kept}):  # else every side of every strip is a border
+        inside = interior_point(kept, n)
+        if inside is None:
+            return None
+        met = {_first_met(inside, [-a for a in row[:-1]], kept) for row in kept}
+        sure = [row for row in kept if row in met]
+        for row in [row for row in kept if row not in met]:
+            others = tuple(other for other in kept if other != row)
+            if any(interior_point([*some, opposite(row)], n) is None for some in (sure, others)):
+                kept = others
+    return kept
+
+
+def tightest(rows: Iterable[Row]) -> tuple[Row, ...] | None:
+    """Return the tightest of parallel inequalities, sorted, or None if those leave no interior already.
+
+    Example:
+        >>> tightest([(1, 0), (2, -1), (-1, 3)])
+        ((-1, 3), (2, -1))
+    """
     tight: dict[Row, tuple[int, Row]] = {}
     for row in rows:
         size = gcd(*row[:-1])
@@ -136,29 +159,19 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
             if row[-1] <= 0:
                 return None
             continue
-        direction = tuple(a // size for a in row[:-1])
+        direction = _direction(row)
         other = tight.get(direction)
         if other is None or row[-1] * other[0] < other[1][-1] * size:
             tight[direction] = (size, row)
-    lines = []
     for direction, (size, row) in tight.items():
         facing = tight.get(opposite(direction))
-        if facing is None or oriented(direction)[1] > 0:
-            lines.append(direction)
-            if facing is not None and row[-1] * facing[0] + facing[1][-1] * size <= 0:
-                return None
-    kept = [row for _, row in tight.values()]
-    if not independent(lines):  # else every side of every strip is a border
-        inside = interior_point(kept, n)
-        if inside is None:
+        if facing is not None and row[-1] * facing[0] + facing[1][-1] * size <= 0:
             return None
-        met = {_first_met(inside, [-a for a in row[:-1]], kept) for row in kept}
-        sure = [row for row in kept if row in met]
-        for row in [row for row in kept if row not in met]:
-            others = [other for other in kept if other != row]
-            if any(interior_point([*some, opposite(row)], n) is None for some in (sure, others)):
-                kept = others
-    return tuple(sorted(kept))
+    return tuple(sorted(row for _, row in tight.values()))
+
+
+def _direction(row: Row) -> Row:
+    return reduced(row[:-1])
 
 
 def _first_met(point: Point, direction: Sequence[int], rows: Sequence[Row]) -> Row | None:
@@ -169,25 +182,25 @@ def _first_met(point: Point, direction: Sequence[int], rows: Sequence[Row]) -> R
         if speed > 0:
             here = value(row, point)
             sooner = here * nearness - best * speed
-            if met is None and best == 0 or sooner < 0:
+            if (met is None and best == 0) or sooner < 0:
                 met, best, nearness = row, here, speed
             elif sooner == 0:
                 met = None
     return met
 
 
-def independent(rows: Sequence[Row]) -> bool:
+def independent(rows: Collection[Row]) -> bool:
     """Decide whether rows are linearly independent."""
-    if rows and len(rows) > len(rows[0]):
+    if any(len(rows) > len(row) for row in rows):
         return False
-    reduced: list[tuple[int, Row]] = []
+    echelon: list[tuple[int, Row]] = []
     for row in rows:
-        for j, other in reduced:
+        for j, other in echelon:
             if row[j]:
                 row = primitive([other[j] * a - row[j] * b for a, b in zip(row, other, strict=True)])
         if not any(row):
             return False
-        reduced.append((pivot(row), row))
+        echelon.append((pivot(row), row))
     return True
 
 

@@ -7,7 +7,7 @@ same facets; what is left is the same question in one dimension less. All of it 
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from pwatrack.model.polyhedron import (
@@ -21,6 +21,7 @@ from pwatrack.model.polyhedron import (
     oriented,
     pivot,
     restricted,
+    tightest,
     value,
 )
 
@@ -89,11 +90,19 @@ def _sheets(pieces: Sequence[Piece]) -> dict[Row, list[Piece]]:
     for piece in pieces:
         for k, row in enumerate(piece.shape):
             plane, side = oriented(row)
-            others = piece.shape[:k] + piece.shape[k + 1 :]
-            shape = borders(restricted(others, plane), len(row) - 2)
+            shape = tightest(restricted(piece.shape[:k] + piece.shape[k + 1 :], plane))
             if shape is not None:  # it never is, as the row is a border
                 found[plane].append(Piece(side * piece.weight, shape, piece.owner))
-    return found
+    return {plane: _comparable(facets, len(plane) - 2) for plane, facets in found.items()}
+
+
+def _comparable(pieces: Sequence[Piece], n: int) -> list[Piece]:
+    """Write pieces of ℝⁿ by their borders alone, but for those that cancel as they are."""
+    total: dict[Shape, int] = defaultdict(int)
+    for piece in pieces:
+        total[piece.shape] += piece.weight
+    shapes = {shape: borders(shape, n) if weight else shape for shape, weight in total.items()}
+    return [replace(piece, shape=shape) for piece in pieces if (shape := shapes[piece.shape]) is not None]
 
 
 def _uneven(pieces: Sequence[Piece], sheets: dict[Row, list[Piece]], n: int, wanted: int) -> Iterator[Point]:
