@@ -17,12 +17,11 @@ from pwatrack.errors import CheckFailed, Problem
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.trace import Event, Trace, Unresolved
 
-_DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
-_ROUNDING = 64 * float(np.finfo(np.float64).eps)  # of the size of its terms: a smaller sum may be 0
+_EPS = float(np.finfo(np.float64).eps)
 _NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
 _UNBOUNDED = 1e100  # no tracking loop gets there
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
-_GROWING = ("event_time", "event_mode", "near_time", "near_guard")
+_GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +125,7 @@ class Propagator:
             signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
             h=sample_time / 2**doublings,
             doublings=doublings,
-            degree=_degree(flow.size() * sample_time / 2**doublings),
+            unit=_unit(len(self.d)),
         )
         self.modes = _Modes(flow, self.field.h, doublings)
 
@@ -166,15 +165,16 @@ class Walk:
             self.z[where] = self.resets.values[self.resets.row[k], where]
         first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
         self.state: Any = np.zeros(1, kernel.STATE)
-        self.state[["resets", "settling", "events", "last", "m"]] = early, True, 1, -1.0, first
+        self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 2**60
         self.near_since, self.crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
             mode=np.zeros(min(samples, self.most + 1), dtype=np.int64),
             event_time=np.zeros(64),
             event_mode=np.zeros(64, dtype=np.int64),
-            near_time=np.zeros(4 * len(places)),
-            near_guard=np.zeros(4 * len(places), dtype=np.int64),
+            near_time=np.zeros(8 * len(places)),
+            near_guard=np.zeros(8 * len(places), dtype=np.int64),
+            near_span=np.zeros(8 * len(places)),
         )
         self.log.z[0] = self.z
 
@@ -185,8 +185,18 @@ class Walk:
 
     @property
     def unresolved(self) -> int:
-        """Touches of a guard that rounding could not decide."""
-        return int(self.state[0]["nears"])
+        """Places near a guard where rounding could not decide."""
+        return int(self.state[0]["nears"]) + len(self._staying())
+
+    def _staying(self) -> list[tuple[float, int, float]]:
+        """Return since when, of which guard, and for how long the last state was within rounding, where it was."""
+        field, found = self.propagator.field, []
+        end = (self.propagator.samples - 1) * self.propagator.sample_time
+        for guard in np.flatnonzero(self.near_since < np.inf).tolist():
+            since = float(self.near_since[guard])
+            if self.kernel.matters((end - since) / field.h, since, field):
+                found.append((since, guard, end - since))
+        return found
 
     def run(self) -> None:
         """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
@@ -242,15 +252,20 @@ class Walk:
     def trace(self, count: int | None = None) -> Trace:
         """Return what was written down, or so many samples of it."""
         log, on, met = self.log, self.propagator, self.propagator.modes.met
-        events, nears, count = self.events + 1, self.unresolved, len(log.z) if count is None else count
+        events, nears, count = self.events + 1, int(self.state[0]["nears"]), len(log.z) if count is None else count
         entered = [met[m] for m in log.event_mode[:events].tolist()]
-        near = sorted(zip(log.near_time[:nears].tolist(), log.near_guard[:nears].tolist(), strict=True))
+        noted = (log.near_time, log.near_guard, log.near_span)
+        near = list(zip(*(values[:nears].tolist() for values in noted), strict=True))
+        if self.first + count == on.samples:
+            near += self._staying()
         return Trace(
             t=on.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
             z=log.z[:count] * on.d,
             modes=np.array(met)[log.mode[:count]],
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
-            unresolved=tuple(Unresolved(t=t, part=on.places[k][0], guard=on.places[k][1]) for t, k in near),
+            unresolved=tuple(
+                Unresolved(t=t, part=on.places[k][0], guard=on.places[k][1], span=span) for t, k, span in near
+            ),
         )
 
     def block(self) -> Trace:
@@ -283,6 +298,8 @@ class _Modes:
             cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
             sides=np.zeros((1, K), dtype=np.int64),
             F=np.zeros((1, N, N)),
+            degree=np.zeros(1, dtype=np.int64),
+            longest=np.zeros(1, dtype=np.int64),
             growth=np.zeros((1, D, N, N)),
             margin=np.zeros((1, D, N, K)),
             first=np.zeros((1, D, N, K)),
@@ -307,31 +324,36 @@ class _Modes:
         m = len(self.met)
         if m == len(self.arrays.cells):
             self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
-        arrays, guards = self.arrays, np.abs(self.guards)
+        arrays, guards, unit = self.arrays, np.abs(self.guards), _unit(len(self.guards))
         F = self.flow.matrix(mode).T * self.h
-        eye, both = np.eye(len(F)), np.array([F, np.abs(F)])
-        series = np.zeros_like(both)  # Σ Fʲ / (j + 2)!, by Horner's rule
-        for j in range(_DEGREE, 1, -1):
-            series = (eye + both @ series) / j
-        growth = F + F @ F @ series[0]  # e^F − 1 by itself: it keeps the digits that e^F would lose
-        absolute, second = both[1], series[1]
-        first = eye + absolute @ second
-        size = reach = eye + absolute @ first  # bounds on e^{Fσ}, for every σ up to the step
-        bend = np.abs(F @ F @ self.guards) + _ROUNDING * absolute @ absolute @ guards
+        terms = taylor(F)
+        j = np.arange(len(terms))
+        growth = terms[:0:-1, 0].sum(axis=0)  # e^F − 1 by itself: it keeps the digits that e^F would lose
+        first, second = np.tensordot([1 / (j + 1), 1 / ((j + 1) * (j + 2))], terms[:, 1], 1)
+        eye, size, absolute = terms[0, 1], terms[::-1, 1].sum(axis=0), np.abs(F)
+        reach = size  # bounds on e^{Fσ}, for every σ up to the step
+        off = unit * (size - eye) + _NEGLIGIBLE * size  # how far growth can be from e^F − 1
+        bend = np.abs(F @ F @ self.guards) + unit * absolute @ absolute @ guards
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
-        arrays.F[m], arrays.rounding[m] = F, _ROUNDING * size @ guards
+        arrays.F[m], arrays.degree[m], arrays.rounding[m] = F, 4 * -(-len(terms) // 4) - 1, unit * size @ guards
         for number in range(arrays.jumps.shape[1]):
             arrays.jumps[m, number] = self.flow.jump(number, mode).T
         for d in range(arrays.growth.shape[1]):
-            arrays.growth[m, d] = growth
-            arrays.margin[m, d] = _OUTWARD * reach @ (_ROUNDING * guards + 4.0**d / 8 * bend)
+            arrays.growth[m, d], arrays.longest[m] = growth, d
+            arrays.margin[m, d] = _OUTWARD * (reach @ (2 * unit * guards + 4.0**d / 8 * bend) + off @ guards)
             arrays.first[m, d] = _OUTWARD * first @ guards
             arrays.second[m, d] = _OUTWARD * second @ guards
-            stretch = np.abs(eye + growth)
-            second = 2.0**d * first + second + second @ stretch
-            first = first + first @ stretch
-            reach = np.maximum(reach, reach @ stretch)
-            growth = 2 * growth + growth @ growth
+            with np.errstate(over="ignore", invalid="ignore"):
+                stretch = np.abs(eye + growth) + off
+                second = 2.0**d * first + second + second @ stretch
+                first = first + first @ stretch
+                off = off @ stretch + (stretch + off) @ off + unit * np.abs(growth) @ np.abs(growth)
+                reach = np.maximum(reach, reach @ stretch)
+                growth = 2 * growth + growth @ growth
+            if (
+                not np.max([second.max(), first.max(), off.max(), reach.max()]) < _UNBOUNDED
+            ):  # an unstable mode takes shorter steps
+                break
         self.met.append(mode)
 
 
@@ -370,17 +392,34 @@ def _doublings(size: Array, sample_time: float) -> int:
     return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
 
 
-def _degree(size: Array) -> int:
-    """Return the degree from which on the Taylor terms of e^F are rounding in every entry, for any |F| ≤ size."""
-    terms = [np.eye(len(size))]
-    for j in range(1, 2 * _DEGREE):
-        terms.append(terms[-1] @ size / j)
-    whole, rest = sum(terms), np.zeros_like(size)
-    for j in range(2 * _DEGREE - 1, 0, -1):
-        rest = rest + terms[j]
-        if j <= _DEGREE and (rest > _NEGLIGIBLE * whole).any():
-            return j
-    return 1
+def taylor(F: Array) -> Array:
+    """Return the terms Fʲ / j! and |F|ʲ / j! from j = 0 on, as many as e^F takes to rounding in every entry, (J, 2, N, N).
+
+    If term j of e^|F| is in every entry at most τ times the sum of terms 0 … j, then all from j on together are at
+    most (j + 1) τ e^|F| in every entry: multiplied by |F|ⁱ j! / (j + i)!, the inequality says that term j + i is at most
+    τ times the sum over q ≤ j of C(q + i, i) / C(j + i, i) ≤ 1 times term q + i, and over all i each term comes up to
+    j + 1 times.
+
+    Example: an entry that only the third term reaches is kept.
+
+        >>> len(taylor(np.eye(4, k=1) / 4))
+        4
+    """
+    both = np.array([F, np.abs(F)])
+    terms = [np.array([np.eye(len(F))] * 2)]
+    whole = terms[0][1]
+    while True:
+        j = len(terms)
+        term = terms[-1] @ both / j
+        whole = whole + term[1]
+        if ((j + 1) * term[1] <= _NEGLIGIBLE * whole).all():
+            return np.array(terms)
+        terms.append(term)
+
+
+def _unit(order: int) -> float:
+    """Return what a sum of so many products, and a few steps of arithmetic on it, can be off by, of its terms' sizes."""
+    return max(64, 2 * order) * _EPS
 
 
 def _snapped(step: Array) -> Array:
