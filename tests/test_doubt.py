@@ -36,11 +36,9 @@ def test_a_start_within_rounding_of_a_guard_that_hardly_moves_is_told(value: flo
     assert np.sqrt(abs(value)) <= doubt.span < 1e-5
 
 
-@pytest.mark.parametrize(
-    "z0", [[0.0, 0.0, 1.0], [0.0, -0.5, 1.0], [0.0, 0.5, 1.0], [3e-15, 1.0, 1.0], [-3e-15, 1.0, 1.0]]
-)
-def test_a_start_exactly_on_a_guard_or_with_a_clear_slope_is_no_doubt(z0: list[float]) -> None:
-    flow, start = guarded(PARABOLA, [1.0, 0.0, -1.0]), np.array(z0) + [1.0, 0.0, 0.0]
+@pytest.mark.parametrize(("value", "slope"), [(0.0, 0.0), (0.0, -0.5), (0.0, 0.5), (3e-15, 1.0), (-3e-15, 1.0)])
+def test_a_start_exactly_on_a_guard_or_with_a_clear_slope_is_no_doubt(value: float, slope: float) -> None:
+    flow, start = guarded(PARABOLA, [1.0, 0.0, -1.0]), np.array([1.0 + value, slope, 1.0])
     assert simulate_flow(flow, start, duration=1.0, sample_time=0.1).unresolved == ()
 
 
@@ -64,8 +62,8 @@ def test_a_path_along_a_guard_within_rounding_is_told(side: float, offset: float
     flow = guarded(np.array([[0.0, 1.0, 0.0], [0, 0, 0], [0, 0, 0]]), [1.0, 0.0, -0.1])
     start = np.array([0.1 + offset, 0.0, 1.0])
     trace = simulate_flow(flow, start, duration=1.0, sample_time=0.1, resets=kick)
-    doubts = [(doubt.t, doubt.span) for doubt in trace.unresolved]
-    assert doubts == ([(0.0, pytest.approx(0.55))] if offset else [])
+    assert [doubt.t for doubt in trace.unresolved] == ([0.0] if offset else [])
+    assert [doubt.span for doubt in trace.unresolved] == (pytest.approx([0.55]) if offset else [])
     blocks = trace_blocks(flow, start, duration=1.0, sample_time=0.1, resets=kick, most=3)
     assert tuple(doubt for block in blocks for doubt in block.unresolved) == trace.unresolved
 

@@ -41,7 +41,7 @@ def exactly(z0: list[Fraction], t: Fraction) -> list[Fraction]:
 
 
 def test_a_term_that_was_not_renewed_makes_no_crossing() -> None:
-    """e^{-t} and e^{-1.01 (t - 45) - 45} meet once, at t = 45; the second guard, which is always 0, keeps all terms busy."""
+    """e^{-t} and e^{-1.01 (t - 45) - 45} meet once; the second guard, which is always 0, has all terms looked at."""
     flow = watched(np.diag([-1.0, -1.01, 0.0, 0.0]), [1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0])
     trace = simulate_flow(flow, np.array([1.0, np.exp(0.45), 0.0, 1.0]), duration=90.0, sample_time=0.2)
     assert [event.t for event in trace.events] == [pytest.approx(45.0, abs=1e-9)]

@@ -397,14 +397,17 @@ def _sides(
     seen: Array,
     sides: IntArray,
     vague: Array,
+    before: IntArray,
 ) -> None:
-    """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and from when on that is sure.
+    """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and when that is sure.
 
     A guard at 0 counts by its first derivative that is not 0: the field is
     continuous, so that derivative is the same on both sides. Where what comes before it is not 0 but within the
     tolerance, term j decides only after (2 tolerance / |term j|)^(1/j) finest steps: `vague` is that time, else 0.
+    It is 0, too, if where another guard is crossed all terms say that this one goes on leaving to the side it was on
+    `before`.
     """
-    open_ = len(sides)
+    open_, elsewhere = len(sides), crossed.any()
     for k in range(len(sides)):
         sides[k], vague[k] = 0, 0.0
     for j in range(degree + 1):
@@ -420,10 +423,14 @@ def _sides(
             if abs(seen[k]) > tolerance[k] and not at_root:
                 sides[k] = 1 if seen[k] > 0 else -1
                 open_ -= 1
+                if vague[k] < 0.0:
+                    vague[k] = 1.0 if sides[k] != before[k] else 0.0
                 if vague[k] > 0.0:
                     vague[k] = (2.0 * tolerance[k] / abs(seen[k])) ** (1.0 / j)
-            elif seen[k] != 0.0 or at_root:
+            elif at_root or (seen[k] != 0.0 and not (elsewhere and seen[k] * before[k] > 0)):
                 vague[k] = 1.0
+            elif seen[k] != 0.0 and vague[k] == 0.0:
+                vague[k] = -1.0  # so far it leaves
         if open_ == 0:
             return
     for k in range(len(sides)):
@@ -583,7 +590,8 @@ def walk(
         if s.settling:
             known_now = False
             _apply(modes.rounding[m], size, tolerance)
-            _sides(modes.F[m], modes.degree[m], field.guards, tolerance, crossed, z, ahead, now, sides, vague)
+            was = modes.sides[log.event_mode[s.events - 1]]
+            _sides(modes.F[m], modes.degree[m], field.guards, tolerance, crossed, z, ahead, now, sides, vague, was)
             for p in range(len(cells)):
                 cells[p] = modes.cells[m, p]
             if s.tries <= K and _fit(field.first, field.signs, sides, cells):
