@@ -12,11 +12,16 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, balancing
-from pwatrack.errors import CheckFailed, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Event, Trace, Unresolved
 
+_MOST_STEPS = 20_000_000, 10  # of a run, and for each sample more: half a minute, and ten times what a sample takes
+_MOST_EVENTS = 1_000_000  # at a time in memory
+_MOST_FINEST = 2.0**52  # finest steps of a run: their times must be different numbers
+_MOST_RADIANS = 2.0**32  # of what oscillates for good: its phase is then right to 1e-6
+_LASTING = 50.0, 1e-9  # time constants in a run, or part of its frequency, below which a decay does not count
 _UNBOUNDED = 1e100  # no tracking loop gets there
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span")
 
@@ -52,7 +57,10 @@ def simulate_flow(
         The samples, the mode at each, every event in between, and where rounding could not decide.
 
     Raises:
-        CheckFailed: If more than 1,000 events happen without progress in time, or z grows beyond all bounds.
+        InvalidSpec: If an entry of the flow is not finite, the times of the run cannot be told apart, or the phase of an oscillation cannot be kept:
+            more than 2⁵² finest steps, or more than 2³² radians of one that lasts.
+        CheckFailed: If more than 1,000 events happen without progress in time, z grows beyond all bounds, or the
+            run takes more than 20 million steps and 10 for each sample, or has more than a million events.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -110,11 +118,14 @@ class Propagator:
     def __init__(self, flow: Flow, *, duration: float, sample_time: float) -> None:
         from pwatrack.simulation import kernel  # imports numba, which takes a while
 
+        if not np.isfinite(flow.size()).all():
+            raise InvalidSpec("the closed loop has an entry that is not finite", hint="scale the units of its signals")
         self.d = balancing(flow.size()[None])
         self.flow = flow = flow.scaled(self.d)
         self.sample_time = sample_time
         self.samples = sample_count(duration, sample_time)
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
+        _check_resolved(flow, sample_time, self.samples)
         doublings = _doublings(flow.size(), sample_time)
         self.field = kernel.Field(
             first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
@@ -162,7 +173,8 @@ class Walk:
             self.z[where] = self.resets.values[self.resets.row[k], where]
         first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
         self.state: Any = np.zeros(1, kernel.STATE)
-        self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 2**60
+        self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
+        self.state["left"] = _MOST_STEPS[0] + _MOST_STEPS[1] * samples
         self.near_since, self.crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
@@ -217,7 +229,12 @@ class Walk:
             if stop == kernel.NEW_MODE:
                 modes.number(tuple((cells - first).tolist()))
             elif stop == kernel.FULL:
+                if max(self.events, int(self.state[0]["nears"])) > _MOST_EVENTS:
+                    raise self._too_much(f"has more than {_MOST_EVENTS:,} mode changes")
                 self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
+            elif stop == kernel.SPENT:
+                many, each = _MOST_STEPS
+                raise self._too_much(f"takes more than {many:,} steps and {each} for each sample")
             else:
                 at = self.state[0]
                 part, guard = self.propagator.places[at["guard"]]
@@ -229,6 +246,14 @@ class Walk:
                         hint="the vector field may be discontinuous there",
                     )
                 )
+
+    def _too_much(self, what: str) -> CheckFailed:
+        end = (self.propagator.samples - 1) * self.propagator.sample_time
+        t = float(self.state[0]["k"]) * self.propagator.field.h
+        hint = (
+            "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
+        )
+        return CheckFailed(Problem(message=f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s", hint=hint))
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
@@ -308,6 +333,26 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
         row=row[order],
         values=values,
     )
+
+
+def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
+    """Refuse a run whose times or oscillations floating point cannot resolve."""
+    subject, rate, end = ("simulation", "duration"), float(np.linalg.norm(flow.size(), 2)), (samples - 1) * sample_time
+    if not (samples - 1) * max(1.0, 4 * rate * sample_time) <= _MOST_FINEST:
+        message = (
+            f"{end:.6g} s are too long for a closed loop with rates of {rate:.3g} 1/s: these are {rate * end:.3g} time "
+            f"constants, and {_MOST_FINEST / 4:.2g} can be told apart"
+        )
+        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or slower poles"))
+    poles = np.linalg.eigvals(flow.matrix(tuple(0 for _ in flow.parts)))
+    lasting = (-poles.real * end <= _LASTING[0]) | (-poles.real <= _LASTING[1] * np.abs(poles.imag))
+    fastest = float(np.abs(poles.imag[lasting]).max(initial=0.0))
+    if fastest * end > _MOST_RADIANS:
+        message = (
+            f"{end:.6g} s are too long for an oscillation of {fastest:.4g} rad/s: of {fastest * end:.3g} rad, floating "
+            f"point keeps {fastest * end * float(np.finfo(np.float64).eps):.2g}; at most {_MOST_RADIANS:.2g} are taken"
+        )
+        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
 
 
 def _doublings(size: Array, sample_time: float) -> int:
