@@ -1,12 +1,17 @@
 """Runs that are too long, too fine or too busy are refused with the figure and the limit; busy ones are not."""
 
 import tracemalloc
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.report.plots import _drawn
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 
@@ -40,7 +45,7 @@ def test_times_that_cannot_be_told_apart_are_refused() -> None:
 
 @pytest.mark.parametrize("entry", [np.inf, np.nan, 1e300])
 def test_a_flow_beyond_all_numbers_is_refused(entry: float) -> None:
-    with pytest.raises(InvalidSpec, match="too long for a closed loop|not finite"):
+    with pytest.raises(InvalidSpec, match=r"too long for a closed loop|not finite"):
         simulate_flow(guarded(np.array([[entry]]), [1.0]), np.ones(1), duration=1.0, sample_time=0.1)
 
 
@@ -74,7 +79,7 @@ def test_a_run_of_too_many_steps_says_how_far_it_got(monkeypatch: pytest.MonkeyP
 
 def test_too_many_events_are_refused_and_in_blocks_they_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pwatrack.simulation.propagate._MOST_EVENTS", 100)
-    arguments = {"duration": 100.0, "sample_time": 0.1}
+    arguments: dict[str, Any] = {"duration": 100.0, "sample_time": 0.1}
     with pytest.raises(CheckFailed, match=r"more than 100 mode changes: it got to t = \d+\.?\d* s of 100 s"):
         simulate_flow(oscillation(10.0), np.array([0.0, 1.0]), **arguments)
     blocks = trace_blocks(oscillation(10.0), np.array([0.0, 1.0]), **arguments, most=100)
@@ -90,3 +95,17 @@ def test_events_take_little_memory() -> None:
         tracemalloc.stop()
     assert len(trace.events) == 31_830
     assert taken / len(trace.events) < 130
+
+
+@given(st.lists(st.floats(0.001, 5.0), min_size=1, max_size=40), st.floats(0.01, 2.0))
+def test_bars_that_cannot_be_told_apart_are_drawn_as_one(lengths: list[float], dot: float) -> None:
+    """Every other stretch is a bar; what is drawn covers all bars, and no gap wider than a dot."""
+    edges = np.cumsum([0.0, *lengths])
+    bars = np.column_stack([edges[:-1], edges[1:]])[::2]
+    drawn = [(start, start + length) for start, length in _drawn(bars, dot)]
+    for start, end in bars.tolist():
+        assert any(low <= start and end <= high + 1e-9 for low, high in drawn)
+    for (_, end), (start, _) in pairwise(drawn):
+        assert start - end > dot - 1e-9
+    gaps = bars[1:, 0] - bars[:-1, 1]
+    assert len(drawn) == 1 + int((gaps > dot).sum())

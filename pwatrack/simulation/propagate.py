@@ -57,8 +57,8 @@ def simulate_flow(
         The samples, the mode at each, every event in between, and where rounding could not decide.
 
     Raises:
-        InvalidSpec: If an entry of the flow is not finite, the times of the run cannot be told apart, or the phase of an oscillation cannot be kept:
-            more than 2⁵² finest steps, or more than 2³² radians of one that lasts.
+        InvalidSpec: If an entry of the flow is not finite, or floating point cannot resolve the run: it has more than
+            2⁵² finest steps, or more than 2³² radians of an oscillation that lasts.
         CheckFailed: If more than 1,000 events happen without progress in time, z grows beyond all bounds, or the
             run takes more than 20 million steps and 10 for each sample, or has more than a million events.
 
@@ -253,7 +253,8 @@ class Walk:
         hint = (
             "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
         )
-        return CheckFailed(Problem(message=f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s", hint=hint))
+        message = f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s"
+        return CheckFailed(Problem(message=message, subject=("simulation", "duration"), hint=hint))
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
