@@ -190,14 +190,14 @@ def design(spec: Spec) -> Controller:
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
-    """Run the closed loop exactly, from event to event.
+    """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
 
     Args:
         spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given.
 
     Raises:
-        PwatrackError: Whatever `design` raises, and InvalidSpec if the
+        PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
             generator's initial state has the wrong length.
     """
     controller = controller or design(spec)

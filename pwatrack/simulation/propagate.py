@@ -1,4 +1,4 @@
-"""Exact propagation of a flow from event to event, with no ODE solver.
+"""Propagation of a flow from event to event, exact to rounding, with no ODE solver.
 
 The walk itself is compiled: see `kernel`. Here a flow is balanced, handed over
 as arrays, and what comes back becomes a trace.
@@ -45,6 +45,10 @@ def simulate_flow(
     flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateResets] = ()
 ) -> Trace:
     """Propagate a flow from t = 0 and sample it.
+
+    There is no step size and no tolerance: the states are those of exact arithmetic to within about ε ‖F‖ T of the
+    largest one, in balanced coordinates, with ε = 2.2e-16 and T the time; 0.01 to 1.1 times that was measured
+    against 50 digits. Where rounding hides on which side of a guard the state is, the trace says so.
 
     Args:
         flow: The flow, of order N.
