@@ -1,5 +1,8 @@
 """Where rounding hides on which side of a guard a trajectory is, it is said; where it does not, nothing is."""
 
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -87,3 +90,42 @@ def test_a_clean_crossing_is_no_doubt(value: float, slope: float, side: float, s
         guarded(F0, [1.0, 0.0, -value]), np.array([value, side * slope, 1.0]), duration=10.0, sample_time=sample_time
     )
     assert trace.unresolved == ()
+
+
+def roots(a: Fraction, b: Fraction) -> list[float]:
+    """Where a + b t + t² changes its sign after t = 0, from rationals with 40 digits."""
+    discriminant = b * b / 4 - a
+    if discriminant <= 0:
+        return []
+    with localcontext() as context:
+        context.prec = 40
+        root = (Decimal(discriminant.numerator) / Decimal(discriminant.denominator)).sqrt()
+        middle = -Decimal((b / 2).numerator) / Decimal((b / 2).denominator)
+        return [float(t) for t in (middle - root, middle + root) if t > 0]
+
+
+@given(
+    st.sampled_from([0.0, 1e-9, 0.1, 0.25, 0.3, 0.7323]),
+    st.integers(-400, 400),
+    st.sampled_from([1e-17, 1e-15, 1e-14]),
+    st.sampled_from([0.05, 0.3, 1.0]),
+    st.booleans(),
+)
+@settings(deadline=None, max_examples=150)
+def test_no_crossing_is_missing_or_shifted_without_a_word(
+    t0: float, steps: int, size: float, sample_time: float, corner: bool
+) -> None:
+    """1 + (t - t0)² + some roundings against 1, alone or where another guard is crossed at t0 too."""
+    F0 = np.zeros((4, 4))
+    F0[:3, :3], F0[3, 2] = PARABOLA, 1.0
+    start = np.array([1.0 + t0 * t0 + steps * size, -2 * t0, 1.0, -t0 if corner else 1.0])
+    flow = guarded(F0, [1.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+    trace = simulate_flow(flow, start, duration=1.0, sample_time=sample_time)
+    expected = roots(Fraction(start[0]) - 1, Fraction(start[1]))
+    found = [event.t for event in trace.events if (event.before[0] ^ event.after[0]) & 1]
+    told = 1e-11 + 2.0**-22 * sample_time  # more than that
+    off = [t for t in expected if not any(abs(t - other) < told for other in found)]
+    off += [t for t in found if not any(abs(t - other) < told for other in expected)]
+    spans = [(doubt.t, max(doubt.span, 1e-6)) for doubt in trace.unresolved if doubt.guard == 0]
+    for t in off:
+        assert any(since - 1e-6 <= t <= since + 2 * span for since, span in spans), (expected, found, spans)

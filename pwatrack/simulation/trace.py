@@ -24,7 +24,8 @@ class Unresolved:
 
     That is so where it touches the guard and leaves again, where it moves along it, where it starts there or crosses it
     with hardly any slope, and at corners. A mode change there may be missing, or early or late by as much as the doubt
-    lasts. A guard that is exactly 0, as at a start on it, is no such case, nor is one crossed with a clear slope.
+    lasts. A guard that is exactly 0, as at a start on it, is no such case, nor is one crossed with so clear a slope
+    that the time is known to 2⁻²² of the finest step, 2⁻³⁰ of a sample time, or 1e-12 of the time itself.
 
     Attributes:
         guard: Counts the rows of `part.guards` from 0.
