@@ -66,7 +66,7 @@ class Tables:
         off = u * (size - eye) + _NEGLIGIBLE * size  # how far growth can be from e^F − 1
         bend = np.abs(F @ F @ self.guards) + u * absolute @ absolute @ guards
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
-        arrays.F[m], arrays.degree[m], arrays.rounding[m] = F, 4 * -(-len(terms) // 4) - 1, u * size @ guards
+        arrays.F[m], arrays.degree[m], arrays.rounding[m] = F, len(terms) - 1, u * size @ guards
         for number in range(arrays.jumps.shape[1]):
             arrays.jumps[m, number] = self.flow.jump(number, mode).T
         for d in range(arrays.growth.shape[1]):
@@ -74,6 +74,8 @@ class Tables:
             arrays.margin[m, d] = _OUTWARD * (reach @ (2 * u * guards + 4.0**d / 8 * bend) + off @ guards)
             arrays.first[m, d] = _OUTWARD * first @ guards
             arrays.second[m, d] = _OUTWARD * second @ guards
+            if d + 1 == arrays.growth.shape[1]:
+                break
             with np.errstate(over="ignore", invalid="ignore"):
                 stretch = np.abs(eye + growth) + off
                 second = 2.0**d * first + second + second @ stretch
@@ -87,7 +89,7 @@ class Tables:
 
 
 def taylor(F: Array) -> Array:
-    """Return Fʲ / j! and |F|ʲ / j! from j = 0 on, as many as e^F takes to rounding in every entry, (J, 2, N, N).
+    """Return Fʲ / j! and |F|ʲ / j! from j = 0 on, as many fours as e^F takes to rounding in every entry, (J, 2, N, N).
 
     If term j of e^|F| is in every entry at most τ times the sum of terms 0 … j, then all from j on together are at
     most (j + 1) τ e^|F| in every entry: multiplied by |F|ⁱ j! / (j + i)!, the inequality says that term j + i is at
@@ -96,8 +98,8 @@ def taylor(F: Array) -> Array:
 
     Example: an entry that only the third term reaches is kept.
 
-        >>> len(taylor(np.eye(4, k=1) / 4))
-        4
+        >>> len(taylor(np.eye(4, k=1) / 4)), len(taylor(np.eye(5, k=1) / 4))
+        (4, 8)
     """
     both = np.array([F, np.abs(F)])
     terms = [np.array([np.eye(len(F))] * 2)]
@@ -106,7 +108,7 @@ def taylor(F: Array) -> Array:
         j = len(terms)
         term = terms[-1] @ both / j
         whole = whole + term[1]
-        if ((j + 1) * term[1] <= _NEGLIGIBLE * whole).all():
+        if j % 4 == 0 and ((j + 1) * term[1] <= _NEGLIGIBLE * whole).all():
             return np.array(terms)
         terms.append(term)
 
