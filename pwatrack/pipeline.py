@@ -28,7 +28,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
-from pwatrack.simulation.trace import Trace
+from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.load import Spec
 
 _MOST_KEPT = 250_000  # samples
@@ -190,14 +190,14 @@ def design(spec: Spec) -> Controller:
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
-    """Run the closed loop exactly, from event to event.
+    """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
 
     Args:
         spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given.
 
     Raises:
-        PwatrackError: Whatever `design` raises, and InvalidSpec if the
+        PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
             generator's initial state has the wrong length.
     """
     controller = controller or design(spec)
@@ -325,16 +325,22 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
 
 
 def _unresolved(trace: Trace) -> list[str]:
-    """Return one remark for each guard that was touched within rounding."""
-    touches: dict[tuple[str, int], list[float]] = {}
-    for touch in trace.unresolved:
-        touches.setdefault((touch.part, touch.guard), []).append(touch.t)
-    return [
-        f"the {part} comes within rounding of hyperplane {guard + 1} at t = {times[0]:.9g} s"
-        + (f" and {len(times) - 1} more times" if len(times) > 1 else "")
-        + ": whether it crosses there and back cannot be told, and changes the signals by no more than rounding"
-        for (part, guard), times in touches.items()
-    ]
+    """Return one remark for each guard that was within rounding of 0."""
+    found: dict[tuple[str, int], list[Unresolved]] = {}
+    for doubt in trace.unresolved:
+        found.setdefault((doubt.part, doubt.guard), []).append(doubt)
+    remarks = []
+    for (part, guard), doubts in found.items():
+        span = max(doubt.span for doubt in doubts)
+        remarks.append(
+            f"the {part} comes within rounding of hyperplane {guard + 1} at t = {doubts[0].t:.9g} s"
+            + (f" and {len(doubts) - 1} more times" if len(doubts) > 1 else "")
+            + (f", for up to {span:.2g} s" if span else "")
+            + ": on which side it is then cannot be told, so that a mode change may be missing, or early or late by "
+            + ("that much" if span else "a moment")
+            + "; it changes the signals by no more than rounding"
+        )
+    return remarks
 
 
 def _initial(values: Array | None, length: int, part: str) -> Array:

@@ -103,7 +103,7 @@ def ensemble(
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
         raise InvalidSpec(
-            Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: events stay exact")
+            Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
         )
     with spec.located():
         variation = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}[over](

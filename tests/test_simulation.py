@@ -367,6 +367,19 @@ def test_a_hundred_periods_of_the_example_agree_with_fifty_digits(paper: Result)
     assert trace.unresolved == ()
 
 
+@pytest.mark.parametrize(("omega", "sample_time"), [(1.0, 0.1), (1.0, 5.0), (100.0, 0.5)])
+def test_states_are_those_of_exact_arithmetic_to_within_the_figure(omega: float, sample_time: float) -> None:
+    """ε ‖F‖ T of the largest state, at every sample, for steps short and long."""
+    oscillator = abs_oscillator()
+    flow = Flow(F0=omega * oscillator.F0, parts=tuple(replace(p, F=omega * p.F) for p in oscillator.parts))
+    start = np.array([0.3, 1.0, 1.0])
+    trace = simulate_flow(flow, start, duration=20.0, sample_time=sample_time)
+    z, times = precise(flow, start, trace)
+    figure = np.finfo(np.float64).eps * (1 + np.linalg.norm(flow.size(), 2) * trace.t)
+    assert (np.abs(trace.z - z).max(axis=1) <= 2 * figure * np.abs(z).max()).all()
+    np.testing.assert_allclose([e.t for e in trace.events], times, atol=1e-13)
+
+
 def test_forward_and_back_over_one_period_returns(paper: Result) -> None:
     flow, start = paper.loop.flow, paper_start(paper.loop)
     forth = simulate_flow(flow, start, duration=1.0, sample_time=0.01)

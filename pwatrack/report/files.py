@@ -255,11 +255,14 @@ def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str]
 
 
 def _event_rows(loop: ClosedLoop, trace: Trace) -> Iterator[list[str]]:
+    texts = dict[tuple[str, int, int], str]()
     for event in trace.events:
         for part, before, after in zip(loop.flow.parts, event.before, event.after, strict=True):
             if part.cells[before] != part.cells[after]:
-                guard = _guard_text(loop, part, before, after)
-                yield [repr(event.t), part.name, part.cells[before], part.cells[after], guard]
+                change = part.name, before, after
+                if change not in texts:
+                    texts[change] = _guard_text(loop, part, before, after)
+                yield [repr(event.t), part.name, part.cells[before], part.cells[after], texts[change]]
 
 
 def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -> str:

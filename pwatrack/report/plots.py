@@ -26,7 +26,7 @@ _WORST: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (
 _STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
 _ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
-_COLUMNS = 2000  # quantiles at more times than this cannot be told apart in print
+_COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 _ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 
 
@@ -260,12 +260,21 @@ def active_cells(result: Result) -> Figure:
     )
     for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
         for row, name in enumerate(names):
-            bars = [(start, end - start) for mode, start, end in stays if part.cells[mode[k]] == name]
-            axes.broken_barh(bars, (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0)
+            bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] == name])
+            axes.broken_barh(
+                _drawn(bars, trace.t[-1] / _COLUMNS), (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0
+            )
         axes.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
         axes.set_ylim(len(names) - 0.4, -0.6)
         _label(axes, "time t (s)" if k == len(parts) - 1 else "", part.name, _span(trace.t))
     return figure
+
+
+def _drawn(bars: Array, dot: float) -> list[tuple[float, float]]:
+    """Return (start, length) of bars (start, end) in order, those joined that are nearer to each other than a dot."""
+    apart = np.flatnonzero(bars[1:, 0] - bars[:-1, 1] > dot)
+    starts, ends = bars[np.append(0, apart + 1), 0], bars[np.append(apart, -1), 1]
+    return list(zip(starts.tolist(), (ends - starts).tolist(), strict=True))
 
 
 def _error(result: Result, curves: dict[str, Array], size: Array, bound: Array | None, unit: str, title: str) -> Figure:

@@ -267,7 +267,7 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
         spread.add_row(label, *("never" if v is None else format(v, form) for v in shown), str(values["member"]))
     console.print(spread)
     if figures["unresolved"]:
-        console.print(f"In {figures['unresolved']} members a hyperplane is touched within rounding.")
+        console.print(f"In {figures['unresolved']} members the state comes within rounding of a hyperplane.")
 
 
 def _varied(kind: str, name: str, entry: Sequence[float]) -> str:

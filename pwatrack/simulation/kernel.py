@@ -1,7 +1,8 @@
 """The compiled walk along a trajectory, from event to event, with no ODE solver.
 
-Inside a mode ż = F z. The finest step is so short that 16 Taylor terms are e^{F h}
-to rounding; longer ones, up to the sample time, come from it by doubling.
+Inside a mode ż = F z. The finest step is so short that a few Taylor terms, most often
+16, are e^{F h} to rounding in every entry; each mode has as many as it needs. Longer
+steps, up to the sample time, come from it by doubling.
 
 A step of length h is taken at once if no guard g can reach 0 on it. A guard differs
 from the chord between its ends by at most h²/8 sup |g F² e^{Fσ}| |z|, which is bounded
@@ -9,7 +10,9 @@ once per mode and step length; where that does not settle it, with v = F z, a = 
 
     g z(τ) ≥ g z − ∫|g e^{Fσ}|dσ |v|,   g z(τ) ≥ min(g z, g z + h g v) − ∫(h − σ)|g e^{Fσ}|dσ |a|,
 
-and the integrals are bounded like that too. If even the finest
+and the integrals are bounded like that too. All these bounds hold for the numbers as they are
+rounded: what g z, v, a, g v and the state at the end of the step can be off by is added to them.
+If even the finest
 step may meet a guard, the guard is a Taylor polynomial in τ ∈ [0, 1] there. Its
 Bernstein coefficients enclose it, and those of its derivative tell where it is
 monotone, so a crossing is isolated, excluded, or reported as within rounding of
@@ -30,11 +33,11 @@ from numba import njit
 
 from pwatrack.arrays import Array, IntArray
 
-DEGREE = 15  # ‖F h‖ ≤ 1/2 leaves a remainder below 2⁻⁵⁶ of the sum
 SAME_TIME = 1e-12  # relative, or in s before t = 1 s
 MOST_IDLE = 1000  # crossings without progress in time
+PIECES = 32  # of a step: more than how often it is halved
 _FINEST = 2.0**-26  # a piece so short that a polynomial without monotony on it stays within rounding of 0
-_BINOMIAL = (1.0, 15.0, 105.0, 455.0, 1365.0, 3003.0, 5005.0, 6435.0)  # 15 over 0 … 7; the rest mirrors them
+_VAGUE = 2.0**-22, 2.0**-30  # times known to this part of the finest step, or of a sample time, are known
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -57,7 +60,7 @@ class Field(NamedTuple):
         signs: Side of each guard that each cell is on; 0 for guards of other parts, (C, K).
         h: The finest step in s.
         doublings: The longest step, from sample to sample, is 2^doublings finest ones.
-        degree: Taylor terms of e^{F h} beyond it are rounding, in every mode and entry.
+        unit: What a product of a matrix and a vector can be off by, relative to the sum of the sizes of its terms.
     """
 
     first: IntArray
@@ -65,7 +68,7 @@ class Field(NamedTuple):
     signs: IntArray
     h: float
     doublings: int
-    degree: int
+    unit: float
 
 
 class Resets(NamedTuple):
@@ -93,16 +96,20 @@ class Modes(NamedTuple):
         cells: Cell of each part, counted over all parts, (M, P).
         sides: Side of every guard, 0 where it does not bound the mode, (M, K).
         F: F h, (M, N, N).
+        degree: Taylor terms of e^{F h} beyond it are rounding, in every entry; one less than a multiple of four, (M,).
+        longest: Most doublings at which nothing below is beyond the largest number, (M,).
         growth: e^{F h 2^d} − 1 for d doublings, (M, D, N, N).
         margin: |z| times it is how far from 0 a guard must be at both ends of a step, (M, D, N, K).
         first, second: Bounds on the two integrals above, (M, D, N, K).
-        rounding: |z| times it is the size below which a guard cannot be told from 0, (M, N, K).
+        rounding: |z| times it is the size below which a guard cannot be told from 0 on a finest step, (M, N, K).
         jumps: The maps of the clock, (M, J, N, N).
     """
 
     cells: IntArray
     sides: IntArray
     F: Array
+    degree: IntArray
+    longest: IntArray
     growth: Array
     margin: Array
     first: Array
@@ -119,7 +126,8 @@ class Log(NamedTuple):
         mode: Number of the mode at each sample, (S,).
         event_time, event_mode: When the mode changed, in s, and to which. The first is the start;
             there is room for more.
-        near_time, near_guard: Where a guard came within rounding of 0 and no sign can be given.
+        near_time, near_guard, near_span: From when on a guard was within rounding of 0 and no sign can be given,
+            and for how long, in s.
     """
 
     z: Array
@@ -128,6 +136,7 @@ class Log(NamedTuple):
     event_mode: IntArray
     near_time: Array
     near_guard: IntArray
+    near_span: Array
 
 
 STATE = np.dtype(
@@ -146,18 +155,19 @@ STATE = np.dtype(
         ("last", np.float64),  # when time last moved on between crossings, in s
         ("idle", np.int64),  # crossings since
         ("guard", np.int64),  # the last guard crossed
+        ("left", np.int64),  # steps that may yet be taken
     ]
 )
-DONE, NEW_MODE, FULL, STUCK = range(4)  # why the walk stops
+DONE, NEW_MODE, FULL, STUCK, SPENT = range(5)  # why the walk stops
 
 
 @_compiled
 def leading(power: Array, tolerance: float) -> int:
-    """Return the number of the first coefficient that is not within the tolerance of 0, or 16."""
-    for j in range(DEGREE + 1):
+    """Return the number of the first coefficient that is not within the tolerance of 0, or how many there are."""
+    for j in range(len(power)):
         if abs(power[j]) > tolerance:
             return j
-    return DEGREE + 1
+    return len(power)
 
 
 @_compiled
@@ -167,16 +177,20 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
     Leading coefficients within the tolerance count as 0: the trajectory starts
     on the guard, and the first coefficient beyond decides which side it goes to.
 
+    The tolerance must cover the rounding of the coefficients and of what is done with them here. A Bernstein
+    coefficient is a mean of partial sums, so it is off by no more than Σ |power_j| times n + 1 roundings for degree n;
+    halving a piece adds n roundings of its largest coefficient, which shrinks from piece to piece towards a root.
+
     Args:
-        power: Power coefficients, (16,).
+        power: Power coefficients, (n + 1,).
         tolerance: Values of smaller size are indistinguishable from 0.
-        pieces: Room to work, (32, 18).
+        pieces: Room to work, (32, n + 3) or more.
 
     Returns:
         Three places, each infinity if there is none: the first crossing;
         before it, the first place where the polynomial comes within the
         tolerance of 0, may or may not be negative, and then is positive again;
-        and the place from which on it stays within the tolerance up to τ = 1.
+        and the place from which on it stays within the tolerance up to τ = 1, without being 0 all the time.
 
     Example:
         >>> room = np.empty((32, 18))
@@ -185,32 +199,35 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
         >>> first_crossing(np.array([0.26, -1.0, 1.0] + 13 * [0.0]), 1e-15, room)
         (inf, inf, inf)
     """
+    n = len(power) - 1
     start = leading(power, tolerance)
-    if start > DEGREE:
-        return np.inf, np.inf, np.inf
+    if start > n:
+        return np.inf, np.inf, np.inf if leading(power, 0.0) > n else 0.0
     if power[start] < 0:
         return 0.0, np.inf, np.inf
     rest = 0.0
-    for j in range(start + 1, DEGREE + 1):
+    for j in range(start + 1, n + 1):
         rest += abs(power[j])
     if power[start] > rest + tolerance:
         return np.inf, np.inf, np.inf
 
-    LOW, WIDTH = DEGREE + 1, DEGREE + 2  # behind the Bernstein coefficients of a piece
-    for j in range(DEGREE + 1):
-        pieces[0, j] = power[start + j] / _BINOMIAL[min(j, DEGREE - j)] if start + j <= DEGREE else 0.0
-    for j in range(1, DEGREE + 1):
-        for i in range(DEGREE, j - 1, -1):
+    LOW, WIDTH = n + 1, n + 2  # behind the Bernstein coefficients of a piece
+    binomial = 1.0
+    for j in range(n + 1):
+        pieces[0, j] = power[start + j] / binomial if start + j <= n else 0.0
+        binomial = binomial * (n - j) / (j + 1)
+    for j in range(1, n + 1):
+        for i in range(n, j - 1, -1):
             pieces[0, i] += pieces[0, i - 1]
     pieces[0, LOW], pieces[0, WIDTH] = 0.0, 1.0
     near, touched, top = np.inf, np.inf, 0
     while top >= 0:
         b, low, high = pieces[top], pieces[top, LOW], pieces[top, LOW] + pieces[top, WIDTH]
         least, most, rising, falling = b[0], b[0], True, True
-        for i in range(DEGREE):
+        for i in range(n):
             least, most = min(least, b[i + 1]), max(most, b[i + 1])
             rising, falling = rising and b[i + 1] >= b[i], falling and b[i + 1] <= b[i]
-        first, last, small = b[0], b[DEGREE], max(-least, most) <= tolerance
+        first, last, small = b[0], b[n], max(-least, most) <= tolerance
         if least > tolerance:
             top -= 1
         elif first < -tolerance:
@@ -228,8 +245,8 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
         else:  # halve it by de Casteljau's algorithm: the right half stays, the left one goes on top
             left = pieces[top + 1]
             left[0] = b[0]
-            for j in range(1, DEGREE + 1):
-                for i in range(DEGREE + 1 - j):
+            for j in range(1, n + 1):
+                for i in range(n + 1 - j):
                     b[i] = 0.5 * (b[i] + b[i + 1])
                 left[j] = b[0]
             left[LOW], left[WIDTH] = low, 0.5 * b[WIDTH]
@@ -277,7 +294,7 @@ def _root(power: Array, start: int, low: float, high: float) -> float:
 def _evaluate(power: Array, start: int, x: float) -> tuple[float, float]:
     """Return Σ power_j x^(j − start) over j ≥ start, and its derivative."""
     value = slope = 0.0
-    for j in range(DEGREE, start - 1, -1):
+    for j in range(len(power) - 1, start - 1, -1):
         slope = slope * x + value
         value = value * x + power[j]
     return value, slope
@@ -316,7 +333,7 @@ def _number(known_cells: IntArray, known: int, cells: IntArray) -> int:
 
 @_compiled
 def _next_term(F: Array, factor: float, terms: Array, j: int) -> None:
-    """Write factor · F times row j − 1 of terms (16, N) to row j: what `_apply` does, without views of rows."""
+    """Write factor · F times row j − 1 of terms (·, N) to row j: what `_apply` does, without views of rows."""
     N, k = terms.shape[1], 0
     for i in range(N):
         terms[j, i] = 0.0
@@ -335,7 +352,7 @@ def _next_term(F: Array, factor: float, terms: Array, j: int) -> None:
 
 @_compiled
 def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> None:
-    """Write the Taylor terms of z(τ length) up to a degree, (16, N)."""
+    """Write the Taylor terms of z(τ length) up to a degree to the first rows, (·, N); what is behind is not theirs."""
     for i in range(len(z)):
         terms[0, i] = z[i]
     for j in range(1, degree + 1):
@@ -344,8 +361,8 @@ def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> Non
 
 @_compiled
 def _seen(guards: Array, k: int, terms: Array, power: Array) -> None:
-    """Write the Taylor terms of guard k, (16,); four at a time, so that sums do not wait for each other."""
-    for j in range(0, DEGREE + 1, 4):
+    """Write the Taylor terms of guard k; four at a time, so that sums do not wait for each other."""
+    for j in range(0, len(power), 4):
         p0 = p1 = p2 = p3 = 0.0
         for i in range(len(guards)):
             g = guards[i, k]
@@ -370,28 +387,55 @@ def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
 
 @_compiled
 def _sides(
-    F: Array, guards: Array, tolerance: Array, crossed: Any, z: Array, terms: Array, seen: Array, sides: IntArray
+    F: Array,
+    degree: int,
+    guards: Array,
+    tolerance: Array,
+    crossed: Any,
+    z: Array,
+    terms: Array,
+    seen: Array,
+    sides: IntArray,
+    vague: Array,
+    before: IntArray,
 ) -> None:
-    """Write on which side of each guard the trajectory goes on, 0 where rounding hides it.
+    """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and when that is sure.
 
     A guard at 0 counts by its first derivative that is not 0: the field is
-    continuous, so that derivative is the same on both sides.
+    continuous, so that derivative is the same on both sides. Where what comes before it is not 0 but within the
+    tolerance, term j decides only after (2 tolerance / |term j|)^(1/j) finest steps: `vague` is that time, else 0.
+    It is 0, too, if where another guard is crossed all terms say that this one goes on leaving to the side it was on
+    `before`.
     """
-    open_ = len(sides)
+    open_, elsewhere = len(sides), crossed.any()
     for k in range(len(sides)):
-        sides[k] = 0
-    for j in range(DEGREE + 1):
+        sides[k], vague[k] = 0, 0.0
+    for j in range(degree + 1):
         if j == 0:
             terms[0] = z
         else:
             _next_term(F, 1.0 / j, terms, j)
         _apply(guards, terms[j], seen)
         for k in range(len(sides)):
-            if sides[k] == 0 and abs(seen[k]) > tolerance[k] and not (j == 0 and crossed[k]):
+            if sides[k] != 0:
+                continue
+            at_root = j == 0 and crossed[k]
+            if abs(seen[k]) > tolerance[k] and not at_root:
                 sides[k] = 1 if seen[k] > 0 else -1
                 open_ -= 1
+                if vague[k] < 0.0:
+                    vague[k] = 1.0 if sides[k] != before[k] else 0.0
+                if vague[k] > 0.0:
+                    vague[k] = (2.0 * tolerance[k] / abs(seen[k])) ** (1.0 / j)
+            elif at_root or (seen[k] != 0.0 and not (elsewhere and seen[k] * before[k] > 0)):
+                vague[k] = 1.0
+            elif seen[k] != 0.0 and vague[k] == 0.0:
+                vague[k] = -1.0  # so far it leaves
         if open_ == 0:
             return
+    for k in range(len(sides)):
+        if sides[k] == 0:
+            vague[k] = 0.0  # how long it stays hidden is seen as it goes on
 
 
 @_compiled
@@ -420,7 +464,11 @@ def _fit(first: IntArray, signs: IntArray, sides: IntArray, cells: IntArray) -> 
 
 @_compiled
 def _apart(sides: IntArray, now: Array, then: Array, margin: Array) -> bool:
-    """Say that no guard that bounds the mode is within its margin of 0 at either end of a step, or beyond."""
+    """Say that no guard that bounds the mode is within its margin of 0 at either end of a step, or beyond.
+
+    The margin is how far the guard can be from the chord between its ends, and how far `now` and `then` can be
+    from the guard at these ends.
+    """
     apart = True
     for k in range(len(now)):
         apart = apart and (sides[k] == 0 or min(sides[k] * now[k], sides[k] * then[k]) > margin[k])
@@ -428,10 +476,38 @@ def _apart(sides: IntArray, now: Array, then: Array, margin: Array) -> bool:
 
 
 @_compiled
+def _derived(F: Array, z: Array, doubt: Array, unit: float, result: Array, doubt_after: Array) -> None:
+    """Write M z, for M given as its transpose, and by how much that can be off.
+
+    Args:
+        F, z: What is multiplied.
+        doubt: By how much z can be off.
+        unit: What a product can be off by, of the sum of the sizes of its terms.
+        result, doubt_after: What is written.
+    """
+    _apply(F, z, result)
+    for i in range(len(result)):
+        doubt_after[i] = 0.0
+    for j in range(len(z)):
+        off = doubt[j] + unit * abs(z[j])
+        for i in range(len(result)):
+            doubt_after[i] += abs(F[j, i]) * off
+
+
+@_compiled
 def _clear(
     sides: IntArray, now: Array, slope: Array, first: Array, speed: Array, second: Array, bend: Array, length: int
 ) -> bool:
-    """Say, more carefully, that no guard that bounds the mode can reach 0 on a step."""
+    """Say, more carefully, that no guard that bounds the mode can reach 0 on a step.
+
+    Args:
+        sides: On which side the mode is of each guard, (K,).
+        now: The guards, drawn in towards 0 by what they can be off by, (K,).
+        slope: The least and the largest that their slopes can be, (2, K).
+        first, second: Bounds on the two integrals, (N, K).
+        speed, bend: Bounds on |v| and |a|, (N,).
+        length: Of the step, in finest steps.
+    """
     for k in range(len(now)):
         side = sides[k]
         if side == 0:
@@ -445,9 +521,25 @@ def _clear(
         reach = 0.0
         for i in range(len(bend)):
             reach += second[i, k] * bend[i]
-        if min(value, value + length * side * slope[k]) <= reach:
+        falls = length * (slope[0, k] if side > 0 else -slope[1, k])
+        if not min(value, value + falls) > reach:
             return False
     return True
+
+
+@_compiled
+def _note(state: Any, log: Log, since: float, guard: int, span: float) -> None:
+    """Write down that for a while from a time on nobody can say on which side of a guard the trajectory is."""
+    s = state[0]
+    log.near_time[s.nears], log.near_guard[s.nears], log.near_span[s.nears] = since, guard, span
+    s.nears += 1
+
+
+@_compiled
+def matters(span: float, t: float, field: Field) -> bool:
+    """Say whether a doubt of some finest steps about when something happens, at t in s, is worth a word."""
+    least = max(_VAGUE[0], _VAGUE[1] * 2.0**field.doublings)
+    return span > least and span * field.h > SAME_TIME * max(1.0, t)
 
 
 @_compiled
@@ -474,14 +566,21 @@ def walk(
         log: What is written down.
 
     Returns:
-        DONE, NEW_MODE, FULL (no room for events) or STUCK.
+        DONE, NEW_MODE, FULL (no room for events), STUCK or SPENT (no steps are left).
     """
     s, K, N, D = state[0], len(crossed), len(z), field.doublings
     end = (s.base + len(log.z) - 1) << D
-    terms, power, pieces = np.zeros((DEGREE + 1, N)), np.empty(DEGREE + 1), np.empty((32, DEGREE + 3))
+    most = modes.degree[:known].max() + 1
+    terms, ahead, powers, pieces = (
+        np.empty((most, N)),
+        np.empty((most, N)),
+        np.empty(most),
+        np.empty((PIECES, most + 2)),
+    )
     now, then, slope, reach, tolerance = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K)
-    beyond, touched, near, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
+    beyond, touched, near, vague, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
     v, following, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
+    off, off_after, off_slope, slopes = np.empty(N), np.empty(N), np.empty(K), np.empty((2, K))
     known_now = False  # `now` are the guards at z
     while s.k < end or s.settling or (s.resets < len(resets.step) and resets.step[s.resets] <= end):
         m = s.m
@@ -491,7 +590,8 @@ def walk(
         if s.settling:
             known_now = False
             _apply(modes.rounding[m], size, tolerance)
-            _sides(modes.F[m], field.guards, tolerance, crossed, z, terms, now, sides)
+            was = modes.sides[log.event_mode[s.events - 1]]
+            _sides(modes.F[m], modes.degree[m], field.guards, tolerance, crossed, z, ahead, now, sides, vague, was)
             for p in range(len(cells)):
                 cells[p] = modes.cells[m, p]
             if s.tries <= K and _fit(field.first, field.signs, sides, cells):
@@ -503,6 +603,11 @@ def walk(
                 continue
             s.settling, s.tries = False, 0
             t = (s.k + s.done) * field.h
+            for i in range(K):
+                if modes.sides[m, i] == 0:
+                    near_since[i] = np.inf
+                elif matters(vague[i], t, field):
+                    _note(state, log, t, i, vague[i] * field.h)
             if s.k & ((1 << D) - 1) == 0 and s.done == 0.0:
                 log.mode[(s.k >> D) - s.base] = m
                 for i in range(N):
@@ -518,14 +623,17 @@ def walk(
                     s.events += 1
             continue
 
-        if s.events == len(log.event_time) or s.nears + 2 * K > len(log.near_time):
+        if s.events == len(log.event_time) or s.nears + 3 * K > len(log.near_time):
             return FULL
+        if s.left == 0:
+            return SPENT
+        s.left -= 1
 
         if not s.inside:  # the longest step on the grid that meets neither guard nor reset
             free = end - s.k
             if s.resets < len(resets.step):
                 free = min(free, int(np.floor(resets.step[s.resets] - s.k)))
-            d = min(s.d + 1, D)
+            d = min(s.d + 1, modes.longest[m])
             while d >= 0 and (s.k & ((1 << d) - 1) != 0 or 1 << d > free):
                 d -= 1
             if not known_now:
@@ -543,14 +651,18 @@ def walk(
                 if not careful:
                     careful = True
                     _apply(modes.rounding[m], size, tolerance)
-                    _apply(modes.F[m], z, speed)
-                    _apply(modes.F[m], speed, bend)
-                    _apply(field.guards, speed, slope)
                     for i in range(N):
-                        speed[i], bend[i] = abs(speed[i]), abs(bend[i])
+                        off_after[i] = 0.0
+                    _derived(modes.F[m], z, off_after, field.unit, speed, off)
+                    _derived(field.guards, speed, off, field.unit, slope, off_slope)
+                    _derived(modes.F[m], speed, off, field.unit, bend, off_after)
+                    for i in range(N):
+                        speed[i], bend[i] = abs(speed[i]) + off[i], abs(bend[i]) + off_after[i]
                     for i in range(K):
                         beyond[i] = now[i] - modes.sides[m, i] * tolerance[i]
-                if _clear(modes.sides[m], beyond, slope, modes.first[m, d], speed, modes.second[m, d], bend, 1 << d):
+                        off_slope[i] += field.unit * abs(slope[i])
+                        slopes[0, i], slopes[1, i] = slope[i] - off_slope[i], slope[i] + off_slope[i]
+                if _clear(modes.sides[m], beyond, slopes, modes.first[m, d], speed, modes.second[m, d], bend, 1 << d):
                     break
                 d -= 1
             s.d = max(d, 0)
@@ -567,7 +679,9 @@ def walk(
             length = (max(s.done, resets.step[s.resets] - s.k) if falls else 1.0) - s.done
             known_now = False
             _apply(modes.rounding[m], size, tolerance)
-            _expand(modes.F[m], z, length, field.degree, terms)
+            degree = modes.degree[m]
+            power = powers[: degree + 1]
+            _expand(modes.F[m], z, length, degree, terms)
             _apply(field.guards, z, now)
             for i in range(N):
                 speed[i] = abs(terms[1, i])
@@ -579,30 +693,28 @@ def walk(
                 if side == 0:
                     near_since[i] = np.inf
                     continue
-                if not crossed[i] and side * now[i] > reach[i] + 2 * tolerance[i]:
-                    away = True  # it stays beyond the tolerance
+                if not crossed[i] and side * now[i] > reach[i] + 3 * tolerance[i]:
+                    away = True  # it stays beyond the tolerance: two more for what now and reach can be off by
                 else:
                     _seen(field.guards, i, terms, power)
                     if crossed[i]:
                         power[0] = 0.0
-                    for j in range(DEGREE + 1):
+                    for j in range(degree + 1):
                         power[j] *= side
                     crossing, touched[i], near[i] = first_crossing(power, tolerance[i], pieces)
-                if near_since[i] < np.inf and (away or leading(power, tolerance[i]) <= DEGREE):
-                    if crossing > 0.0:
-                        log.near_time[s.nears], log.near_guard[s.nears] = near_since[i], i
-                        s.nears += 1
+                if near_since[i] < np.inf and (away or leading(power, tolerance[i]) <= degree):
+                    span = (s.k + s.done) - near_since[i] / field.h
+                    if crossing > 0.0 or matters(span, near_since[i], field):
+                        _note(state, log, near_since[i], i, span * field.h)
                     near_since[i] = np.inf
                 if crossing < tau:
                     tau, guard = crossing, i
             for i in range(K):
                 if touched[i] < tau:
-                    log.near_time[s.nears] = (s.k + s.done + touched[i] * length) * field.h
-                    log.near_guard[s.nears] = i
-                    s.nears += 1
-                if near[i] < tau:
+                    _note(state, log, (s.k + s.done + touched[i] * length) * field.h, i, 0.0)
+                if near[i] < tau and near_since[i] == np.inf:
                     near_since[i] = (s.k + s.done + near[i] * length) * field.h
-            _arrive(terms, field.degree, min(tau, 1.0), z)
+            _arrive(terms, degree, min(tau, 1.0), z)
             if guard >= 0:
                 s.done += tau * length
                 if tau * length >= 1e-15:

@@ -36,7 +36,7 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
 
     The field is continuous, so crossing a facet multiplies the sensitivity by
     the identity, and the derivative of the period map is the product of the
-    matrix exponentials of the stays in each mode: exact.
+    matrix exponentials of the stays in each mode, with no difference quotient.
 
     Args:
         flow: The flow.

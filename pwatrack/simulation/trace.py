@@ -9,7 +9,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.simulation.flow import Mode
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Event:
     """The mode changed at time t (s)."""
 
@@ -18,16 +18,24 @@ class Event:
     after: Mode
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Unresolved:
-    """At time t (s) a guard came within rounding of 0 and left again: nobody can say whether it was crossed and back.
+    """From time t (s) on a guard was within rounding of 0: nobody can say on which side of it the trajectory was.
 
-    `guard` counts the rows of `part.guards` from 0.
+    That is so where it touches the guard and leaves again, where it moves along it, where it starts there or crosses it
+    with hardly any slope, and at corners. A mode change there may be missing, or early or late by as much as the doubt
+    lasts. A guard that is exactly 0, as at a start on it, is no such case, nor is one crossed with so clear a slope
+    that the time is known to 2⁻²² of the finest step, 2⁻³⁰ of a sample time, or 1e-12 of the time itself.
+
+    Attributes:
+        guard: Counts the rows of `part.guards` from 0.
+        span: How long the doubt lasts, in s; 0 for a touch within one step, where it is not worked out.
     """
 
     t: float
     part: str
     guard: int
+    span: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +47,7 @@ class Trace:
         z: States, (K, N).
         modes: Cell of each part at each sample, (K, P).
         events: All mode changes, in order of time.
-        unresolved: Where rounding leaves open whether there was one, in order of time.
+        unresolved: Where rounding leaves open whether or when there was one, in the order in which it was noticed.
     """
 
     t: Array

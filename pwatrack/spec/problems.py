@@ -249,7 +249,7 @@ def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem
     if step > duration:
         message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
         problems.append(Problem(message=message, subject=subject))
-    hint = "events are exact at any sample time; a longer one only draws fewer points"
+    hint = "the sample time moves no event; a longer one only draws fewer points"
     counted: list[tuple[float, int, Subject, str, str]] = [(step, _MOST_SAMPLES, subject, "samples", hint)]
     for name, what in (("noise", "draws"), ("controller", "ticks")):
         if (part := getattr(section, name)) is not None:
