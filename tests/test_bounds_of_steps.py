@@ -26,7 +26,7 @@ def random_flow(random: np.random.Generator, n: int, k: int) -> Flow:
         cells=("one",),
         guards=guards,
         signs=np.ones((1, k), dtype=np.int64),
-        F=(0.4 * F / max(1.0, np.linalg.norm(np.abs(F), 2)))[None],
+        F=(0.4 * F / max(1.0, float(np.linalg.norm(np.abs(F), 2))))[None],
     )
     return Flow(F0=np.zeros((n, n)), parts=(part,))
 

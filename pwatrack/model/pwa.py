@@ -181,7 +181,9 @@ class PWASystem:
 
         Example: `'z2 - z1 = 0.05'`.
         """
-        return f"{linear_form_text(self.partition.H[k], self.states)} = {-self.partition.h[k] + 0.0:.6g}"
+        H, h = self.partition.H[k], self.partition.h[k]
+        H, h = (-H, -h) if H.max() <= 0 else (H, h)
+        return f"{linear_form_text(H, self.states)} = {-h + 0.0:.6g}"
 
     def _continuous(self, tolerance: float) -> "PWASystem":
         """Return the system with an exactly continuous field: see `continuity`."""
