@@ -25,6 +25,7 @@ from pwatrack.model.reference import (
 )
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
+from pwatrack.simulation.desired import realised
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
@@ -282,7 +283,8 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
             raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
         return input_trajectory(plant, u_ff, reference.start), None
     _check(signals, 1, ("reference", "state"), "x_d")
-    return state_trajectory(plant, exosystem(signals), horizon=spec.duration, subject=("reference", "state")), None
+    x_d = state_trajectory(plant, exosystem(signals))
+    return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state")), None  # (3)
 
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:

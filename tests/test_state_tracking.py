@@ -4,12 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
 from pwatrack.control.state_tracking import set_point, state_trajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.model.reference import exosystem
-from pwatrack.model.signal import Signal
+from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.simulation.desired import realised
 from pwatrack.spec.expression import formula
 
 PLANT = """
@@ -158,7 +161,89 @@ def test_realisability_is_judged_per_state_equation() -> None:
     plant = plant_of([[0, 1, 0], [0, -1, 0], [0, 0, -1e7]], [0, 0, 0], [[0, 0], [1, 0], [0, 1e7]], [[1, 0, 0]])
     x_d = exosystem([Signal.of(formula(text, {})) for text in ("sin(t)", "1.001*cos(t)", "sin(t)")])
     with pytest.raises(OutsideTheory, match="state 'x1'"):
-        state_trajectory(plant, x_d, horizon=10.0)
+        realised(plant, state_trajectory(plant, x_d), horizon=10.0)
+
+
+def signals(*texts: str) -> list[Signal]:
+    return [Signal.of(formula(text, {"pi": np.pi})) for text in texts]
+
+
+LEAKING = PWASystem.create(  # dp/dt = v − max(0, p − 1): only below 1 does p follow from v alone
+    partition=Partition.create(H=[[1, 0]], h=[-1], signs=[[-1], [1]], names=["below", "above"]),
+    A=[[[0, 1], [-1, -1]], [[-1, 1], [-1, -1]]],
+    b=[[0, 0], [1, 0]],
+    B=[[0], [1]],
+    C=[[1, 0]],
+    states=["p", "v"],
+)
+
+
+@pytest.mark.parametrize(("k", "horizon"), [(1000, 20.0), (1, 20_000.0), (7, 3.0)])
+def test_equation_3_is_not_decided_on_a_grid_of_times(k: int, horizon: float) -> None:
+    # dp/dt = v wherever t k is a whole number, and nowhere else
+    x_d = exosystem(signals(f"0.5*sin({2 * k}*pi*t)", f"{k}*pi"))
+    with pytest.raises(
+        OutsideTheory, match=r"in cell 'below' no input satisfies the equation of state 'p' in \(3\)"
+    ) as e:
+        realised(LEAKING, state_trajectory(LEAKING, x_d), horizon=horizon, subject=("reference", "state"))
+    assert e.value.problems[0].subject == ("reference", "state", 0)
+
+
+@given(
+    st.floats(1e-3, 1e4),
+    st.floats(1e-9, 1e9),
+    st.floats(0.1, 1e4),
+    st.floats(1e-9, 1e-2),
+    st.sampled_from("pv"),
+    st.booleans(),
+)
+@settings(deadline=None, max_examples=40)
+def test_equation_3_holds_exactly_where_each_state_follows_from_the_others(
+    omega: float, size: float, horizon: float, wrong: float, where: str, spoiled: bool
+) -> None:
+    plant = plant_of([[0, 1 / size], [-3 * size, -1]], [0, 0], [[0], [size]], [[1, 0]])  # v in other units
+    a, b = 1 + wrong * (spoiled and where == "p"), size * omega * (1 + wrong * (spoiled and where == "v"))
+    trajectory = state_trajectory(plant, exosystem(signals(f"{a!r}*sin({omega!r}*t)", f"{b!r}*cos({omega!r}*t)")))
+    if spoiled:
+        with pytest.raises(OutsideTheory, match="state 'x1'"):
+            realised(plant, trajectory, horizon=horizon)
+    else:
+        assert realised(plant, trajectory, horizon=horizon).until is None
+
+
+@pytest.mark.parametrize(("amplitude", "refused"), [(0.9, False), (1.0, False), (1 + 1e-9, True), (1.5, True)])
+def test_equation_3_is_asked_for_in_the_cells_that_are_visited(amplitude: float, refused: bool) -> None:
+    p = formula(f"{amplitude!r}*sin(t)", {})
+    trajectory = state_trajectory(LEAKING, exosystem([Signal.of(p), Signal.of(p.derivative())]))
+    if not refused:
+        assert realised(LEAKING, trajectory, horizon=30.0).until is None
+        return
+    with pytest.raises(OutsideTheory, match="in cell 'above'") as refusal:
+        realised(LEAKING, trajectory, horizon=30.0)
+    time = float(refusal.value.problems[0].message.split("t = ")[1].split(" s ")[0])
+    first = np.arcsin(1 / amplitude)
+    assert first - 1e-4 <= time <= np.pi - first + 1e-4
+
+
+def test_equation_3_without_a_period_is_decided_up_to_the_end_of_the_run() -> None:
+    p = formula("0.6*sin(t) + 0.39999*sin(sqrt2*t)", {"sqrt2": 2**0.5})  # comes close to 1 at last, never above
+    trajectory = state_trajectory(LEAKING, exosystem([Signal.of(p), Signal.of(p.derivative())]))
+    assert realised(LEAKING, trajectory, horizon=100.0).until == 100.0
+    quiet = state_trajectory(LEAKING, exosystem(signals("0.5*exp(-t)", "-0.5*exp(-t)")))
+    assert realised(LEAKING, quiet, horizon=10.0).until == 10.0
+
+
+@pytest.mark.parametrize("wrong", [0.0, 1e-6])
+def test_equation_3_is_asked_for_on_every_piece(wrong: float) -> None:
+    t, one = ExponentialPolynomial.time(), ExponentialPolynomial.constant(1.0)
+    p = Signal((0.0, 2.0), (t * 0.1, one * 0.2 + 0.1 * t - 0.01 * t * t), end=4.0)
+    v = Signal((0.0, 2.0), (one * 0.1, one * 0.1 - (0.02 + wrong) * t), end=4.0)
+    trajectory = state_trajectory(LEAKING, exosystem([p, v]))
+    if not wrong:
+        assert realised(LEAKING, trajectory, horizon=4.0).until == 4.0
+        return
+    with pytest.raises(OutsideTheory, match=r"at t = [23]\.\d* s in cell 'below' .* state 'p'"):
+        realised(LEAKING, trajectory, horizon=4.0)
 
 
 @pytest.mark.parametrize("f", [1e-8, 1e-6, 1.0, 1e6, 1e8])

@@ -4,61 +4,33 @@ import numpy as np
 from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.control.realisable import needed_inputs, pseudo_inverse
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import OutsideTheory, Problem, Subject
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, exosystem
 
-_REALISABLE = 1e-9  # of the size of the terms of (3)
-_CHECKS = 20_000  # times at which (3) is checked
 
-
-def state_trajectory(plant: PWASystem, x_d: Exosystem, *, horizon: float, subject: Subject = ()) -> DesiredTrajectory:
+def state_trajectory(plant: PWASystem, x_d: Exosystem) -> DesiredTrajectory:
     """Return the trajectory for x_d in closed form, with u_ff solved from (3): B u_ff = ẋ_d − A_i x_d − b_i.
+
+    Where no u_ff solves it, something is left over: see `control.realisable` and `simulation.desired`.
 
     Args:
         plant: The system (1).
         x_d: One signal per state.
-        horizon: Up to when (3) is checked, in s.
-        subject: What in the description a refusal is about.
-
-    Raises:
-        OutsideTheory: If no u_ff satisfies (3): worst time, state equation and size.
     """
     cells, n = plant.A.shape[:2]
-    s = len(x_d.w0)
     Q, Q_rate = x_d.derivative_rows(1)
-    needed = np.concatenate([Q_rate - plant.A @ Q, -plant.b[:, :, None]], axis=2)  # B u_ff, on (w, 1)
-    rows = 1.0 / np.maximum(np.abs(plant.B).max(axis=1), np.finfo(np.float64).tiny)
-    rows[~plant.B.any(axis=1)] = 0.0
-    pseudo = np.linalg.pinv(rows[:, None] * plant.B) * rows
-    trajectory = DesiredTrajectory(
+    return DesiredTrajectory(
         exosystem=x_d,
         names=(),
         to_eta=np.zeros((0, n)),
         eta_offset=np.zeros(0),
-        rate=np.zeros((cells, 0, s + 1)),
+        rate=np.zeros((cells, 0, len(x_d.w0) + 1)),
         x_d=np.hstack([Q, np.zeros((n, 1))]),
-        u_ff=pseudo @ needed,
+        u_ff=pseudo_inverse(plant.B) @ needed_inputs(plant, Q, Q_rate),
     )
-    unreached = needed - plant.B @ trajectory.u_ff
-    times = np.linspace(0.0, horizon, _CHECKS + 1)
-    w = np.hstack([x_d.states(times), np.ones((len(times), 1))])
-    cell = np.array([plant.partition.locate(x) for x in w[:, :-1] @ Q.T])
-    residual = np.einsum("tij,tj->ti", unreached[cell], w)
-    scale = np.einsum("tij,tj->ti", np.abs(Q_rate)[None] + np.abs(plant.A[cell]) @ np.abs(Q), np.abs(w[:, :-1]))
-    scale = np.maximum(scale.max(axis=0) + np.abs(plant.b).max(axis=0), np.finfo(np.float64).tiny)
-    worst = np.unravel_index(np.argmax(np.abs(residual) / scale), residual.shape)
-    if np.abs(residual[worst]) > _REALISABLE * scale[worst[1]]:
-        raise OutsideTheory(
-            Problem(
-                message=f"x_d is not realisable: at t = {times[worst[0]]:.6g} s no input satisfies the equation of "
-                f"state '{plant.states[worst[1]]}' in (3); {abs(residual[worst]):.4g} is left over",
-                subject=subject,
-                hint="a state that the input does not drive directly must follow from the others",
-            )
-        )
-    return trajectory
 
 
 def input_trajectory(plant: PWASystem, u_ff: Exosystem, start: Array | None) -> DesiredTrajectory:

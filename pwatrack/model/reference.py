@@ -6,12 +6,15 @@ from fractions import Fraction
 from math import factorial
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem, Subject
 from pwatrack.model.course import Course
 from pwatrack.model.signal import Signal
+
+_EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class Exosystem:
 
     Attributes:
         S: (p, p), in 1/s.
+        rates: The eigenvalue of S that each entry of w belongs to, with its imaginary part ≥ 0, (p,).
         Q: (q, p), one row per signal.
         w0: (p,).
         resets: In order of time.
@@ -93,6 +97,7 @@ class Exosystem:
     """
 
     S: Array
+    rates: NDArray[np.complex128]
     Q: Array
     w0: Array
     resets: tuple[Reset, ...]
@@ -116,22 +121,65 @@ class Exosystem:
         result: Array = self.derivative_rows(derivative)[-1] @ self.states(np.array([t]))[0]
         return result
 
+    def pieces(self) -> list[tuple[slice, Array, Array]]:
+        """Return the resets signal by signal: the entries of w, the times (R,), and the new values (R, entries)."""
+        found: dict[tuple[int, int], list[Reset]] = {}
+        for reset in self.resets:
+            found.setdefault((reset.where.start, reset.where.stop), []).append(reset)
+        return [
+            (slice(*where), np.array([reset.t for reset in resets]), np.array([reset.w for reset in resets]))
+            for where, resets in found.items()
+        ]
+
     def states(self, times: Array) -> Array:
-        """Return w at increasing times in s, (T, p), after any reset at that time."""
-        gap = float(times[1] - times[0]) if len(times) > 1 else 0.0
-        step = expm(self.S * gap)  # the times are mostly evenly spaced
-        w, now, pending = self.w0.copy(), 0.0, list(self.resets)
-        rows = []
-        for t in times:
-            while pending and pending[0].t <= t:
-                reset = pending.pop(0)
-                w = expm(self.S * (reset.t - now)) @ w
-                w[reset.where], now = reset.w, reset.t
-            if t > now:
-                even = np.isclose(t - now, gap, rtol=1e-12, atol=0.0)
-                w, now = (step if even else expm(self.S * (t - now))) @ w, t
-            rows.append(w)
-        return np.array(rows)
+        """Return w at some times in s, (T, p), after any reset at that time."""
+        since, w = np.tile(times[:, None], len(self.w0)), np.tile(self.w0, (len(times), 1))
+        for where, t, values in self.pieces():
+            last = np.searchsorted(t, times, side="right") - 1
+            past = last >= 0
+            since[past, where] = (times[past] - t[last[past]])[:, None]
+            w[past, where] = values[last[past]]
+        total = np.zeros_like(w)
+        with np.errstate(all="ignore"):  # what grows may be out of range
+            for rate, chain in spectral_terms(self.S, self.rates):
+                for m, E in enumerate(chain):
+                    total += (np.exp(rate * since) * (since**m / factorial(m)) * (w @ E.T)).real
+        return total
+
+
+def spectral_terms(S: Array, rates: NDArray[np.complex128]) -> list[tuple[complex, list[NDArray[np.complex128]]]]:
+    """Return λ and E_λ0, E_λ1, … with e^{St} = Re Σ_λ e^{λt} Σ_m t^m/m! E_λm, each (p, p), for the S of an exosystem.
+
+    A row has R e^{St} w = 0 for all t exactly where R E_λm w = 0 for all of them. Exponents that differ by
+    rounding are one.
+
+    Example:
+        >>> S = np.array([[0.0, -2.0], [2.0, 0.0]])
+        >>> [(rate, [E.tolist() for E in chain]) for rate, chain in spectral_terms(S, np.array([2j, 2j]))]
+        [(2j, [[[(1+0j), 1j], [-1j, (1+0j)]]])]
+    """
+    found: dict[complex, list[int]] = {}
+    for k, rate in enumerate(rates.tolist()):
+        same = next((known for known in found if abs(known - rate) <= 32 * _EPS * abs(known)), rate)
+        found.setdefault(same, []).append(k)
+    result = []
+    for rate, members in found.items():
+        own = np.zeros(S.shape)
+        own[np.ix_(members, members)] = S[np.ix_(members, members)]
+        turn = np.zeros(S.shape)
+        starts = members[::2] if rate.imag else []
+        for k in starts:
+            turn[k : k + 2, k : k + 2] = [[0.0, -1.0], [1.0, 0.0]]
+            own[k : k + 2, k : k + 2] = 0.0
+        if not rate.imag:
+            own[members, members] = 0.0
+        E = np.diag(np.isin(np.arange(len(S)), members).astype(np.complex128)) - 1j * turn
+        chain = []
+        while E.any():
+            chain.append(E)
+            E = E @ own
+        result.append((rate, chain))
+    return result
 
 
 def exosystem(signals: Sequence[Signal]) -> Exosystem:
@@ -140,7 +188,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     A term p(t) e^{λt} of degree d is the chain v_j = p⁽ʲ⁾(t) e^{λt}, j = 0 … d,
     with v̇_j = λ v_j + v_{j+1}; a conjugate pair is kept as real and imaginary part.
     """
-    blocks, rows, starts, resets = [], [], [], []
+    blocks, rows, rates, starts, resets = [], [], list[complex](), [], []
     offset = 0
     for signal in signals:
         chains = _chains(signal)
@@ -148,6 +196,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         block, row = (block_diag(*S), np.concatenate(Q)) if chains else (np.zeros((0, 0)), np.zeros(0))
         blocks.append(block)
         rows.append(row)
+        rates += [rate for rate, length in chains.items() for _ in range(length * (1 if rate.imag == 0 else 2))]
         where = slice(offset, offset + len(row))
         states = [_chain_state(piece.terms, chains) for piece in signal.pieces]
         starts.append(states[0])
@@ -160,6 +209,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     ends = [signal.end for signal in signals if signal.end is not None]
     return Exosystem(
         S=readonly(block_diag(*blocks)) if offset else np.zeros((0, 0)),
+        rates=np.array(rates, dtype=np.complex128),
         Q=readonly(block_diag(*[row[None] for row in rows]).reshape(len(signals), offset)),
         w0=readonly(np.concatenate([*starts, np.zeros(0)])),
         resets=tuple(sorted(resets, key=lambda reset: reset.t)),
