@@ -10,7 +10,8 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.proof import prove_design
-from pwatrack.control.state_tracking import input_trajectory, set_point, state_trajectory
+from pwatrack.control.set_point import set_point
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.synthesis import Design, controller_task, observer_task, synthesize
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
-from pwatrack.control.state_tracking import set_point, state_trajectory
+from pwatrack.control.set_point import set_point
+from pwatrack.control.state_tracking import state_trajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
@@ -246,7 +247,7 @@ def test_equation_3_is_asked_for_on_every_piece(wrong: float) -> None:
         realised(LEAKING, trajectory, horizon=4.0)
 
 
-@pytest.mark.parametrize("f", [1e-8, 1e-6, 1.0, 1e6, 1e8])
+@pytest.mark.parametrize("f", [1e-12, 1e-8, 1e-6, 1.0, 1e6, 1e8, 1e12])
 def test_a_set_point_does_not_depend_on_units(f: float) -> None:
     d = np.array([f, 1.0, 1 / f])
     A = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -2, -3]])
@@ -268,3 +269,87 @@ def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() 
     x, u = trajectory.x_d[:, 0], trajectory.u_ff[0, :, 0]
     np.testing.assert_allclose(plant.field(x, u), 0.0, atol=1e-9)
     assert x.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("B", "C", "y"),
+    [
+        ([[0.0], [0.0]], [[1.0, 0.0]], [0.0]),
+        ([[0.0], [0.0]], [[1.0, 0.0]], [1.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0]], [0.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0]], [2.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0], [1.0, 0.0]], [1.0, 1.0]),
+        ([[0.0], [1.0]], [[1.0, 0.0], [-3.0, 0.0]], [0.1, -0.3]),
+        ([[0.0], [1.0]], [[1.0, 0.0], [-3.0, 0.0]], [0.1, -0.30001]),
+        ([[0.0], [2.18]], [[0.0, 0.0], [-0.0023, 0.0]], [-0.7, 0.72]),
+        ([[0.0, 0.0], [1.0, 1e-9]], [[1.0, 0.0]], [0.5]),
+    ],
+)
+@pytest.mark.parametrize("k", [0.0, 2.0])
+def test_a_set_point_is_found_exactly_where_a_least_squares_solution_solves_the_equations(
+    B: list[list[float]], C: list[list[float]], y: list[float], k: float
+) -> None:
+    plant = plant_of([[0, 1], [-k, -1]], [0, 0], B, C)
+    equations = np.block([[plant.A[0], plant.B], [plant.C, np.zeros((len(C), len(B[0])))]])
+    right = np.concatenate([np.zeros(2), y])
+    left = equations @ np.linalg.lstsq(equations, right, rcond=None)[0] - right
+    if np.abs(left).max() < 1e-9:
+        found = set_point(plant, np.array(y))
+        np.testing.assert_allclose(plant.field(found.x_d[:, 0], found.u_ff[0, :, 0]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(plant.C @ found.x_d[:, 0], y, atol=1e-9)
+    else:
+        with pytest.raises(
+            OutsideTheory, match="no equilibrium has the wanted outputs: none at all in cell 'everywhere'"
+        ):
+            set_point(plant, np.array(y))
+
+
+@given(st.lists(st.integers(-12, 12), min_size=4, max_size=4), st.floats(-3, 3), st.integers(0, 1))
+@settings(deadline=None, max_examples=40)
+def test_a_set_point_is_the_same_in_all_units(exponents: list[int], y: float, redundant: int) -> None:
+    # dp/dt = v, dv/dt = −p − v − 4 max(0, p − 1) + u (+ u2): at rest u (+ u2) = p + 4 max(0, p − 1)
+    d, e = 10.0 ** np.array(exponents[:2]), 10.0 ** np.array(exponents[2 : 3 + redundant])
+    A = np.array([[[0, 1], [-1, -1]], [[0, 1], [-5, -1]]])
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1.0 * d[0], 0]], h=[-1], signs=[[-1], [1]], names=["free", "touching"]),
+        A=A / d[:, None] * d,
+        b=[[0, 0], [0, 4 / d[1]]],
+        B=np.array([[0, 0], [1, 1]])[:, : 1 + redundant] / d[:, None] * e,
+        C=[[d[0], 0]],
+    )
+    found = set_point(plant, np.array([y]))
+    x, u = found.x_d[:, 0] * d, found.u_ff[0, :, 0] * e
+    np.testing.assert_allclose(x, [y, 0], atol=1e-12)
+    assert u.sum() == pytest.approx(y + 4 * max(0.0, y - 1), abs=1e-9)
+
+
+def test_a_set_point_on_the_border_of_every_cell_that_has_one_is_found() -> None:
+    # at rest q = |p| + 1, and s = p + q is asked for: 1 + p + |p| is 1 for every p ≤ 0, more for p > 0, never less
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1, 0]], h=[0], signs=[[-1], [1]], names=["left", "right"]),
+        A=[[[0, 0], [1, 1]], [[0, 0], [-1, 1]]],
+        b=[[0, -1], [0, -1]],
+        B=[[0], [0]],
+        C=[[1, 1]],
+        states=["p", "q"],
+    )
+    for s, p in ((1.0, None), (1.0 + 2e-9, 1e-9), (3.0, 1.0)):
+        x = set_point(plant, np.array([s])).x_d[:, 0]
+        np.testing.assert_allclose([x[1] - abs(x[0]), x.sum()], [1.0, s], atol=1e-12)
+        assert x[0] <= 1e-12 if p is None else x[0] == pytest.approx(p, abs=1e-12)
+    with pytest.raises(OutsideTheory, match="none at all in cell 'left'; those of cell 'right' lie outside it"):
+        set_point(plant, np.array([0.9]))
+
+
+def test_a_set_point_in_the_corner_of_a_cell_is_found() -> None:
+    # dp/dt = q + min(0, q − p + 0.3) + min(0, q + p − 0.3): the first cell, q ≥ |p − 0.3|, rests at its corner only
+    plant = PWASystem.create(
+        partition=Partition.create(
+            H=[[-1, 1], [1, 1]], h=[0.3, -0.3], signs=[[1, 1], [-1, 1], [1, -1], [-1, -1]], names=list("abcd")
+        ),
+        A=[[[0, 1], [0, 0]], [[-1, 2], [0, 0]], [[1, 2], [0, 0]], [[0, 3], [0, 0]]],
+        b=[[0, 0], [0.3, 0], [-0.3, 0], [0, 0]],
+        B=[[0], [0]],
+        C=[[0, 0]],
+    )
+    assert set_point(plant, np.array([0.0])).x_d[:, 0].tolist() == [0.3, 0.0]
