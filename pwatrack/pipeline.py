@@ -25,6 +25,7 @@ from pwatrack.model.reference import (
     exosystem,
 )
 from pwatrack.model.signal import Signal
+from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import realised
 from pwatrack.simulation.flow import Mode
@@ -169,6 +170,7 @@ def design(spec: Spec) -> Controller:
         OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable.
         Infeasible: If (8), (9) or (17) is proved to have no solution.
         Undecided: If neither is proved.
+        CheckFailed: If x_d, the response to given inputs, is seen to grow without bound.
 
     Example:
         >>> from pwatrack import load_spec
@@ -282,7 +284,11 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
             message = "start: periodic, but the inputs together have no period"
             hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
             raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
-        return input_trajectory(plant, u_ff, reference.start), None
+        trajectory = input_trajectory(plant, u_ff, reference.start)
+        if reference.start is None:
+            return trajectory, None
+        where: Subject = ("reference", "start")
+        return bounded_response(plant, trajectory, horizon=spec.duration, solver=spec.solver, subject=where), None
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
     return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state")), None  # (3)

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
 from pwatrack.control.set_point import set_point
-from pwatrack.control.state_tracking import state_trajectory
-from pwatrack.errors import InvalidSpec
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
 from pwatrack.spec.expression import formula
 
@@ -353,3 +354,77 @@ def test_a_set_point_in_the_corner_of_a_cell_is_found() -> None:
         C=[[0, 0]],
     )
     assert set_point(plant, np.array([0.0])).x_d[:, 0].tolist() == [0.3, 0.0]
+
+
+def response(plant: PWASystem, text: str, start: list[float], horizon: float, end: float | None = None) -> bool:
+    """Return whether x_d is proved bounded."""
+    u_ff = exosystem([Signal((0.0,), (formula(text, {"sqrt2": 2**0.5}),), end)])
+    return bounded_response(plant, input_trajectory(plant, u_ff, np.array(start)), horizon=horizon).bounded
+
+
+PENDULUM = [[0.0, 1.0], [4.0, -0.5]]  # falls with e^(1.77 t)
+CART = [[0.0, 1.0], [0.0, -1.0]]
+
+
+@pytest.mark.parametrize(
+    ("A", "text", "start", "horizon", "end"),
+    [
+        (PENDULUM, "0.2*sin(t)", [0.0, 0.0], 20.0, None),
+        (PENDULUM, "0.2*sin(t)", [0.0, 0.0], 20.0, 20.0),
+        (PENDULUM, "0", [1e-3, 0.0], 8.0, None),
+        (PENDULUM, "sin(t)", [0.0, 0.0], 2000.0, None),
+        (CART, "1", [0.0, 0.0], 30.0, None),
+        ([[0.0, 1.0], [-1.0, 0.0]], "sin(t)", [0.0, 0.0], 40.0, None),
+    ],
+)
+def test_a_response_that_grows_without_bound_is_refused(
+    A: list[list[float]], text: str, start: list[float], horizon: float, end: float | None
+) -> None:
+    plant = plant_of(A, [0, 0], [[0], [1]], [[1, 0]])
+    with pytest.raises(
+        CheckFailed, match=r"x_d grows without bound, as far as can be seen: \|x[12]\| reaches .* before"
+    ):
+        response(plant, text, start, horizon, end)
+
+
+@pytest.mark.parametrize(
+    ("A", "text", "start", "horizon", "end"),
+    [
+        (CART, "sin(t)", [0.0, 0.0], 3.0, None),  # on its way to its first turn
+        (CART, "exp(-t)", [0.0, 0.0], 5.0, None),  # to its place of rest
+        (CART, "1", [0.0, 0.0], 3.0, 3.0),  # a move, and no more
+        ([[0.0, 1.0], [-1.0, 0.0]], "sin(sqrt2*t)", [1.0, 0.0], 40.0, None),
+    ],
+)
+def test_a_response_of_which_nothing_is_proved_or_seen_is_said_not_to_be_proved_bounded(
+    A: list[list[float]], text: str, start: list[float], horizon: float, end: float | None
+) -> None:
+    assert not response(plant_of(A, [0, 0], [[0], [1]], [[1, 0]]), text, start, horizon, end)
+
+
+def test_the_response_of_a_convergent_plant_is_bounded() -> None:
+    assert response(plant_of([[0, 1], [-1, -1]], [0, 0], [[0], [1]], [[1, 0]]), "100*sin(t)", [9, 9], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "start", "bounded"), [(0.5, 0.0, True), (0.5, -0.7, True), (0.999, 0.0, True), (1.01, -1.0, False)]
+)
+def test_a_response_that_ends_in_a_stable_cell_is_proved_bounded_if_it_stays_there(
+    amplitude: float, start: float, bounded: bool
+) -> None:
+    # dx/dt = −x + 3 max(0, x − 1) + u: what passes 1.5 runs away; under u = a √2 sin t the response is a sin(t − π/4)
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1]], h=[-1], signs=[[-1], [1]], names=["well", "slope"]),
+        A=[[[-1]], [[2]]],
+        b=[[0], [-3]],
+        B=[[1]],
+        C=[[1]],
+    )
+    assert response(plant, f"{amplitude}*sqrt2*sin(t)", [start], 30.0) == bounded
+
+
+def test_the_file_says_where_a_response_that_grows_starts(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(SMALL % (PENDULUM, "{input: [0.2*sin(t)], start: [0, 0]}"))
+    with pytest.raises(CheckFailed, match=r"plant.yaml:11:\d+: x_d grows without bound"):
+        simulate(load_spec(path))

@@ -80,7 +80,7 @@ def _walk(
 ) -> Iterator[tuple[int, float, float]]:
     """Yield (cell, from, to) of each stay of x_d, long ones in parts."""
     cell, since = -1, 0.0
-    for trace in _blocks(plant, trajectory, z0, duration):
+    for trace in blocks(plant, trajectory, z0, duration):
         cell = trace.first_mode[0] if cell < 0 else cell
         for event in trace.events:
             yield cell, since, event.t
@@ -92,8 +92,13 @@ def _walk(
         yield cell, since, duration
 
 
-def _blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
-    """Walk (η̂, w, 1) for a time, with the cells of x_d."""
+def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
+    """Walk (η̂, w, 1) for a time, with the cells of x_d.
+
+    Raises:
+        Undecided: If that would take too long.
+        CheckFailed: As `simulate_flow`.
+    """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
     if radians > _LONGEST:
