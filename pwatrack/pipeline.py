@@ -13,6 +13,7 @@ from pwatrack.control.proof import prove_design
 from pwatrack.control.set_point import set_point
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.synthesis import Design, controller_task, observer_task, synthesize
+from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.normal_form import normal_form
@@ -20,6 +21,7 @@ from pwatrack.model.reference import (
     InputReference,
     OutputReference,
     SetPoint,
+    StateReference,
     check_bounded,
     check_smooth,
     exosystem,
@@ -182,6 +184,7 @@ def design(spec: Spec) -> Controller:
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
         plant = spec.plant if generator is None else generator.form.plant
         gains = synthesize(plant, controller=spec.controller, observer=spec.observer, solver=spec.solver)  # (8), (9)
+        _check_timing(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, solver=spec.solver)
         return Controller(  # (18), (19)
             plant=plant,
@@ -292,6 +295,22 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
     return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state")), None  # (3)
+
+
+def _check_timing(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
+) -> None:
+    """Refuse a reference whose breaks cannot be timed well enough."""
+    n, reference = spec.plant.A.shape[1], spec.reference
+    smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
+    check_timing(
+        spec.plant,
+        gains.K,
+        trajectory,
+        outputs=np.eye(n) if generator is None else spec.plant.C,
+        smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
+        subject=("reference", "state" if generator is None else "output"),
+    )
 
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem, Subject
-from pwatrack.model.course import Course
+from pwatrack.model.course import Course, Profile
 from pwatrack.model.signal import Signal
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -27,6 +27,11 @@ class OutputReference:
         """Return y_d, with r continuous derivatives where rounding was asked for."""
         return total_signal(self.courses, r)
 
+    @property
+    def smooth(self) -> float | None:
+        """The shortest time in s over which corners are rounded, or None if none are."""
+        return _shortest(self.courses)
+
 
 @dataclass(frozen=True)
 class StateReference:
@@ -37,6 +42,11 @@ class StateReference:
     def signals(self) -> list[Signal]:
         """Return x_d; its first derivative is continuous where rounding was asked for."""
         return [total_signal(courses, 1) for courses in self.courses]
+
+    @property
+    def smooth(self) -> float | None:
+        """The shortest time in s over which corners are rounded, or None if none are."""
+        return _shortest([course for courses in self.courses for course in courses])
 
 
 @dataclass(frozen=True)
@@ -261,6 +271,11 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
                     hint="write 'smooth: T' (s) inside its step, trapezoid or polyline, or choose a smoother one",
                 )
             )
+
+
+def _shortest(courses: Sequence[Course]) -> float | None:
+    times = [course.smooth for course in courses if isinstance(course, Profile) and course.smooth is not None]
+    return min(times, default=None)
 
 
 def _chains(signal: Signal) -> dict[complex, int]:
