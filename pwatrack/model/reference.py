@@ -208,7 +208,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         rows.append(row)
         rates += [rate for rate, length in chains.items() for _ in range(length * (1 if rate.imag == 0 else 2))]
         where = slice(offset, offset + len(row))
-        states = [_chain_state(piece.terms, chains) for piece in signal.pieces]
+        states = _chain_states(signal, chains)
         starts.append(states[0])
         resets += [
             Reset(t, where, readonly(w))
@@ -280,13 +280,12 @@ def _shortest(courses: Sequence[Course]) -> float | None:
 
 def _chains(signal: Signal) -> dict[complex, int]:
     """Return the length of the chain for each λ with Im λ ≥ 0 that some piece needs."""
-    lengths: dict[complex, int] = {}
-    for piece in signal.pieces:
-        for rate, c in piece.terms.items():
-            length = int(np.max(np.flatnonzero(c), initial=-1)) + 1
-            if rate.imag >= 0 and length:
-                lengths[rate] = max(lengths.get(rate, 0), length)
-    return lengths
+    lengths = {
+        rate: int(np.max(np.flatnonzero(c.any(axis=0)), initial=-1)) + 1
+        for rate, c in signal.stacked().items()
+        if rate.imag >= 0
+    }
+    return {rate: length for rate, length in lengths.items() if length}
 
 
 def _chain(rate: complex, length: int) -> tuple[Array, Array]:
@@ -298,16 +297,13 @@ def _chain(rate: complex, length: int) -> tuple[Array, Array]:
     return np.kron(np.eye(length), turn) + np.kron(shift, np.eye(2)), 2.0 * np.eye(2 * length)[0]
 
 
-def _chain_state(terms: object, chains: dict[complex, int]) -> Array:
-    """Return the state of all chains at the start of a piece: v_j(0) = j! c_j."""
-    parts = []
+def _chain_states(signal: Signal, chains: dict[complex, int]) -> Array:
+    """Return the state of all chains at the start of each piece, (pieces, p): v_j(0) = j! c_j."""
+    parts, terms = [np.zeros((len(signal.pieces), 0))], signal.stacked()
     for rate, length in chains.items():
-        c = np.zeros(length, dtype=np.complex128)
-        own = terms.get(rate, np.zeros(0))[:length]  # type: ignore[attr-defined]
-        c[: len(own)] = own
-        v = c * [factorial(j) for j in range(length)]
-        parts.append(v.real if rate.imag == 0 else np.column_stack([v.real, v.imag]).ravel())
-    return np.concatenate([*parts, np.zeros(0)])
+        v = terms[rate][:, :length] * np.array([float(factorial(j)) for j in range(length)])
+        parts.append(v.real if rate.imag == 0 else np.stack([v.real, v.imag], axis=2).reshape(len(v), -1))
+    return np.hstack(parts)
 
 
 def _period(signals: Sequence[Signal]) -> float | None:
