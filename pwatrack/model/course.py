@@ -62,14 +62,6 @@ def _rounded_power(degree: int, start: Array, middle: Array, edges: Array, width
     return total
 
 
-def _local(pieces: PPoly, at: float) -> Array:
-    """Return the falling coefficients about `at` of the piece that holds it."""
-    k = int(np.clip(np.searchsorted(pieces.x, at, side="right") - 1, 0, len(pieces.x) - 2))
-    moved = ExponentialPolynomial.polynomial(pieces.c[::-1, k]).delayed(at - pieces.x[k])
-    result: Array = moved.terms[0j].real[::-1]
-    return result
-
-
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given.
@@ -90,10 +82,7 @@ class Profile:
         """Return the signal; with `smooth` it has r continuous derivatives."""
         averages = r if self.continuous else r + 1
         course = self.corners if self.smooth is None or not averages else smoothed(self.corners, self.smooth, averages)
-        first = max(0, int(np.searchsorted(course.x, 0.0, side="right")) - 1)
-        breaks = np.append(0.0, course.x[first + 1 :])
-        pieces = np.column_stack([_local(course, 0.0), course.c[:, first + 1 :]])
-        return Signal.piecewise_polynomial(PPoly(pieces, breaks), self.end)
+        return Signal.piecewise_polynomial(course, self.end)
 
 
 @dataclass(frozen=True)

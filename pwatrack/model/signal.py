@@ -236,10 +236,12 @@ class Signal:
 
     @classmethod
     def piecewise_polynomial(cls, pieces: PPoly, end: float | None = None) -> "Signal":
-        """Return a piecewise polynomial of scipy, from its first break on."""
-        coefficients = pieces.c[::-1].T  # rising powers, one row per piece
-        formulas = tuple(ExponentialPolynomial.polynomial(row) for row in coefficients)
-        return cls(tuple(float(x) for x in pieces.x[:-1]), formulas, end)
+        """Return a piecewise polynomial of scipy, from t = 0 on."""
+        first = max(0, int(np.searchsorted(pieces.x, 0.0, side="right")) - 1)
+        coefficients = pieces.c[::-1, first:].T  # rising powers, one row per piece
+        formulas = [ExponentialPolynomial.polynomial(row) for row in coefficients]
+        formulas[0] = formulas[0].delayed(-float(pieces.x[first]))
+        return cls((0.0, *pieces.x[first + 1 : -1].tolist()), tuple(formulas), end)
 
     def __call__(self, t: float, derivative: int = 0) -> float:
         """Return a derivative at time t, from the right at a break."""
