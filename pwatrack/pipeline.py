@@ -37,6 +37,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
 
 _MOST_KEPT = 250_000  # samples
+_LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,6 +349,14 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     period = system.period if not system.constant else spec.duration if _starts_periodic(spec) else None
     if not p or period is None or not (controller.generator or _starts_periodic(spec)):
         return None
+    radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period
+    if radians > _LONGEST_PERIOD and not _starts_periodic(spec):
+        return None
+    if radians > _LONGEST_PERIOD:
+        message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
+        message += f"fastest; up to {_LONGEST_PERIOD:.0e} are followed"
+        hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
+        raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
 

@@ -93,6 +93,14 @@ def test_a_periodic_start_without_a_period_is_refused(tmp_path: Path, first: str
         simulate(load_spec(write(tmp_path, f'{{input: ["{first}", "0"], start: periodic}}')))
 
 
+def test_a_period_too_long_to_follow_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, '{input: ["sin(t) + sin(t/983)", "sin(t/991) + sin(t/997)"], start: periodic}')
+    with pytest.raises(
+        InvalidSpec, match=r"period of 6.1e\+09 s, 6.1e\+09 rad of the fastest; up to 1e\+06 are followed"
+    ):
+        simulate(load_spec(path))
+
+
 @pytest.mark.parametrize("wanted", [(0.5, 0.0), (-0.3, 0.4)])
 def test_a_set_point_is_an_equilibrium_in_its_own_cell(tmp_path: Path, wanted: tuple[float, float]) -> None:
     result = simulate(load_spec(write(tmp_path, f"{{setpoint: {{y1: {wanted[0]}, y2: {wanted[1]}}}}}")))

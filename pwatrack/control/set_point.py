@@ -11,7 +11,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import OutsideTheory, Problem, Subject
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import exosystem
-from pwatrack.rational import Rational, decimals, floats, stacked
+from pwatrack.rational import Rational, beside, decimals, floats, stacked
 
 _ROUNDING = 1e-12  # of its terms: an equation or inequality that is missed by less holds
 _MOST_SAID = 6  # cells in a refusal
@@ -54,7 +54,9 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
     """Return (x_d, u_ff) with A_i x_d + b_i + B u_ff = 0 and C x_d = y in cell i, or why there is none."""
     (n, m), q = plant.B.shape, len(plant.C)
     E = np.block([[plant.A[i], plant.B], [plant.C, np.zeros((q, m))]])
-    equations = decimals(E), decimals(np.append(-plant.b[i], y)[:, None])
+    exact = plant.exact
+    rows = [exact.A[i].centre, exact.B.centre], [exact.C.centre, decimals(np.zeros((q, m)))]
+    equations = stacked([beside(row) for row in rows]), stacked([-exact.b[i].centre, decimals(y[:, None])])
     found, name = _solved(*equations), plant.cell_names[i]
     if found is None:
         return f"none at all in cell '{name}'"
@@ -62,23 +64,23 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
     side = plant.partition.signs[i][bounding, None]
     H = np.column_stack([side * plant.partition.H[bounding], np.zeros((len(bounding), m))])
     h = side * plant.partition.h[bounding, None]
-    rows, offsets = decimals(H), decimals(h)
+    sides, offsets = decimals(H), decimals(h)
     z = found.start
     free = found.directions.ncols()
     if free:
         units = _units(E)
         z = _moved(found, _least(found, units))
-        if not _inside(rows, offsets, z):
-            s, tight = _deepest(found, units, rows, offsets)
+        if not _inside(sides, offsets, z):
+            s, tight = _deepest(found, units, sides, offsets)
             z = _moved(found, s)
-            if not _inside(rows, offsets, z) and tight:  # the cell is met on its border only
+            if not _inside(sides, offsets, z) and tight:  # the cell is met on its border only
                 on = stacked([decimals(H[tight]), equations[0]]), stacked([-decimals(h[tight]), equations[1]])
                 border = _solved(*on)
                 z = z if border is None else _moved(border, _least(border, units))
-    if not _inside(rows, offsets, z):
+    if not _inside(sides, offsets, z):
         if free:
             return f"those of cell '{name}' lie outside it"
-        depth = floats(rows * z + offsets)[:, 0]
+        depth = floats(sides * z + offsets)[:, 0]
         k = int(np.argmin(depth / np.linalg.norm(H, axis=1)))
         form = linear_form_text(H[k, :n] * side[k], plant.states)
         return f"that of cell '{name}' lies outside it, by {-depth[k]:.4g} in {form}"

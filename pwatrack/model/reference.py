@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import factorial
+from math import factorial, gcd, isfinite, lcm, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -317,9 +317,11 @@ def _period(signals: Sequence[Signal]) -> float | None:
     if not frequencies:
         return None
     first = frequencies[0]
+    if not np.isfinite(frequencies[-1] / first):
+        return None
     ratios = [Fraction(f / first).limit_denominator(1000) for f in frequencies]
     if any(abs(float(q) * first - f) > 1e-12 * f for q, f in zip(ratios, frequencies, strict=True)):
         return None
-    turns = int(np.lcm.reduce([q.denominator for q in ratios]))
-    count = int(np.gcd.reduce([int(q * turns) for q in ratios]))
-    return float(2 * np.pi / first * turns / count)
+    turns = lcm(*(q.denominator for q in ratios))
+    period = 2 * pi / first * turns / gcd(*(int(q * turns) for q in ratios))
+    return period if isfinite(period) else None

@@ -13,7 +13,7 @@ from pwatrack.errors import CheckFailed, Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
-from pwatrack.rational import decimals, is_hurwitz
+from pwatrack.rational import is_hurwitz
 from pwatrack.simulation.desired import blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
@@ -137,7 +137,7 @@ def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizo
     system, n, i = trajectory.exosystem, plant.A.shape[1], run.cell
     if system.end is not None or any(reset.t > horizon for reset in system.resets):
         return False
-    if not is_hurwitz(decimals(plant.A[i])):
+    if not is_hurwitz(plant.exact.A[i].centre):
         return False
     d = balancing(plant.A[i : i + 1])
     A, R = plant.A[i] / d[:, None] * d, trajectory.rate[i, :, n:] / d[:, None]
