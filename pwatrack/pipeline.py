@@ -10,8 +10,10 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.proof import prove_design
-from pwatrack.control.state_tracking import input_trajectory, set_point, state_trajectory
+from pwatrack.control.set_point import set_point
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.synthesis import Design, controller_task, observer_task, synthesize
+from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.normal_form import normal_form
@@ -19,12 +21,15 @@ from pwatrack.model.reference import (
     InputReference,
     OutputReference,
     SetPoint,
+    StateReference,
     check_bounded,
     check_smooth,
     exosystem,
 )
 from pwatrack.model.signal import Signal
+from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
+from pwatrack.simulation.desired import realised
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
@@ -32,6 +37,7 @@ from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.load import Spec
 
 _MOST_KEPT = 250_000  # samples
+_LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,6 +173,7 @@ def design(spec: Spec) -> Controller:
         OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable.
         Infeasible: If (8), (9) or (17) is proved to have no solution.
         Undecided: If neither is proved.
+        CheckFailed: If x_d, the response to given inputs, is seen to grow without bound.
 
     Example:
         >>> from pwatrack import load_spec
@@ -178,6 +185,7 @@ def design(spec: Spec) -> Controller:
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
         plant = spec.plant if generator is None else generator.form.plant
         gains = synthesize(plant, controller=spec.controller, observer=spec.observer, solver=spec.solver)  # (8), (9)
+        _check_timing(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, solver=spec.solver)
         return Controller(  # (18), (19)
             plant=plant,
@@ -280,9 +288,30 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
             message = "start: periodic, but the inputs together have no period"
             hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
             raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
-        return input_trajectory(plant, u_ff, reference.start), None
+        trajectory = input_trajectory(plant, u_ff, reference.start)
+        if reference.start is None:
+            return trajectory, None
+        where: Subject = ("reference", "start")
+        return bounded_response(plant, trajectory, horizon=spec.duration, solver=spec.solver, subject=where), None
     _check(signals, 1, ("reference", "state"), "x_d")
-    return state_trajectory(plant, exosystem(signals), horizon=spec.duration, subject=("reference", "state")), None
+    x_d = state_trajectory(plant, exosystem(signals))
+    return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state")), None  # (3)
+
+
+def _check_timing(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
+) -> None:
+    """Refuse a reference whose breaks cannot be timed well enough."""
+    n, reference = spec.plant.A.shape[1], spec.reference
+    smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
+    check_timing(
+        spec.plant,
+        gains.K,
+        trajectory,
+        outputs=np.eye(n) if generator is None else spec.plant.C,
+        smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
+        subject=("reference", "state" if generator is None else "output"),
+    )
 
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
@@ -320,6 +349,14 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     period = system.period if not system.constant else spec.duration if _starts_periodic(spec) else None
     if not p or period is None or not (controller.generator or _starts_periodic(spec)):
         return None
+    radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period
+    if radians > _LONGEST_PERIOD and not _starts_periodic(spec):
+        return None
+    if radians > _LONGEST_PERIOD:
+        message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
+        message += f"fastest; up to {_LONGEST_PERIOD:.0e} are followed"
+        hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
+        raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
 

@@ -1,5 +1,6 @@
 """References: exact derivatives, boundedness, smoothness, exosystems."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -73,9 +74,21 @@ def test_a_bounded_formula_is_accepted(text: str) -> None:
     check_bounded(Signal.of(formula(text, {})), name="y_d", subject=())
 
 
+PRIMES = (983, 991, 997, 887, 883, 881, 877, 863)
+
+
 @pytest.mark.parametrize(
     ("text", "period"),
-    [("sin(2*pi*t)", 1.0), ("sin(6*t) + cos(4*t)", np.pi), ("3", None), ("sin(t) + sin(pi*t)", None)],
+    [
+        ("sin(2*pi*t)", 1.0),
+        ("sin(6*t) + cos(4*t)", np.pi),
+        ("3", None),
+        ("sin(t) + sin(pi*t)", None),
+        ("sin(1e-320*t) + sin(1e10*t)", None),
+        ("sin(1e-310*t)", None),
+        ("sin(1e-300*t)", 2e300 * np.pi),
+        ("+".join(f"sin(t/{p})" for p in PRIMES), 2 * np.pi * math.prod(PRIMES)),
+    ],
 )
 def test_the_common_period_is_found(text: str, period: float | None) -> None:
     parameters = {"pi": np.pi}

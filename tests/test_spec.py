@@ -526,4 +526,4 @@ def test_a_reference_faster_than_the_samples_is_remarked(write: Write) -> None:
 def test_more_trapezoids_than_can_be_built_are_refused(write: Write) -> None:
     shape = "{trapezoid: {high: 1, rise: 1e-6, fall: 1e-6, smooth: 1e-6}}"
     path = write(("output: ", f"output: {shape} #"))
-    assert only(path).message == "reference.output: 1e+06 trapezoids until t = 2 s"
+    assert only(path).message == "reference.output.trapezoid: 1e+06 trapezoids until t = 2 s"

@@ -4,12 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
-from pwatrack.control.state_tracking import set_point, state_trajectory
-from pwatrack.errors import InvalidSpec
+from pwatrack.control.set_point import set_point
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.reference import exosystem
-from pwatrack.model.signal import Signal
+from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.simulation.bounded import bounded_response
+from pwatrack.simulation.desired import realised
 from pwatrack.spec.expression import formula
 
 PLANT = """
@@ -88,6 +93,14 @@ def test_a_periodic_start_without_a_period_is_refused(tmp_path: Path, first: str
         simulate(load_spec(write(tmp_path, f'{{input: ["{first}", "0"], start: periodic}}')))
 
 
+def test_a_period_too_long_to_follow_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, '{input: ["sin(t) + sin(t/983)", "sin(t/991) + sin(t/997)"], start: periodic}')
+    with pytest.raises(
+        InvalidSpec, match=r"period of 6.1e\+09 s, 6.1e\+09 rad of the fastest; up to 1e\+06 are followed"
+    ):
+        simulate(load_spec(path))
+
+
 @pytest.mark.parametrize("wanted", [(0.5, 0.0), (-0.3, 0.4)])
 def test_a_set_point_is_an_equilibrium_in_its_own_cell(tmp_path: Path, wanted: tuple[float, float]) -> None:
     result = simulate(load_spec(write(tmp_path, f"{{setpoint: {{y1: {wanted[0]}, y2: {wanted[1]}}}}}")))
@@ -158,10 +171,92 @@ def test_realisability_is_judged_per_state_equation() -> None:
     plant = plant_of([[0, 1, 0], [0, -1, 0], [0, 0, -1e7]], [0, 0, 0], [[0, 0], [1, 0], [0, 1e7]], [[1, 0, 0]])
     x_d = exosystem([Signal.of(formula(text, {})) for text in ("sin(t)", "1.001*cos(t)", "sin(t)")])
     with pytest.raises(OutsideTheory, match="state 'x1'"):
-        state_trajectory(plant, x_d, horizon=10.0)
+        realised(plant, state_trajectory(plant, x_d), horizon=10.0)
 
 
-@pytest.mark.parametrize("f", [1e-8, 1e-6, 1.0, 1e6, 1e8])
+def signals(*texts: str) -> list[Signal]:
+    return [Signal.of(formula(text, {"pi": np.pi})) for text in texts]
+
+
+LEAKING = PWASystem.create(  # dp/dt = v − max(0, p − 1): only below 1 does p follow from v alone
+    partition=Partition.create(H=[[1, 0]], h=[-1], signs=[[-1], [1]], names=["below", "above"]),
+    A=[[[0, 1], [-1, -1]], [[-1, 1], [-1, -1]]],
+    b=[[0, 0], [1, 0]],
+    B=[[0], [1]],
+    C=[[1, 0]],
+    states=["p", "v"],
+)
+
+
+@pytest.mark.parametrize(("k", "horizon"), [(1000, 20.0), (1, 20_000.0), (7, 3.0)])
+def test_equation_3_is_not_decided_on_a_grid_of_times(k: int, horizon: float) -> None:
+    # dp/dt = v wherever t k is a whole number, and nowhere else
+    x_d = exosystem(signals(f"0.5*sin({2 * k}*pi*t)", f"{k}*pi"))
+    with pytest.raises(
+        OutsideTheory, match=r"in cell 'below' no input satisfies the equation of state 'p' in \(3\)"
+    ) as e:
+        realised(LEAKING, state_trajectory(LEAKING, x_d), horizon=horizon, subject=("reference", "state"))
+    assert e.value.problems[0].subject == ("reference", "state", 0)
+
+
+@given(
+    st.floats(1e-3, 1e4),
+    st.floats(1e-9, 1e9),
+    st.floats(0.1, 1e4),
+    st.floats(1e-9, 1e-2),
+    st.sampled_from("pv"),
+    st.booleans(),
+)
+@settings(deadline=None, max_examples=40)
+def test_equation_3_holds_exactly_where_each_state_follows_from_the_others(
+    omega: float, size: float, horizon: float, wrong: float, where: str, spoiled: bool
+) -> None:
+    plant = plant_of([[0, 1 / size], [-3 * size, -1]], [0, 0], [[0], [size]], [[1, 0]])  # v in other units
+    a, b = 1 + wrong * (spoiled and where == "p"), size * omega * (1 + wrong * (spoiled and where == "v"))
+    trajectory = state_trajectory(plant, exosystem(signals(f"{a!r}*sin({omega!r}*t)", f"{b!r}*cos({omega!r}*t)")))
+    if spoiled:
+        with pytest.raises(OutsideTheory, match="state 'x1'"):
+            realised(plant, trajectory, horizon=horizon)
+    else:
+        assert realised(plant, trajectory, horizon=horizon).until is None
+
+
+@pytest.mark.parametrize(("amplitude", "refused"), [(0.9, False), (1.0, False), (1 + 1e-9, True), (1.5, True)])
+def test_equation_3_is_asked_for_in_the_cells_that_are_visited(amplitude: float, refused: bool) -> None:
+    p = formula(f"{amplitude!r}*sin(t)", {})
+    trajectory = state_trajectory(LEAKING, exosystem([Signal.of(p), Signal.of(p.derivative())]))
+    if not refused:
+        assert realised(LEAKING, trajectory, horizon=30.0).until is None
+        return
+    with pytest.raises(OutsideTheory, match="in cell 'above'") as refusal:
+        realised(LEAKING, trajectory, horizon=30.0)
+    time = float(refusal.value.problems[0].message.split("t = ")[1].split(" s ")[0])
+    first = np.arcsin(1 / amplitude)
+    assert first - 1e-4 <= time <= np.pi - first + 1e-4
+
+
+def test_equation_3_without_a_period_is_decided_up_to_the_end_of_the_run() -> None:
+    p = formula("0.6*sin(t) + 0.39999*sin(sqrt2*t)", {"sqrt2": 2**0.5})  # comes close to 1 at last, never above
+    trajectory = state_trajectory(LEAKING, exosystem([Signal.of(p), Signal.of(p.derivative())]))
+    assert realised(LEAKING, trajectory, horizon=100.0).until == 100.0
+    quiet = state_trajectory(LEAKING, exosystem(signals("0.5*exp(-t)", "-0.5*exp(-t)")))
+    assert realised(LEAKING, quiet, horizon=10.0).until == 10.0
+
+
+@pytest.mark.parametrize("wrong", [0.0, 1e-6])
+def test_equation_3_is_asked_for_on_every_piece(wrong: float) -> None:
+    t, one = ExponentialPolynomial.time(), ExponentialPolynomial.constant(1.0)
+    p = Signal((0.0, 2.0), (t * 0.1, one * 0.2 + 0.1 * t - 0.01 * t * t), end=4.0)
+    v = Signal((0.0, 2.0), (one * 0.1, one * 0.1 - (0.02 + wrong) * t), end=4.0)
+    trajectory = state_trajectory(LEAKING, exosystem([p, v]))
+    if not wrong:
+        assert realised(LEAKING, trajectory, horizon=4.0).until == 4.0
+        return
+    with pytest.raises(OutsideTheory, match=r"at t = [23]\.\d* s in cell 'below' .* state 'p'"):
+        realised(LEAKING, trajectory, horizon=4.0)
+
+
+@pytest.mark.parametrize("f", [1e-12, 1e-8, 1e-6, 1.0, 1e6, 1e8, 1e12])
 def test_a_set_point_does_not_depend_on_units(f: float) -> None:
     d = np.array([f, 1.0, 1 / f])
     A = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -2, -3]])
@@ -183,3 +278,161 @@ def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() 
     x, u = trajectory.x_d[:, 0], trajectory.u_ff[0, :, 0]
     np.testing.assert_allclose(plant.field(x, u), 0.0, atol=1e-9)
     assert x.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("B", "C", "y"),
+    [
+        ([[0.0], [0.0]], [[1.0, 0.0]], [0.0]),
+        ([[0.0], [0.0]], [[1.0, 0.0]], [1.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0]], [0.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0]], [2.0]),
+        ([[0.0], [1.0]], [[0.0, 0.0], [1.0, 0.0]], [1.0, 1.0]),
+        ([[0.0], [1.0]], [[1.0, 0.0], [-3.0, 0.0]], [0.1, -0.3]),
+        ([[0.0], [1.0]], [[1.0, 0.0], [-3.0, 0.0]], [0.1, -0.30001]),
+        ([[0.0], [2.18]], [[0.0, 0.0], [-0.0023, 0.0]], [-0.7, 0.72]),
+        ([[0.0, 0.0], [1.0, 1e-9]], [[1.0, 0.0]], [0.5]),
+    ],
+)
+@pytest.mark.parametrize("k", [0.0, 2.0])
+def test_a_set_point_is_found_exactly_where_a_least_squares_solution_solves_the_equations(
+    B: list[list[float]], C: list[list[float]], y: list[float], k: float
+) -> None:
+    plant = plant_of([[0, 1], [-k, -1]], [0, 0], B, C)
+    equations = np.block([[plant.A[0], plant.B], [plant.C, np.zeros((len(C), len(B[0])))]])
+    right = np.concatenate([np.zeros(2), y])
+    left = equations @ np.linalg.lstsq(equations, right, rcond=None)[0] - right
+    if np.abs(left).max() < 1e-9:
+        found = set_point(plant, np.array(y))
+        np.testing.assert_allclose(plant.field(found.x_d[:, 0], found.u_ff[0, :, 0]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(plant.C @ found.x_d[:, 0], y, atol=1e-9)
+    else:
+        with pytest.raises(
+            OutsideTheory, match="no equilibrium has the wanted outputs: none at all in cell 'everywhere'"
+        ):
+            set_point(plant, np.array(y))
+
+
+@given(st.lists(st.integers(-12, 12), min_size=4, max_size=4), st.floats(-3, 3), st.integers(0, 1))
+@settings(deadline=None, max_examples=40)
+def test_a_set_point_is_the_same_in_all_units(exponents: list[int], y: float, redundant: int) -> None:
+    # dp/dt = v, dv/dt = −p − v − 4 max(0, p − 1) + u (+ u2): at rest u (+ u2) = p + 4 max(0, p − 1)
+    d, e = 10.0 ** np.array(exponents[:2]), 10.0 ** np.array(exponents[2 : 3 + redundant])
+    A = np.array([[[0, 1], [-1, -1]], [[0, 1], [-5, -1]]])
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1.0 * d[0], 0]], h=[-1], signs=[[-1], [1]], names=["free", "touching"]),
+        A=A / d[:, None] * d,
+        b=[[0, 0], [0, 4 / d[1]]],
+        B=np.array([[0, 0], [1, 1]])[:, : 1 + redundant] / d[:, None] * e,
+        C=[[d[0], 0]],
+    )
+    found = set_point(plant, np.array([y]))
+    x, u = found.x_d[:, 0] * d, found.u_ff[0, :, 0] * e
+    np.testing.assert_allclose(x, [y, 0], atol=1e-12)
+    assert u.sum() == pytest.approx(y + 4 * max(0.0, y - 1), abs=1e-9)
+
+
+def test_a_set_point_on_the_border_of_every_cell_that_has_one_is_found() -> None:
+    # at rest q = |p| + 1, and s = p + q is asked for: 1 + p + |p| is 1 for every p ≤ 0, more for p > 0, never less
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1, 0]], h=[0], signs=[[-1], [1]], names=["left", "right"]),
+        A=[[[0, 0], [1, 1]], [[0, 0], [-1, 1]]],
+        b=[[0, -1], [0, -1]],
+        B=[[0], [0]],
+        C=[[1, 1]],
+        states=["p", "q"],
+    )
+    for s, p in ((1.0, None), (1.0 + 2e-9, 1e-9), (3.0, 1.0)):
+        x = set_point(plant, np.array([s])).x_d[:, 0]
+        np.testing.assert_allclose([x[1] - abs(x[0]), x.sum()], [1.0, s], atol=1e-12)
+        assert x[0] <= 1e-12 if p is None else x[0] == pytest.approx(p, abs=1e-12)
+    with pytest.raises(OutsideTheory, match="none at all in cell 'left'; those of cell 'right' lie outside it"):
+        set_point(plant, np.array([0.9]))
+
+
+def test_a_set_point_in_the_corner_of_a_cell_is_found() -> None:
+    # dp/dt = q + min(0, q − p + 0.3) + min(0, q + p − 0.3): the first cell, q ≥ |p − 0.3|, rests at its corner only
+    plant = PWASystem.create(
+        partition=Partition.create(
+            H=[[-1, 1], [1, 1]], h=[0.3, -0.3], signs=[[1, 1], [-1, 1], [1, -1], [-1, -1]], names=list("abcd")
+        ),
+        A=[[[0, 1], [0, 0]], [[-1, 2], [0, 0]], [[1, 2], [0, 0]], [[0, 3], [0, 0]]],
+        b=[[0, 0], [0.3, 0], [-0.3, 0], [0, 0]],
+        B=[[0], [0]],
+        C=[[0, 0]],
+    )
+    assert set_point(plant, np.array([0.0])).x_d[:, 0].tolist() == [0.3, 0.0]
+
+
+def response(plant: PWASystem, text: str, start: list[float], horizon: float, end: float | None = None) -> bool:
+    """Return whether x_d is proved bounded."""
+    u_ff = exosystem([Signal((0.0,), (formula(text, {"sqrt2": 2**0.5}),), end)])
+    return bounded_response(plant, input_trajectory(plant, u_ff, np.array(start)), horizon=horizon).bounded
+
+
+PENDULUM = [[0.0, 1.0], [4.0, -0.5]]  # falls with e^(1.77 t)
+CART = [[0.0, 1.0], [0.0, -1.0]]
+
+
+@pytest.mark.parametrize(
+    ("A", "text", "start", "horizon", "end"),
+    [
+        (PENDULUM, "0.2*sin(t)", [0.0, 0.0], 20.0, None),
+        (PENDULUM, "0.2*sin(t)", [0.0, 0.0], 20.0, 20.0),
+        (PENDULUM, "0", [1e-3, 0.0], 8.0, None),
+        (PENDULUM, "sin(t)", [0.0, 0.0], 2000.0, None),
+        (CART, "1", [0.0, 0.0], 30.0, None),
+        ([[0.0, 1.0], [-1.0, 0.0]], "sin(t)", [0.0, 0.0], 40.0, None),
+    ],
+)
+def test_a_response_that_grows_without_bound_is_refused(
+    A: list[list[float]], text: str, start: list[float], horizon: float, end: float | None
+) -> None:
+    plant = plant_of(A, [0, 0], [[0], [1]], [[1, 0]])
+    with pytest.raises(
+        CheckFailed, match=r"x_d grows without bound, as far as can be seen: \|x[12]\| reaches .* before"
+    ):
+        response(plant, text, start, horizon, end)
+
+
+@pytest.mark.parametrize(
+    ("A", "text", "start", "horizon", "end"),
+    [
+        (CART, "sin(t)", [0.0, 0.0], 3.0, None),  # on its way to its first turn
+        (CART, "exp(-t)", [0.0, 0.0], 5.0, None),  # to its place of rest
+        (CART, "1", [0.0, 0.0], 3.0, 3.0),  # a move, and no more
+        ([[0.0, 1.0], [-1.0, 0.0]], "sin(sqrt2*t)", [1.0, 0.0], 40.0, None),
+    ],
+)
+def test_a_response_of_which_nothing_is_proved_or_seen_is_said_not_to_be_proved_bounded(
+    A: list[list[float]], text: str, start: list[float], horizon: float, end: float | None
+) -> None:
+    assert not response(plant_of(A, [0, 0], [[0], [1]], [[1, 0]]), text, start, horizon, end)
+
+
+def test_the_response_of_a_convergent_plant_is_bounded() -> None:
+    assert response(plant_of([[0, 1], [-1, -1]], [0, 0], [[0], [1]], [[1, 0]]), "100*sin(t)", [9, 9], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "start", "bounded"), [(0.5, 0.0, True), (0.5, -0.7, True), (0.999, 0.0, True), (1.01, -1.0, False)]
+)
+def test_a_response_that_ends_in_a_stable_cell_is_proved_bounded_if_it_stays_there(
+    amplitude: float, start: float, bounded: bool
+) -> None:
+    # dx/dt = −x + 3 max(0, x − 1) + u: what passes 1.5 runs away; under u = a √2 sin t the response is a sin(t − π/4)
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1]], h=[-1], signs=[[-1], [1]], names=["well", "slope"]),
+        A=[[[-1]], [[2]]],
+        b=[[0], [-3]],
+        B=[[1]],
+        C=[[1]],
+    )
+    assert response(plant, f"{amplitude}*sqrt2*sin(t)", [start], 30.0) == bounded
+
+
+def test_the_file_says_where_a_response_that_grows_starts(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(SMALL % (PENDULUM, "{input: [0.2*sin(t)], start: [0, 0]}"))
+    with pytest.raises(CheckFailed, match=r"plant.yaml:11:\d+: x_d grows without bound"):
+        simulate(load_spec(path))

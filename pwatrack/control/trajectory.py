@@ -23,6 +23,8 @@ class DesiredTrajectory:
         x_d: (n, S).
         u_ff: (l, m, S).
         eta0: η̂(0) where it is fixed by the trajectory, else None.
+        until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
+        bounded: Whether x_d is proved to stay bounded.
     """
 
     exosystem: Exosystem
@@ -33,6 +35,8 @@ class DesiredTrajectory:
     x_d: Array
     u_ff: Array
     eta0: Array | None = None
+    until: float | None = None
+    bounded: bool = True
 
 
 def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> DesiredTrajectory:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import comb, factorial
 
 import numpy as np
@@ -31,40 +30,36 @@ def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
     edges = (np.arange(times + 1) / times - 0.5) * width
     breaks = np.unique(np.concatenate([corners.x, (knots[:, None] + edges).ravel()]))
     breaks = breaks[np.append(True, np.diff(breaks) > 1e-9 * width)]
-    pieces = np.zeros((times + 2, len(breaks) - 1))  # rising powers
-    for piece, (start, end) in enumerate(pairwise(breaks)):
-        middle = (start + end) / 2
-        own = int(np.clip(np.searchsorted(corners.x, middle) - 1, 0, lines.shape[1] - 1))
-        pieces[:2, piece] = lines[1, own] + lines[0, own] * (start - corners.x[own]), lines[0, own]
-        for j in np.flatnonzero(np.abs(knots - middle) < width / 2):
-            for jump, degree in ((jumps[j], 0), (kinks[j], 1)):
-                if jump:
-                    rounded = _rounded_power(degree, start - knots[j], middle - knots[j], edges, width)
-                    sharp = np.array([start - knots[j], 1.0] if degree else [1.0]) if middle > knots[j] else np.zeros(1)
-                    pieces[: len(rounded), piece] += jump * rounded
-                    pieces[: len(sharp), piece] -= jump * sharp
+    start, middle = breaks[:-1], (breaks[1:] + breaks[:-1]) / 2
+    own = np.clip(np.searchsorted(corners.x, middle) - 1, 0, lines.shape[1] - 1)
+    pieces = np.zeros((times + 2, len(start)))  # rising powers
+    pieces[:2] = lines[1, own] + lines[0, own] * (start - corners.x[own]), lines[0, own]
+    first, last = np.searchsorted(middle, knots - width / 2), np.searchsorted(middle, knots + width / 2)
+    near = np.repeat(np.arange(len(knots)), last - first)  # knots, each with the pieces that it reaches
+    piece = np.arange(len(near)) + np.repeat(first - np.cumsum(np.append(0, last - first))[:-1], last - first)
+    ahead, beyond = start[piece] - knots[near], middle[piece] > knots[near]
+    for jump, degree in ((jumps[near], 0), (kinks[near], 1)):
+        rounded = _rounded_power(degree, ahead, middle[piece] - knots[near], edges, width)
+        rounded[0] -= np.where(beyond, ahead if degree else 1.0, 0.0)
+        if degree:
+            rounded[1] -= beyond
+        for row, values in zip(pieces, jump * rounded, strict=False):
+            np.add.at(row, piece, values)
     return PPoly(pieces[::-1], breaks)
 
 
-def _rounded_power(degree: int, start: float, middle: float, edges: Array, width: float) -> Array:
-    """Return max(0, t)^degree, averaged, about `start` as rising powers, on the piece that holds `middle`."""
+def _rounded_power(degree: int, start: Array, middle: Array, edges: Array, width: float) -> Array:
+    """Return max(0, t)^degree, averaged, about each `start` as rising powers, on the piece that holds `middle`."""
     times = len(edges) - 1
     power = times + degree
-    total = np.zeros(power + 1)
+    total = np.zeros((power + 1, len(start)))
     for k in range(times + 1):
-        if edges[k] < middle:
-            weight = (-1) ** k * comb(times, k) * (times / width) ** times * factorial(degree) / factorial(power)
-            ahead = start - edges[k]
-            total += weight * np.array([comb(power, j) * ahead ** (power - j) for j in range(power + 1)])
+        weight = (-1) ** k * comb(times, k) * (times / width) ** times * factorial(degree) / factorial(power)
+        ahead = start - edges[k]
+        here = edges[k] < middle
+        for j in range(power + 1):
+            total[j] += np.where(here, weight * comb(power, j) * ahead ** (power - j), 0.0)
     return total
-
-
-def _local(pieces: PPoly, at: float) -> Array:
-    """Return the falling coefficients about `at` of the piece that holds it."""
-    k = int(np.clip(np.searchsorted(pieces.x, at, side="right") - 1, 0, len(pieces.x) - 2))
-    moved = ExponentialPolynomial.polynomial(pieces.c[::-1, k]).delayed(at - pieces.x[k])
-    result: Array = moved.terms[0j].real[::-1]
-    return result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,10 +82,7 @@ class Profile:
         """Return the signal; with `smooth` it has r continuous derivatives."""
         averages = r if self.continuous else r + 1
         course = self.corners if self.smooth is None or not averages else smoothed(self.corners, self.smooth, averages)
-        first = max(0, int(np.searchsorted(course.x, 0.0, side="right")) - 1)
-        breaks = np.append(0.0, course.x[first + 1 :])
-        pieces = np.column_stack([_local(course, 0.0), course.c[:, first + 1 :]])
-        return Signal.piecewise_polynomial(PPoly(pieces, breaks), self.end)
+        return Signal.piecewise_polynomial(course, self.end)
 
 
 @dataclass(frozen=True)
@@ -99,6 +91,11 @@ class Table:
 
     t: Array
     y: Array
+
+    @property
+    def end(self) -> float:
+        """Last time at which it is defined, in s."""
+        return float(self.t[-1])
 
     def signal(self, r: int) -> Signal:
         """Return the spline of odd degree ≥ r + 1."""
@@ -117,6 +114,11 @@ class Formula:
 
     value: ExponentialPolynomial
     until: float | None = None
+
+    @property
+    def end(self) -> float | None:
+        """Last time at which it is defined, in s, or None."""
+        return self.until
 
     def signal(self, r: int) -> Signal:  # noqa: ARG002 - it has all derivatives
         """Return the signal."""

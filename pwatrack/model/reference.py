@@ -3,15 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import factorial
+from math import factorial, gcd, isfinite, lcm, pi
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.errors import OutsideTheory, Problem, Subject
-from pwatrack.model.course import Course
+from pwatrack.model.course import Course, Profile
 from pwatrack.model.signal import Signal
+
+_EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,11 @@ class OutputReference:
         """Return y_d, with r continuous derivatives where rounding was asked for."""
         return total_signal(self.courses, r)
 
+    @property
+    def smooth(self) -> float | None:
+        """The shortest time in s over which corners are rounded, or None if none are."""
+        return _shortest(self.courses)
+
 
 @dataclass(frozen=True)
 class StateReference:
@@ -34,6 +42,11 @@ class StateReference:
     def signals(self) -> list[Signal]:
         """Return x_d; its first derivative is continuous where rounding was asked for."""
         return [total_signal(courses, 1) for courses in self.courses]
+
+    @property
+    def smooth(self) -> float | None:
+        """The shortest time in s over which corners are rounded, or None if none are."""
+        return _shortest([course for courses in self.courses for course in courses])
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,7 @@ class Exosystem:
 
     Attributes:
         S: (p, p), in 1/s.
+        rates: The eigenvalue of S that each entry of w belongs to, with its imaginary part ≥ 0, (p,).
         Q: (q, p), one row per signal.
         w0: (p,).
         resets: In order of time.
@@ -93,6 +107,7 @@ class Exosystem:
     """
 
     S: Array
+    rates: NDArray[np.complex128]
     Q: Array
     w0: Array
     resets: tuple[Reset, ...]
@@ -116,22 +131,65 @@ class Exosystem:
         result: Array = self.derivative_rows(derivative)[-1] @ self.states(np.array([t]))[0]
         return result
 
+    def pieces(self) -> list[tuple[slice, Array, Array]]:
+        """Return the resets signal by signal: the entries of w, the times (R,), and the new values (R, entries)."""
+        found: dict[tuple[int, int], list[Reset]] = {}
+        for reset in self.resets:
+            found.setdefault((reset.where.start, reset.where.stop), []).append(reset)
+        return [
+            (slice(*where), np.array([reset.t for reset in resets]), np.array([reset.w for reset in resets]))
+            for where, resets in found.items()
+        ]
+
     def states(self, times: Array) -> Array:
-        """Return w at increasing times in s, (T, p), after any reset at that time."""
-        gap = float(times[1] - times[0]) if len(times) > 1 else 0.0
-        step = expm(self.S * gap)  # the times are mostly evenly spaced
-        w, now, pending = self.w0.copy(), 0.0, list(self.resets)
-        rows = []
-        for t in times:
-            while pending and pending[0].t <= t:
-                reset = pending.pop(0)
-                w = expm(self.S * (reset.t - now)) @ w
-                w[reset.where], now = reset.w, reset.t
-            if t > now:
-                even = np.isclose(t - now, gap, rtol=1e-12, atol=0.0)
-                w, now = (step if even else expm(self.S * (t - now))) @ w, t
-            rows.append(w)
-        return np.array(rows)
+        """Return w at some times in s, (T, p), after any reset at that time."""
+        since, w = np.tile(times[:, None], len(self.w0)), np.tile(self.w0, (len(times), 1))
+        for where, t, values in self.pieces():
+            last = np.searchsorted(t, times, side="right") - 1
+            past = last >= 0
+            since[past, where] = (times[past] - t[last[past]])[:, None]
+            w[past, where] = values[last[past]]
+        total = np.zeros_like(w)
+        with np.errstate(all="ignore"):  # what grows may be out of range
+            for rate, chain in spectral_terms(self.S, self.rates):
+                for m, E in enumerate(chain):
+                    total += (np.exp(rate * since) * (since**m / factorial(m)) * (w @ E.T)).real
+        return total
+
+
+def spectral_terms(S: Array, rates: NDArray[np.complex128]) -> list[tuple[complex, list[NDArray[np.complex128]]]]:
+    """Return λ and E_λ0, E_λ1, … with e^{St} = Re Σ_λ e^{λt} Σ_m t^m/m! E_λm, each (p, p), for the S of an exosystem.
+
+    A row has R e^{St} w = 0 for all t exactly where R E_λm w = 0 for all of them. Exponents that differ by
+    rounding are one.
+
+    Example:
+        >>> S = np.array([[0.0, -2.0], [2.0, 0.0]])
+        >>> [(rate, [E.tolist() for E in chain]) for rate, chain in spectral_terms(S, np.array([2j, 2j]))]
+        [(2j, [[[(1+0j), 1j], [-1j, (1+0j)]]])]
+    """
+    found: dict[complex, list[int]] = {}
+    for k, rate in enumerate(rates.tolist()):
+        same = next((known for known in found if abs(known - rate) <= 32 * _EPS * abs(known)), rate)
+        found.setdefault(same, []).append(k)
+    result = []
+    for rate, members in found.items():
+        own = np.zeros(S.shape)
+        own[np.ix_(members, members)] = S[np.ix_(members, members)]
+        turn = np.zeros(S.shape)
+        starts = members[::2] if rate.imag else []
+        for k in starts:
+            turn[k : k + 2, k : k + 2] = [[0.0, -1.0], [1.0, 0.0]]
+            own[k : k + 2, k : k + 2] = 0.0
+        if not rate.imag:
+            own[members, members] = 0.0
+        E = np.diag(np.isin(np.arange(len(S)), members).astype(np.complex128)) - 1j * turn
+        chain = []
+        while E.any():
+            chain.append(E)
+            E = E @ own
+        result.append((rate, chain))
+    return result
 
 
 def exosystem(signals: Sequence[Signal]) -> Exosystem:
@@ -140,7 +198,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     A term p(t) e^{λt} of degree d is the chain v_j = p⁽ʲ⁾(t) e^{λt}, j = 0 … d,
     with v̇_j = λ v_j + v_{j+1}; a conjugate pair is kept as real and imaginary part.
     """
-    blocks, rows, starts, resets = [], [], [], []
+    blocks, rows, rates, starts, resets = [], [], list[complex](), [], []
     offset = 0
     for signal in signals:
         chains = _chains(signal)
@@ -148,8 +206,9 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         block, row = (block_diag(*S), np.concatenate(Q)) if chains else (np.zeros((0, 0)), np.zeros(0))
         blocks.append(block)
         rows.append(row)
+        rates += [rate for rate, length in chains.items() for _ in range(length * (1 if rate.imag == 0 else 2))]
         where = slice(offset, offset + len(row))
-        states = [_chain_state(piece.terms, chains) for piece in signal.pieces]
+        states = _chain_states(signal, chains)
         starts.append(states[0])
         resets += [
             Reset(t, where, readonly(w))
@@ -160,6 +219,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     ends = [signal.end for signal in signals if signal.end is not None]
     return Exosystem(
         S=readonly(block_diag(*blocks)) if offset else np.zeros((0, 0)),
+        rates=np.array(rates, dtype=np.complex128),
         Q=readonly(block_diag(*[row[None] for row in rows]).reshape(len(signals), offset)),
         w0=readonly(np.concatenate([*starts, np.zeros(0)])),
         resets=tuple(sorted(resets, key=lambda reset: reset.t)),
@@ -213,15 +273,19 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
             )
 
 
+def _shortest(courses: Sequence[Course]) -> float | None:
+    times = [course.smooth for course in courses if isinstance(course, Profile) and course.smooth is not None]
+    return min(times, default=None)
+
+
 def _chains(signal: Signal) -> dict[complex, int]:
     """Return the length of the chain for each λ with Im λ ≥ 0 that some piece needs."""
-    lengths: dict[complex, int] = {}
-    for piece in signal.pieces:
-        for rate, c in piece.terms.items():
-            length = int(np.max(np.flatnonzero(c), initial=-1)) + 1
-            if rate.imag >= 0 and length:
-                lengths[rate] = max(lengths.get(rate, 0), length)
-    return lengths
+    lengths = {
+        rate: int(np.max(np.flatnonzero(c.any(axis=0)), initial=-1)) + 1
+        for rate, c in signal.stacked().items()
+        if rate.imag >= 0
+    }
+    return {rate: length for rate, length in lengths.items() if length}
 
 
 def _chain(rate: complex, length: int) -> tuple[Array, Array]:
@@ -233,16 +297,13 @@ def _chain(rate: complex, length: int) -> tuple[Array, Array]:
     return np.kron(np.eye(length), turn) + np.kron(shift, np.eye(2)), 2.0 * np.eye(2 * length)[0]
 
 
-def _chain_state(terms: object, chains: dict[complex, int]) -> Array:
-    """Return the state of all chains at the start of a piece: v_j(0) = j! c_j."""
-    parts = []
+def _chain_states(signal: Signal, chains: dict[complex, int]) -> Array:
+    """Return the state of all chains at the start of each piece, (pieces, p): v_j(0) = j! c_j."""
+    parts, terms = [np.zeros((len(signal.pieces), 0))], signal.stacked()
     for rate, length in chains.items():
-        c = np.zeros(length, dtype=np.complex128)
-        own = terms.get(rate, np.zeros(0))[:length]  # type: ignore[attr-defined]
-        c[: len(own)] = own
-        v = c * [factorial(j) for j in range(length)]
-        parts.append(v.real if rate.imag == 0 else np.column_stack([v.real, v.imag]).ravel())
-    return np.concatenate([*parts, np.zeros(0)])
+        v = terms[rate][:, :length] * np.array([float(factorial(j)) for j in range(length)])
+        parts.append(v.real if rate.imag == 0 else np.stack([v.real, v.imag], axis=2).reshape(len(v), -1))
+    return np.hstack(parts)
 
 
 def _period(signals: Sequence[Signal]) -> float | None:
@@ -256,9 +317,11 @@ def _period(signals: Sequence[Signal]) -> float | None:
     if not frequencies:
         return None
     first = frequencies[0]
+    if not np.isfinite(frequencies[-1] / first):
+        return None
     ratios = [Fraction(f / first).limit_denominator(1000) for f in frequencies]
     if any(abs(float(q) * first - f) > 1e-12 * f for q, f in zip(ratios, frequencies, strict=True)):
         return None
-    turns = int(np.lcm.reduce([q.denominator for q in ratios]))
-    count = int(np.gcd.reduce([int(q * turns) for q in ratios]))
-    return float(2 * np.pi / first * turns / count)
+    turns = lcm(*(q.denominator for q in ratios))
+    period = 2 * pi / first * turns / gcd(*(int(q * turns) for q in ratios))
+    return period if isfinite(period) else None

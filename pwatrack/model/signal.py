@@ -1,5 +1,6 @@
 """Signals of time whose derivatives are exact: piecewise sums of p(t) e^{λt}."""
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import comb
@@ -13,6 +14,9 @@ from pwatrack.arrays import Array
 ComplexArray = NDArray[np.complex128]
 _EPS = float(np.finfo(np.float64).eps)
 _SAME = 1e-12  # relative distance below which two exponents λ are one
+_MOST_COEFFICIENTS = 100  # of one signal: as many states of the exosystem
+_HIGHEST = 20  # power of t
+_LARGEST = 1e60  # coefficient: the same as for a number of a description
 
 
 class NotRepresentable(ValueError):
@@ -71,6 +75,7 @@ class ExponentialPolynomial:
         for one, c in self.terms.items():
             for two, d in _lift(other).terms.items():
                 _accumulate(terms, one + two, np.convolve(c, d))
+                ExponentialPolynomial(terms).check_size()
         return ExponentialPolynomial(terms)
 
     __radd__, __rmul__ = __add__, __mul__
@@ -115,7 +120,9 @@ class ExponentialPolynomial:
     def exp(self) -> "ExponentialPolynomial":
         """Return e^(a t + b)."""
         slope, start = self._line("exp")
-        return ExponentialPolynomial({complex(slope): np.array([np.exp(start)], dtype=np.complex128)})
+        result = ExponentialPolynomial({complex(slope): np.array([np.exp(start)], dtype=np.complex128)})
+        result.check_size()
+        return result
 
     def sin(self) -> "ExponentialPolynomial":
         """Return the sine of a t + b."""
@@ -125,6 +132,24 @@ class ExponentialPolynomial:
     def cos(self) -> "ExponentialPolynomial":
         """Return the cosine of a t + b."""
         return _wave(*self._line("cos"))
+
+    def check_size(self) -> None:
+        """Refuse what is too large before it grows further: products of sums, and powers of them, grow without end.
+
+        Raises:
+            NotRepresentable: Naming the limit.
+        """
+        count = sum(map(len, self.terms.values()))
+        highest = max(map(len, self.terms.values()), default=1) - 1
+        if highest > _HIGHEST:
+            raise NotRepresentable(f"has t to a power of {highest}, at most {_HIGHEST} is read")
+        if count > _MOST_COEFFICIENTS:
+            raise NotRepresentable(
+                f"has {count} terms or more when multiplied out, at most {_MOST_COEFFICIENTS} are read"
+            )
+        largest = max((float(np.abs(c).max(initial=0.0)) for c in self.terms.values()), default=0.0)
+        if not largest <= _LARGEST or not np.isfinite(list(self.terms)).all():
+            raise NotRepresentable(f"has a coefficient beyond {_LARGEST:g}")
 
     def derivative(self) -> "ExponentialPolynomial":
         """Return the derivative with respect to t."""
@@ -173,7 +198,7 @@ def _wave(slope: float, phase: float) -> ExponentialPolynomial:
 
 
 def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArray) -> None:
-    for known in terms:
+    for known in () if rate in terms else terms:
         if abs(known - rate) <= _SAME * max(abs(known), abs(rate)):
             rate = known
             break
@@ -211,14 +236,16 @@ class Signal:
 
     @classmethod
     def piecewise_polynomial(cls, pieces: PPoly, end: float | None = None) -> "Signal":
-        """Return a piecewise polynomial of scipy, from its first break on."""
-        coefficients = pieces.c[::-1].T  # rising powers, one row per piece
-        formulas = tuple(ExponentialPolynomial.polynomial(row) for row in coefficients)
-        return cls(tuple(float(x) for x in pieces.x[:-1]), formulas, end)
+        """Return a piecewise polynomial of scipy, from t = 0 on."""
+        first = max(0, int(np.searchsorted(pieces.x, 0.0, side="right")) - 1)
+        coefficients = pieces.c[::-1, first:].T  # rising powers, one row per piece
+        formulas = [ExponentialPolynomial.polynomial(row) for row in coefficients]
+        formulas[0] = formulas[0].delayed(-float(pieces.x[first]))
+        return cls((0.0, *pieces.x[first + 1 : -1].tolist()), tuple(formulas), end)
 
     def __call__(self, t: float, derivative: int = 0) -> float:
         """Return a derivative at time t, from the right at a break."""
-        k = max(0, int(np.searchsorted(self.starts, t, side="right")) - 1)
+        k = max(0, bisect_right(self.starts, t) - 1)
         piece = self.pieces[k]
         for _ in range(derivative):
             piece = piece.derivative()
@@ -226,29 +253,59 @@ class Signal:
 
     def __add__(self, other: "Signal") -> "Signal":
         """Return the sum."""
-        starts = tuple(sorted({*self.starts, *other.starts}))
+        end = min((end for end in (self.end, other.end) if end is not None), default=None)
+        starts = tuple(t for t in sorted({*self.starts, *other.starts}) if end is None or t < end or t == 0)
         pieces = tuple(self._from(t) + other._from(t) for t in starts)
-        ends = [end for end in (self.end, other.end) if end is not None]
-        return Signal(starts, pieces, min(ends, default=None))
+        return Signal(starts, pieces, end)
 
     def jump(self, order: int) -> tuple[float, float] | None:
         """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
 
         Sizes within 1e-9 of the derivative's own size are rounding.
         """
-        worst, where, scale = 0.0, 0.0, 0.0
-        for k in range(1, len(self.starts)):
-            before, after = self.pieces[k - 1], self.pieces[k]
-            for _ in range(order):
-                before, after = before.derivative(), after.derivative()
-            span = self.starts[k] - self.starts[k - 1]
-            left, right = before(span), after(0.0)
-            size = max(abs(left), abs(right), abs(before(span / 2)))
-            scale = max(scale, size * (1 + 1e9 * _EPS * self.starts[k] / span))  # the break itself is rounded
-            if abs(right - left) > worst:
-                worst, where = abs(right - left), self.starts[k]
-        return (where, worst) if worst > 1e-9 * scale else None
+        terms = self.stacked()
+        for _ in range(order):
+            for rate, c in terms.items():
+                terms[rate] = rate * c + np.pad(c[:, 1:] * np.arange(1, c.shape[1]), ((0, 0), (0, 1)))
+        starts = np.array(self.starts)
+        span = np.diff(starts)
+        if not len(span):
+            return None
+        with np.errstate(all="ignore"):  # what grows may be out of range: then it is no number, and no jump
+            left, middle, right = (
+                _values(terms, t) for t in (np.append(span, 0.0), np.append(span, 0.0) / 2, 0 * starts)
+            )
+            size = np.maximum(np.maximum(np.abs(left), np.abs(middle))[:-1], np.abs(right[1:]))
+            scale = float((size * (1 + 1e9 * _EPS * starts[1:] / span)).max())  # the break itself is rounded
+            gap = np.abs(right[1:] - left[:-1])
+        worst = int(np.argmax(gap))
+        return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > 1e-9 * scale else None
+
+    def stacked(self) -> dict[complex, ComplexArray]:
+        """Return the coefficients of all pieces by λ, each (pieces, longest)."""
+        found: dict[complex, ComplexArray] = {}
+        longest: dict[complex, int] = {}
+        for piece in self.pieces:
+            for rate, c in piece.terms.items():
+                longest[rate] = max(longest.get(rate, 0), len(c))
+        for rate, length in longest.items():
+            found[rate] = np.zeros((len(self.pieces), length), dtype=np.complex128)
+        for k, piece in enumerate(self.pieces):
+            for rate, c in piece.terms.items():
+                found[rate][k, : len(c)] = c
+        return found
 
     def _from(self, t: float) -> ExponentialPolynomial:
-        k = max(0, int(np.searchsorted(self.starts, t, side="right")) - 1)
+        k = max(0, bisect_right(self.starts, t) - 1)
         return self.pieces[k].delayed(t - self.starts[k]) if t != self.starts[k] else self.pieces[k]
+
+
+def _values(terms: Mapping[complex, ComplexArray], t: Array) -> Array:
+    """Return the value of each piece at its own time, (pieces,)."""
+    total = np.zeros(len(t), dtype=np.complex128)
+    for rate, c in terms.items():
+        value = np.zeros(len(t), dtype=np.complex128)
+        for column in c.T[::-1]:
+            value = value * t + column
+        total += value * np.exp(rate * t)
+    return np.asarray(total.real)

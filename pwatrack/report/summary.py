@@ -17,7 +17,6 @@ from pwatrack.control.goal import Goal
 from pwatrack.control.guarantees import Contraction, Guarantees
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import InputReference
 from pwatrack.pipeline import Result
 from pwatrack.report.files import ensemble_measures, error_unit, measures
 from pwatrack.spec.load import Spec
@@ -113,9 +112,10 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         if claim.split()[1] in controller.costs:
             table.add_row("", _cost_text(claim.split()[1], controller.costs[claim.split()[1]]))
     if generator is None:
-        table.add_row("Assumption 1", "x_d and u_ff satisfy (3)")
-        given = isinstance(spec.reference, InputReference) and spec.reference.start is not None
-        condition = ", as long as x_d stays bounded (not proved for a response from a given start)" if given else ""
+        until, bounded = controller.trajectory.until, controller.trajectory.bounded
+        end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
+        table.add_row("Assumption 1", f"x_d and u_ff satisfy (3){end}")
+        condition = "" if bounded else ", as long as x_d stays bounded (not proved for a response from a given start)"
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
         _generator_rows(table, generator, promised.generator)

@@ -210,12 +210,8 @@ def _part(name: str, plant: PWASystem, state: Array, F: Array) -> SwitchedPart:
 
 def _pieces(signals: Exosystem, where: slice) -> list[StateResets]:
     return [
-        StateResets(
-            t=np.array([reset.t]),
-            where=slice(where.start + reset.where.start, where.start + reset.where.stop),
-            values=reset.w[None],
-        )
-        for reset in signals.resets
+        StateResets(t=t, where=slice(where.start + part.start, where.start + part.stop), values=values)
+        for part, t, values in signals.pieces()
     ]
 
 

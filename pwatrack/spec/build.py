@@ -1,7 +1,5 @@
 """Checked sections -> the plant (1) and the reference, as the model knows them."""
 
-import csv
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Noise, Sampling
-from pwatrack.model.course import Course, Formula, Profile, Table, polyline
+from pwatrack.model.course import Course
 from pwatrack.model.nonlinearity import Nonlinearity, generate_cells
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import (
@@ -26,10 +24,9 @@ from pwatrack.model.reference import (
     exosystem,
     total_signal,
 )
-from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.real import Real
 from pwatrack.simulation.region import Box, Ellipsoid, Region
-from pwatrack.spec.problems import path_text
+from pwatrack.spec.courses import build_courses
 from pwatrack.spec.schema import (
     CourseSection,
     EllipsoidSection,
@@ -37,13 +34,8 @@ from pwatrack.spec.schema import (
     ReferenceSection,
     SimulationSection,
     StartRegionsSection,
-    StepSection,
     SystemSection,
-    TableSection,
-    TrapezoidSection,
 )
-
-_MOST_PERIODS = 10_000
 
 
 def build_regions(
@@ -118,16 +110,21 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
         InvalidSpec: If a table cannot be read, or a course ends before the horizon.
     """
     if section.output is not None:
-        return OutputReference(_courses(section.output, folder, horizon, ("reference", "output")))
+        return OutputReference(build_courses(section.output, folder, horizon, ("reference", "output")))
     if section.setpoint is not None:
         return SetPoint(readonly([section.setpoint[name] for name in outputs]))
     kind = "state" if section.state is not None else "input"
-    courses = tuple(
-        _courses(signal, folder, horizon, ("reference", kind, k)) for k, signal in enumerate(getattr(section, kind))
-    )
+    courses, problems = list[tuple[Course, ...]](), list[Problem]()
+    for k, signal in enumerate(getattr(section, kind)):
+        try:
+            courses.append(build_courses(signal, folder, horizon, ("reference", kind, k)))
+        except InvalidSpec as error:
+            problems += error.problems
+    if problems:
+        raise InvalidSpec(*problems)
     if kind == "state":
-        return StateReference(courses)
-    return InputReference(courses, readonly(section.start) if section.start else None)
+        return StateReference(tuple(courses))
+    return InputReference(tuple(courses), readonly(section.start) if section.start else None)
 
 
 def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path) -> Conditions:
@@ -152,7 +149,7 @@ def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path)
         for name in plant.states:
             subject: Subject = ("simulation", "disturbance", name)
             course = section.disturbance.get(name, CourseSection())
-            signals.append(total_signal(_courses(course, folder, section.duration, subject), 0))
+            signals.append(total_signal(build_courses(course, folder, section.duration, subject), 0))
         found = exosystem(signals)
         disturbance = found if found.Q.any() else None
     return Conditions(
@@ -249,108 +246,3 @@ def _from_nonlinearities(system: SystemSection) -> tuple[Partition, list[BallMat
 
 def _doubles(rows: Sequence[Sequence[Real]]) -> Array:
     return np.array([[float(v) for v in row] for row in rows])
-
-
-def _courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:
-    t = ExponentialPolynomial.time()
-    steady = ExponentialPolynomial.constant(section.constant)
-    for sine in section.sine:
-        steady = steady + (t * sine.frequency + sine.phase).sin() * sine.amplitude
-    courses: list[Course] = [Formula(steady if section.formula is None else steady + section.formula, section.until)]
-    courses += [_step(step, horizon) for step in section.step]
-    if section.trapezoid:
-        courses.append(_trapezoid(section.trapezoid, horizon, subject))
-    if section.polyline:
-        courses.append(_polyline(section.polyline.points, section.polyline.smooth, horizon, subject))
-    if section.table:
-        courses.append(_table(section.table, folder, (*subject, "table")))
-    for course in courses:
-        end = course.signal(0).end
-        if end is not None and end < horizon * (1 - 1e-12):
-            raise InvalidSpec(
-                Problem(
-                    message=f"{path_text(subject)} ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
-                    subject=subject,
-                    hint="shorten the simulation or lengthen the signal",
-                )
-            )
-    return tuple(courses)
-
-
-def _step(step: StepSection, horizon: float) -> Profile:
-    """Return a step as two constant pieces."""
-    from scipy.interpolate import PPoly
-
-    margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
-    corners = PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
-    return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
-
-
-def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Profile:
-    """Return the corners of as many trapezoids as the horizon holds."""
-    period = shape.rise + shape.hold + shape.fall + shape.rest
-    margin = 1.0 + (shape.smooth or 0.0)
-    if (horizon - shape.start) / period > _MOST_PERIODS:
-        message = f"{path_text(subject)}: {(horizon - shape.start) / period:.3g} trapezoids until t = {horizon:g} s"
-        hint = f"at most {_MOST_PERIODS:,} are built; shorten the simulation"
-        raise InvalidSpec(Problem(message=message, subject=(*subject, "trapezoid"), hint=hint))
-    times, values = [min(0.0, shape.start) - margin], [shape.low]
-    begin = shape.start
-    while begin < horizon + margin:
-        marks = np.cumsum([begin, shape.rise, shape.hold, shape.fall])
-        times += marks.tolist()
-        values += [shape.low, shape.high, shape.high, shape.low]
-        begin += period
-    times.append(times[-1] + margin + shape.rest)
-    values.append(shape.low)
-    kept = [k for k in range(len(times)) if k == 0 or times[k] > times[k - 1]]
-    course = polyline([times[k] for k in kept], [values[k] for k in kept])
-    return Profile(corners=course, continuous=True, smooth=shape.smooth, end=horizon)
-
-
-def _polyline(points: list[list[float]], smooth: float | None, horizon: float, subject: Subject) -> Profile:
-    times, values = [row[0] for row in points], [row[-1] for row in points]
-    if any(len(row) != 2 for row in points) or any(b <= a for a, b in itertools.pairwise(times)):
-        raise InvalidSpec(
-            Problem(message="points are pairs [t, y] with increasing t", subject=(*subject, "polyline", "points"))
-        )
-    margin = 1.0 + horizon + (smooth or 0.0)
-    course = polyline([times[0] - margin, *times, times[-1] + margin], [values[0], *values, values[-1]])
-    return Profile(corners=course, continuous=True, smooth=smooth, end=None)
-
-
-def _table(section: TableSection, folder: Path, subject: Subject) -> Table:
-    path = folder / section.file
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError) as error:
-        message = f"cannot read {path}: {getattr(error, 'strerror', None) or error}"
-        raise InvalidSpec(Problem(message=message, subject=subject)) from None
-    columns = list(rows[0]) if rows else []
-    column = section.column or next((name for name in columns if name != "t"), "y")
-    missing = [name for name in ("t", column) if name not in columns]
-    if missing:
-        message = f"{path}: the header has no column '{missing[0]}'; it has {', '.join(map(str, columns)) or 'none'}"
-        raise InvalidSpec(Problem(message=message, subject=subject))
-    values = np.empty((len(rows), 2))
-    for k, row in enumerate(rows):
-        try:
-            values[k] = float(row["t"]), float(row[column])
-        except (TypeError, ValueError):
-            message = f"{path}, row {k + 2}: '{row['t']}', '{row[column]}' are no two numbers"
-            raise InvalidSpec(Problem(message=message, subject=subject)) from None
-    fault = _table_fault(values)
-    if fault:
-        raise InvalidSpec(Problem(message=f"{path}: {fault}", subject=subject))
-    return Table(values[:, 0], values[:, 1])
-
-
-def _table_fault(values: Array) -> str:
-    if len(values) < 4:
-        return f"{len(values)} rows, at least 4 are needed"
-    if not np.isfinite(values).all():
-        return f"row {int(np.argmin(np.isfinite(values).all(axis=1))) + 2} is not finite"
-    if (np.diff(values[:, 0]) <= 0).any():
-        return f"t does not increase at row {int(np.argmax(np.diff(values[:, 0]) <= 0)) + 3}"
-    return f"t starts at {values[0, 0]:g} s, after 0" if values[0, 0] > 0 else ""

@@ -31,7 +31,7 @@ from pwatrack.model.nonlinearity import (
     spring,
 )
 from pwatrack.model.pwa import ROUNDING
-from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
 from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number, real
 
@@ -88,7 +88,12 @@ def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
 def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
     if not isinstance(value, str):
         raise ValueError("an expression in t is expected")
-    return formula(value, info.context.parameters)
+    signal = formula(value, info.context.parameters)
+    try:
+        signal.check_size()
+    except NotRepresentable as error:
+        raise ValueError(f"'{value}' {error}") from None
+    return signal
 
 
 def _start(value: Any, info: ValidationInfo[Context]) -> list[float]:
@@ -195,6 +200,7 @@ def _listed(value: Any) -> Any:
 Number = Annotated[float, BeforeValidator(_number)]
 Exact = Annotated[Real, PlainValidator(_real)]
 Positive = Annotated[Number, AfterValidator(_positive)]
+NotNegative = Annotated[Number, AfterValidator(_not_negative)]
 Name = Annotated[str, AfterValidator(_name)]
 Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
@@ -384,9 +390,9 @@ class TrapezoidSection(Section):
     high: Number
     start: Number = 0.0
     rise: Positive
-    hold: Number = 0.0
+    hold: NotNegative = 0.0
     fall: Positive
-    rest: Number = 0.0
+    rest: NotNegative = 0.0
     smooth: Positive | None = None
 
 
@@ -454,7 +460,7 @@ class ActuatorSection(Section):
 class NoiseSection(Section):
     """Normal noise on outputs, by name, drawn anew at every multiple of a sample time (s) and held in between."""
 
-    std: Annotated[dict[str, Annotated[Number, AfterValidator(_not_negative)]], Field(min_length=1)]
+    std: Annotated[dict[str, NotNegative], Field(min_length=1)]
     sample_time: Positive
     seed: Annotated[int, Field(ge=0)] = 1
 

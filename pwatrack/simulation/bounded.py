@@ -1,0 +1,175 @@
+"""Whether the plant's own response x_d(t) to given inputs stays bounded: Theorem 2 needs that."""
+
+from dataclasses import dataclass, replace
+from math import e, factorial
+
+import numpy as np
+from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
+
+from pwatrack.arrays import Array, balancing
+from pwatrack.control.convergence import prove_convergence
+from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.errors import CheckFailed, Infeasible, Problem, Subject, Undecided
+from pwatrack.lmi.inequality import Solver
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import spectral_terms
+from pwatrack.rational import is_hurwitz
+from pwatrack.simulation.desired import blocks
+
+_FURTHER = 10  # times the duration, to see whether what grows goes on to grow
+_MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
+_CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
+
+
+@dataclass(frozen=True)
+class _Walked:
+    """Largest |x_d| in each tenth of a time by state, (10, n), inf beyond bounds; cell and (x_d, w, 1) at the end."""
+
+    tenths: Array
+    cell: int
+    z: Array
+
+
+def bounded_response(
+    plant: PWASystem,
+    trajectory: DesiredTrajectory,
+    *,
+    horizon: float,
+    solver: Solver = "clarabel",
+    subject: Subject = (),
+) -> DesiredTrajectory:
+    """Return the trajectory with whether x_d is proved bounded, or refuse it where x_d is seen to grow.
+
+    It is bounded if (7) holds (Theorem 1); or if from the end of the run on it never leaves a cell that is stable by
+    itself, where it is a sum of exponentials.
+
+    Args:
+        plant: The system (1).
+        trajectory: From `input_trajectory`, with a start.
+        horizon: Duration of the run in s.
+        solver: For (7).
+        subject: What in the description the start is.
+
+    Raises:
+        CheckFailed: If neither is proved, |x_d| in the last tenth of the run is above that of every tenth before it
+            and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs
+            end, and there is no longer run, the cell at the end must be unstable instead.
+    """
+    if _convergent(plant, solver):
+        return trajectory
+    unproved = replace(trajectory, bounded=False)
+    try:
+        run = _walked(plant, trajectory, horizon)
+    except Undecided:  # too long a walk
+        return unproved
+    if np.isfinite(run.tenths).all() and _stays(plant, trajectory, run, horizon):
+        return trajectory
+    if _grows(plant, trajectory, run, horizon) and _goes_on(plant, trajectory, run, horizon):
+        raise CheckFailed(_growth(plant, run, horizon, subject))
+    return unproved
+
+
+def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizon: float) -> bool:
+    """Whether what grows up to the horizon still grows long after it; unstable at the end, where the inputs end."""
+    if trajectory.exosystem.end is not None:
+        return bool(np.linalg.eigvals(plant.A[run.cell]).real.max() > 0)
+    try:
+        return _grows(plant, trajectory, _walked(plant, trajectory, _FURTHER * horizon), _FURTHER * horizon)
+    except Undecided:
+        return True
+
+
+def _convergent(plant: PWASystem, solver: Solver) -> bool:
+    """Whether (7) is proved."""
+    if np.linalg.eigvals(plant.A).real.max() >= 0:
+        return False
+    try:
+        prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names, solver=solver)
+    except (Infeasible, Undecided):
+        return False
+    return True
+
+
+def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:
+    assert trajectory.eta0 is not None
+    n = len(trajectory.eta0)
+    z = np.concatenate([trajectory.eta0, trajectory.exosystem.w0, [1.0]])
+    tenths, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
+    try:
+        for trace in blocks(plant, trajectory, z, duration):
+            number = np.minimum((trace.t * 10 / duration).astype(np.int64), 9)
+            for k in np.unique(number):
+                tenths[k] = np.maximum(tenths[k], np.abs(trace.z[number == k, :n]).max(axis=0))
+            z, cell = trace.z[-1], int(trace.modes[-1, 0])
+    except CheckFailed:  # beyond all bounds
+        tenths[-1] = np.inf
+    return _Walked(tenths, cell, z)
+
+
+def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, duration: float) -> bool:
+    """Whether |x_d| in the last tenth is above all before it, and above the size of start and inputs."""
+    d, system = balancing(plant.A), trajectory.exosystem
+    size = np.linalg.norm(run.tenths / d, axis=1)
+    times = np.linspace(0.0, duration, 200)
+    inputs = np.linalg.norm(system.states(times) @ (plant.B @ system.Q).T / d, axis=1).max(initial=0.0)
+    rate = max(float(np.linalg.norm(plant.A / d[:, None] * d, 2, axis=(1, 2)).max()), 1 / duration)
+    assert trajectory.eta0 is not None
+    return bool(size[-1] > _MORE * max(size[:-1].max(), np.linalg.norm(trajectory.eta0 / d), inputs / rate))
+
+
+def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) -> Problem:
+    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), np.finfo(np.float64).tiny)
+    k = int(np.argmax(last / before))
+    reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
+    return Problem(
+        message=f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
+        f"tenth of {horizon:g} s, {before[k]:.3g} before; Theorem 2 is about a bounded x_d",
+        subject=subject,
+        hint="the plant does not stay bounded under these inputs by itself: give x_d as state or setpoint instead",
+    )
+
+
+def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizon: float) -> bool:
+    """Prove that x_d = X (w, 1) + e^{At} e never again leaves its cell, which is stable, and so stays bounded.
+
+    With AᵀP + PA ≺ 0, |h e^{At} e| ≤ (h P⁻¹ hᵀ)^½ (eᵀ P e)^½; each term t^m e^{λt} of X (w, 1) has a largest size.
+    """
+    system, n, i = trajectory.exosystem, plant.A.shape[1], run.cell
+    if system.end is not None or any(reset.t > horizon for reset in system.resets):
+        return False
+    if not is_hurwitz(plant.exact.A[i].centre):
+        return False
+    d = balancing(plant.A[i : i + 1])
+    A, R = plant.A[i] / d[:, None] * d, trajectory.rate[i, :, n:] / d[:, None]
+    S = block_diag(system.S, np.zeros((1, 1)))
+    try:
+        X, P = solve_sylvester(A, -S, -R), solve_continuous_lyapunov(A.T, -np.eye(n))
+    except np.linalg.LinAlgError:  # w has a mode of the plant's
+        return False
+    missed = np.abs(A @ X - X @ S + R).max(initial=0.0)
+    solved = missed <= 1e-9 * (np.abs(A) @ np.abs(X) + np.abs(X) @ np.abs(S) + np.abs(R)).max(initial=0.0)
+    definite = np.linalg.eigvalsh(P)[0] > 0 and np.linalg.eigvalsh(A.T @ P + P @ A)[-1] < -0.5
+    if not (solved and definite):
+        return False
+    w = run.z[n:]
+    away = run.z[:n] / d - X @ w
+    bounding = np.flatnonzero(plant.partition.signs[i])
+    H = plant.partition.signs[i][bounding, None] * plant.partition.H[bounding] * d
+    h = plant.partition.signs[i][bounding] * plant.partition.h[bounding]
+    reach = np.sqrt(np.einsum("kn,nk->k", H, np.linalg.solve(P, H.T)) * max(float(away @ P @ away), 0.0))
+    level, swing = h.copy(), np.zeros_like(h)
+    for rate, chain in spectral_terms(S, np.append(system.rates, 0.0)):
+        for m, E in enumerate(chain):
+            part = H @ X @ (E @ w)
+            if rate == 0 and m == 0:
+                level += part.real
+            else:
+                swing += np.abs(part) * _largest(rate.real, m)
+    return bool((level - swing - reach > _CLEAR * (np.abs(level) + swing + reach)).all())
+
+
+def _largest(rate: float, m: int) -> float:
+    """Return the largest t^m e^{rate t} / m! for t ≥ 0."""
+    if rate > 0 or (rate == 0 and m):
+        return float("inf")
+    return (m / (e * -rate)) ** m / factorial(m) if m else 1.0

@@ -1,0 +1,162 @@
+"""Checked sections of a signal -> its courses; what no course can be built from is refused, with the limit."""
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.model.course import Course, Formula, Profile, polyline
+from pwatrack.model.signal import ExponentialPolynomial
+from pwatrack.spec.problems import path_text
+from pwatrack.spec.schema import CourseSection, PolylineSection, StepSection, TrapezoidSection
+from pwatrack.spec.table import read_table
+
+_MOST_PERIODS = 10_000
+_FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
+_GROWN = 138.0  # λ times the duration: e^138 is 1e60
+_FINEST = 1e-12  # of the duration: times that are closer are one time, but for rounding
+
+
+def build_courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:
+    """Return the courses whose sum is a signal.
+
+    Args:
+        section: What the file says of it.
+        folder: Where table files are looked for.
+        horizon: Up to when it is needed, in s.
+        subject: Where the section stands.
+
+    Raises:
+        InvalidSpec: If numbers or a table make no course, or one ends before the horizon; all that is wrong at once.
+    """
+    makers: list[Callable[[], Course]] = []
+    others = section.step or section.trapezoid or section.polyline or section.table
+    if section.formula is not None or section.sine or section.constant or section.until or not others:
+        makers.append(lambda: _formula(section, horizon, subject))
+    makers += [
+        lambda step=step, k=k: _step(step, horizon, (*subject, "step", k))  # type: ignore[misc]
+        for k, step in enumerate(section.step)
+    ]
+    if section.trapezoid is not None:
+        trapezoid = section.trapezoid
+        makers.append(lambda: _trapezoid(trapezoid, horizon, (*subject, "trapezoid")))
+    if section.polyline is not None:
+        corners = section.polyline
+        makers.append(lambda: _polyline(corners, horizon, (*subject, "polyline", "points")))
+    if section.table is not None:
+        table = section.table
+        makers.append(lambda: read_table(folder / table.file, table.column, (*subject, "table")))
+    courses, problems = list[Course](), list[Problem]()
+    for make in makers:
+        try:
+            course = make()
+            _check_end(course, horizon, subject)
+            courses.append(course)
+        except InvalidSpec as error:
+            problems += error.problems
+    if problems:
+        raise InvalidSpec(*problems)
+    return tuple(courses)
+
+
+def _check_end(course: Course, horizon: float, subject: Subject) -> None:
+    end = course.end
+    if end is not None and end < horizon * (1 - 1e-12):
+        raise _refused(
+            f"{path_text(subject)} ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
+            subject,
+            "shorten the simulation or lengthen the signal",
+        )
+
+
+def _refused(message: str, subject: Subject, hint: str = "") -> InvalidSpec:
+    return InvalidSpec(Problem(message=message, subject=subject, hint=hint))
+
+
+def _formula(section: CourseSection, horizon: float, subject: Subject) -> Formula:
+    """Return the sum of constant, sines and formula."""
+    t = ExponentialPolynomial.time()
+    total = ExponentialPolynomial.constant(section.constant)
+    for sine in section.sine:
+        total = total + (t * sine.frequency + sine.phase).sin() * sine.amplitude
+    if section.formula is not None:
+        total = total + section.formula
+    for rate, c in total.terms.items():
+        if c.any() and abs(rate) * horizon > _FASTEST:
+            what = f"a sine of {rate.imag:.3g} rad/s" if abs(rate.imag) > abs(rate.real) else f"exp({rate.real:.3g}*t)"
+            raise _refused(
+                f"{path_text(subject)}: {what} is too fast for {horizon:g} s: {abs(rate) * horizon:.3g} radians or "
+                f"time constants, at most {_FASTEST:g} are followed",
+                subject,
+            )
+        if c.any() and rate.real * horizon > _GROWN and section.until is not None:
+            raise _refused(f"{path_text(subject)}: exp({rate.real:.3g}*t) is beyond 1e60 before {horizon:g} s", subject)
+    return Formula(total, section.until)
+
+
+def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
+    """Return a step as two constant pieces."""
+    _check_rounding(step.smooth, horizon + abs(step.at), subject)
+    margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
+    corners = PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
+    return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
+
+
+def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Profile:
+    """Return the corners of as many trapezoids as the horizon holds."""
+    period = shape.rise + shape.hold + shape.fall + shape.rest
+    span = horizon - shape.start
+    if span / period > _MOST_PERIODS:
+        message = f"{path_text(subject)}: {span / period:.3g} trapezoids until t = {horizon:g} s"
+        raise _refused(message, subject, f"at most {_MOST_PERIODS:,} are built; shorten the simulation")
+    _check_rounding(shape.smooth, horizon + abs(shape.start), subject)
+    for name in ("rise", "fall"):
+        _check_fine(f"{name}: {getattr(shape, name):g} s", getattr(shape, name), horizon + abs(shape.start), subject)
+    margin = 1.0 + (shape.smooth or 0.0)
+    count = max(0, int(np.ceil((span + margin) / period)))
+    begins = shape.start + period * np.arange(count)
+    marks = begins[:, None] + np.cumsum([0.0, shape.rise, shape.hold, shape.fall])
+    first = min(0.0, shape.start) - margin
+    last = max(horizon, float(marks[-1, -1]) if count else horizon) + margin + shape.rest + abs(shape.start)
+    times = np.concatenate([[first], marks.ravel(), [last]])
+    values = np.concatenate([[shape.low], np.tile([shape.low, shape.high, shape.high, shape.low], count), [shape.low]])
+    kept = np.append(True, np.diff(times) > 0)
+    course = polyline(times[kept].tolist(), values[kept].tolist())
+    return Profile(corners=course, continuous=True, smooth=shape.smooth, end=horizon)
+
+
+def _polyline(section: PolylineSection, horizon: float, subject: Subject) -> Profile:
+    for k, row in enumerate(section.points):
+        if len(row) != 2:
+            raise _refused(f"{path_text((*subject, k))}: a point is a pair [t, y]", (*subject, k))
+    times, values = [row[0] for row in section.points], [row[1] for row in section.points]
+    span = horizon + max(map(abs, times))
+    for k, (before, after) in enumerate(itertools.pairwise(times)):
+        if after <= before:
+            message = f"{path_text((*subject, k + 1))}: t = {after:g} s does not come after {before:g} s"
+            raise _refused(message, (*subject, k + 1), "points are pairs [t, y] with increasing t")
+        _check_fine(
+            f"points {k + 1} and {k + 2}, {after - before:.3g} s apart,", after - before, span, (*subject, k + 1)
+        )
+    _check_rounding(section.smooth, span, subject)
+    margin = 1.0 + span + (section.smooth or 0.0)
+    course = polyline([times[0] - margin, *times, times[-1] + margin], [values[0], *values, values[-1]])
+    return Profile(corners=course, continuous=True, smooth=section.smooth, end=None)
+
+
+def _check_fine(what: str, length: float, span: float, subject: Subject) -> None:
+    """Refuse times that are not apart but for rounding."""
+    if length < _FINEST * span:
+        raise _refused(
+            f"{path_text(subject)}: {what} is too short beside {span:g} s: "
+            f"at least {_FINEST * span:.1g} s are told apart",
+            subject,
+        )
+
+
+def _check_rounding(smooth: float | None, span: float, subject: Subject) -> None:
+    if smooth is not None:
+        _check_fine(f"smooth: {smooth:g} s", smooth, span, subject)

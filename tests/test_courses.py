@@ -1,0 +1,204 @@
+"""Courses of a reference as a file gives them: what is built, what is refused, with place and limit, and how fast."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import load_spec
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.model.reference import OutputReference, exosystem
+
+SPEC = """name: lag
+system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
+reference:
+  output: %s
+simulation: {duration: %s, sample_time: 0.1}
+"""
+
+
+def write(folder: Path, output: str, duration: float = 4) -> Path:
+    path = folder / "lag.yaml"
+    path.write_text(SPEC % (output, duration))
+    return path
+
+
+def refused(path: Path) -> list[Problem]:
+    with pytest.raises(InvalidSpec) as refusal:
+        load_spec(path)
+    assert all(problem.place is not None and problem.place.line == 4 for problem in refusal.value.problems)
+    return list(refusal.value.problems)
+
+
+def values(path: Path, times: np.ndarray, r: int = 0) -> np.ndarray:
+    reference = load_spec(path).reference
+    assert isinstance(reference, OutputReference)
+    signal, system = reference.signal(r), exosystem([reference.signal(r)])
+    found = np.array([signal(float(t)) for t in times])
+    np.testing.assert_allclose((system.states(times) @ system.Q.T)[:, 0], found, atol=1e-9 * np.abs(found).max())
+    return found
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.05}}", "trapezoid.hold: -0.05 is negative"),
+        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.3}}", "trapezoid.hold: -0.3 is negative"),
+        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, rest: -0.2}}", "trapezoid.rest: -0.2 is negative"),
+        (
+            "{trapezoid: {high: 1, rise: 1e-17, fall: 1, rest: 1}}",
+            "rise: 1e-17 s is too short beside 4 s: at least 4e-12",
+        ),
+        ("{trapezoid: {high: 1, rise: 1e-7, fall: 1e-7}}", "2e+07 trapezoids until t = 4 s"),
+        ("{polyline: {points: [[], [1, 2]]}}", "points[1]: a point is a pair [t, y]"),
+        ("{polyline: {points: [[1, 2, 3]]}}", "points[1]: a point is a pair [t, y]"),
+        ("{polyline: {points: [[1, 2], [1, 3]]}}", "points[2]: t = 1 s does not come after 1 s"),
+        ("{polyline: {points: [[0, 0], [1e-300, 1e60]]}}", "points 1 and 2, 1e-300 s apart, is too short beside 4 s"),
+        ("{step: {size: 1, at: 1, smooth: 1e-15}}", "smooth: 1e-15 s is too short beside 5 s"),
+        ("sin(1e300*t)", "'1e300*t' has a coefficient beyond 1e+60"),
+        ("exp(-1e308*t)", "'-1e308*t' has a coefficient beyond 1e+60"),
+        ("sin(1e30*t)", "a sine of 1e+30 rad/s is too fast for 4 s: 4e+30 radians or time constants, at most 1e+09"),
+        ("exp(-1e30*t)", "exp(-1e+30*t) is too fast for 4 s"),
+        ("{formula: exp(50*t), until: 4}", "exp(50*t) is beyond 1e60 before 4 s"),
+        ("{sine: {amplitude: 1, frequency: 1e40}}", "a sine of 1e+40 rad/s is too fast"),
+        ("((sin(t)+sin(1.1*t)+sin(1.3*t)+sin(1.7*t))**20)**20", "101 terms or more when multiplied out, at most 100"),
+        ("((((t+1)**20)**20)**20)**20*exp(-t)", "has t to a power of 40, at most 20 is read"),
+        ("t**11*t**11*exp(-t)", "has t to a power of 22, at most 20 is read"),
+        ("1e50*t*1e50*exp(-t)", "has a coefficient beyond 1e+60"),
+    ],
+)
+def test_a_course_beyond_its_limits_is_refused_at_its_line_with_the_limit(
+    tmp_path: Path, output: str, message: str
+) -> None:
+    begun = time.perf_counter()
+    assert message in refused(write(tmp_path, output))[0].message
+    assert time.perf_counter() - begun < 2
+
+
+def test_everything_wrong_with_a_signal_is_said_at_once(tmp_path: Path) -> None:
+    both = "{polyline: {points: [[1, 2], [0, 3]]}, table: {file: none.csv}, step: [{size: 1, at: 1, smooth: 1e-15}]}"
+    assert len(refused(write(tmp_path, both))) == 3
+
+
+@pytest.mark.parametrize(
+    ("output", "wanted"),
+    [
+        ("{trapezoid: {low: 2, high: 5, start: 1e9, rise: 1, fall: 1}}", lambda t: 2 + 0 * t),
+        ("{trapezoid: {high: 1, start: -1e3, rise: 1, fall: 1}}", lambda t: 1 - abs(t % 2 - 1)),
+        (
+            "{trapezoid: {high: 1, start: 1, rise: 1, hold: 1, fall: 1, rest: 9}}",
+            lambda t: np.interp(t, [1, 2, 3, 4], [0, 1, 1, 0]),
+        ),
+        ("{polyline: {points: [[1e60, 5]]}}", lambda t: 5 + 0 * t),
+        ("{polyline: {points: [[-1, -1], [9, 9]]}}", lambda t: t),
+        ("{step: {size: 3, at: 1e50}}", lambda t: 0 * t),
+        ("{step: {size: 3, at: -1e3}, constant: 1}", lambda t: 4 + 0 * t),
+        ("{step: {size: 3, at: 2}, formula: t, until: 5}", lambda t: t + 3 * (t >= 2)),
+        ("{formula: exp(30*t)*0 + exp(t/9), until: 4}", lambda t: np.exp(t / 9)),
+    ],
+)
+def test_courses_have_the_values_that_are_written(tmp_path: Path, output: str, wanted: object) -> None:
+    t = np.linspace(0, 3.99, 57)
+    np.testing.assert_allclose(values(write(tmp_path, output), t), wanted(t), atol=1e-9)  # type: ignore[operator]
+
+
+def table(folder: Path, content: bytes, name: str = "wanted.csv") -> Path:
+    (folder / "wanted.csv").write_bytes(content)
+    return write(folder, f"{{table: {{file: {name}}}}}")
+
+
+def rows(t: np.ndarray, y: np.ndarray, between: str = ",", point: str = ".") -> str:
+    lines = [between.join(repr(v).replace(".", point) for v in row) for row in zip(t.tolist(), y.tolist(), strict=True)]
+    return "\n".join([f"t{between}y", *lines])
+
+
+T = np.linspace(0, 4, 41)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("start", [0.0, -0.55, -3.0])
+def test_a_table_is_read_with_a_byte_order_mark_and_from_before_0(tmp_path: Path, encoding: str, start: float) -> None:
+    t = np.linspace(start, 4, 60)
+    path = table(tmp_path, rows(t, np.sin(t)).replace("\n", "\r\n").encode(encoding))
+    inner = np.linspace(0, 3.9, 40)
+    np.testing.assert_allclose(values(path, inner), np.sin(inner), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (rows(T, T, between=";"), "no column 't'; it has 't;y'; it is written with semicolons: write commas"),
+        (rows(T, T, between=";", point=","), "it is written with semicolons, and decimal commas: write commas"),
+        (rows(T, T, between="\t"), "it is written with tabs: write commas between columns"),
+        (rows(T, T, point=","), "row 2 has 4 entries, the header 2: decimal commas? write points in numbers"),
+        ('t,y\n"0,5",1\n', "row 2: '0,5', '1' are no two numbers: write points in numbers, not commas"),
+        ("t,y\n0,1_000\n", "row 2: '0', '1_000' are no two numbers"),
+        ("t,y\n0\n", "row 2: '0', '' are no two numbers"),
+        ("t,y,y\n0,1,2\n", "the header has two columns 'y'"),
+        ("", "the header has no column 't'; it has none"),
+        (
+            "root:x:0:0:root and more of that file, which is none of your business, a\n",
+            "it has 'root:x:0:0:root and ', ",
+        ),
+        ("t,y\n0,0\n1e-300,1\n2e-300,2\n3e-300,3\n", "reference.output ends at t = 3e-300 s"),
+        (
+            "t,y\n0,0\n1e-300,1\n1,2\n5,3\n",
+            "t does not increase enough: 1e-300 s, at least 5e-12 s are told apart at row 3",
+        ),
+        ("t,y\n0,0\n1,1\n1,2\n5,3\n", "t does not increase at row 4"),
+        ("t,y\n0,0\n1,1e99\n2,2\n5,3\n", "row 3 has a number beyond 1e+60"),
+        ("t,y\n0,0\n1,nan\n2,2\n5,3\n", "row 3 is not finite"),
+        ("t,y\n0," + "1" * 200_000, "field larger than field limit"),
+        ("t,y\n0,\xff", "not UTF-8 text: byte 0xff at position 7"),
+    ],
+)
+def test_a_table_that_cannot_be_read_says_why(tmp_path: Path, content: str, message: str) -> None:
+    (problem,) = refused(table(tmp_path, content.encode("latin-1")))
+    assert message in problem.message
+    assert len(problem.message) < 400
+
+
+def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    for name, message in {
+        "pipe.csv": "not a regular file",
+        "zero.csv": "not a regular file",
+        ".": "not a regular file",
+        "none.csv": "No such file",
+        '"a\\0b"': r"a\\x00b: embedded null",
+    }.items():
+        (problem,) = refused(table(tmp_path, b"", name))
+        assert message.replace("\\\\", "\\") in problem.message
+    monkeypatch.setattr("pwatrack.spec.table._LARGEST_FILE", 100)
+    (problem,) = refused(table(tmp_path, b"t,y\n" + b"0,0\n" * 50))
+    assert "more than 100 bytes, which is the most that is read" in problem.message
+    monkeypatch.undo()
+    monkeypatch.setattr("pwatrack.spec.table._MOST_ROWS", 40)
+    (problem,) = refused(table(tmp_path, rows(T, T).encode()))
+    assert "41 rows, at most 40 are read" in problem.message
+
+
+def test_a_long_table_and_many_trapezoids_are_built_in_seconds(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(20_001)
+    path = write(tmp_path, "{table: {file: wanted.csv}, sine: {amplitude: 0, frequency: 1}}", duration=200)
+    (tmp_path / "wanted.csv").write_text(rows(t, np.sin(t)))
+    shape = "{trapezoid: {high: 1, rise: 0.2, fall: 0.2, rest: 0.1, smooth: 0.05}}"
+    for spec in (path, None):
+        begun = time.perf_counter()
+        reference = load_spec(spec or write(tmp_path, shape, duration=2_000)).reference
+        assert isinstance(reference, OutputReference)
+        signal = reference.signal(2)
+        system = exosystem([signal])
+        assert signal.jump(1) is None
+        assert len(system.resets) > 19_000
+        assert time.perf_counter() - begun < 4
+
+
+def test_a_refusal_of_a_formula_that_grows_is_about_the_theory_and_no_warning(tmp_path: Path) -> None:
+    from pwatrack import design
+
+    with pytest.raises(PwatrackError, match="y_d is not bounded"):
+        design(load_spec(write(tmp_path, "exp(400*t) + sin(t)")))
