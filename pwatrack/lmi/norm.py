@@ -40,7 +40,7 @@ class Norm:
             True
         """
         column = rational([[Fraction(float(v))] for v in vector], (len(vector), 1))
-        return _root_above((column.transpose() * self.Q * column)[0, 0])
+        return root_above((column.transpose() * self.Q * column)[0, 0])
 
 
 def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
@@ -82,12 +82,12 @@ def _square(value: float) -> Any:
     return rational([[Fraction(value) ** 2]], (1, 1))[0, 0]
 
 
-def _root_above(value: Any) -> float:
+def root_above(value: Any) -> float:
     """Return a float just above the root of a rational number.
 
     Example: numbers whose squares are no floats.
 
-        >>> [_root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
+        >>> [root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
         [1e-300, 1.0, 1e+300]
     """
     exact = Fraction(int(value.p), int(value.q))
