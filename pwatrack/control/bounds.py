@@ -10,10 +10,10 @@ linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with 
 ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: C e, K (e + Δ) = u − u_ff, Δ.
 
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
-0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the latter alone.
+0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
 
-Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, with M = A_j +
-L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds.
+Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, with M =
+A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,6 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from pwatrack.arrays import Array, symmetric_part
-
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
 from pwatrack.lmi.exact import Proof, unpacked
@@ -40,7 +39,7 @@ _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "input"], int]
-Signal = tuple[Literal["output", "state", "input", "estimate"], int]
+Form = tuple[Literal["output", "state", "input", "estimate"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +58,10 @@ class Part:
 
     loop: Loop
     channel: Channel
-    signals: tuple[Signal, ...]
+    signals: tuple[Form, ...]
     ellipsoid: Ellipsoid
 
-    def size(self, signal: Signal) -> float:
+    def size(self, signal: Form) -> float:
         """Return the bound of one signal."""
         return self.ellipsoid.sizes[self.signals.index(signal)]
 
@@ -80,7 +79,7 @@ class Bounds:
     """
 
     channel: Channel
-    sizes: dict[Signal, float]
+    sizes: dict[Form, float]
     parts: tuple[Part, ...]
 
 
@@ -111,7 +110,7 @@ def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, 
     return tuple(loops.jointly(channel) if loops.few_pairs else loops.in_two_steps(channel) for channel in channels)
 
 
-Sized = tuple[dict[Signal, float], tuple["Part", ...]]  # of signals, and what proves it
+Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
 
 
 class _Loops:
@@ -137,11 +136,11 @@ class _Loops:
         }
         few = len(A) ** 2 * (2 * n) ** 4 <= _MOST_WORK
         self.few_pairs, self.few_cells = few, len(A) * n**4 <= _MOST_WORK
-        self.tracked: list[Signal] = [("output", k) for k in range(C.nrows())] if output else []
+        self.tracked: list[Form] = [("output", k) for k in range(C.nrows())] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
-        self.inputs: list[Signal] = [("input", k) for k in range(K.nrows())]
-        self.estimates: list[Signal] = [("estimate", k) for k in range(n)]
-        self.inners = {
+        self.inputs: list[Form] = [("input", k) for k in range(K.nrows())]
+        self.estimates: list[Form] = [("estimate", k) for k in range(n)]
+        self.inners: dict[Loop, list[Inner]] = {
             "controller": [_inner(proof, invert=False) for proof in proofs if proof.of == "controller"],
             "observer": [_inner(proof, invert=True) for proof in proofs if proof.of == "observer"],
         }
@@ -173,11 +172,12 @@ class _Loops:
         return _together(channel, [(sizes, tuple(parts)), self.sizes("observer", channel, self.estimates)])
 
     @cached_property
-    def driven(self) -> dict[Signal, Sized]:
+    def driven(self) -> dict[Form, Sized]:
         """What each input can do to e and K e."""
-        return {signal: self.sizes("controller", signal, self.tracked + self.inputs) for signal in self.inputs}
+        signals = self.tracked + self.inputs
+        return {("input", k): self.sizes("controller", ("input", k), signals) for _, k in self.inputs}
 
-    def sizes(self, loop: Loop, channel: Channel, signals: list[Signal]) -> Sized:
+    def sizes(self, loop: Loop, channel: Channel, signals: list[Form]) -> Sized:
         """Return the bounds of signals and the ellipsoid they are from; nothing where none could be proved."""
         g, rows = self.drive(loop, channel), [self.row(loop, signal) for signal in signals]
         if not signals or not any(g.entries()):
@@ -196,7 +196,7 @@ class _Loops:
         e, delta = {"disturbance": (column, -column), "noise": (nothing, -column), "input": (column, nothing)}[kind]
         return {"joint": stacked([e, delta]), "controller": e, "observer": delta}[loop]
 
-    def row(self, loop: Loop, signal: Signal) -> Rational:
+    def row(self, loop: Loop, signal: Form) -> Rational:
         """Return c, (1, N)."""
         kind, k = signal
         row = _column((self.C if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
@@ -223,12 +223,12 @@ def _blocks(M: Mapping[Loop, list[Rational]], inners: Mapping[Loop, list[Inner]]
         c, o = inners["controller"][place], inners["observer"][place]
         most = min(c.most, o.most)
         with suppress(np.linalg.LinAlgError):
-            roots = [np.linalg.cholesky(inner.Q) for inner in (c, o)]
-            slacks = []
-            for loop, root in zip(("controller", "observer"), roots, strict=True):
-                inside = np.array([np.linalg.solve(root, floats(X) @ root) for X in M[loop]])
-                slacks.append(-symmetric_part(inside) - most * np.eye(len(root)))
-            X = np.linalg.solve(roots[0], BK @ roots[1])
+            V, W = np.linalg.cholesky(c.Q), np.linalg.cholesky(o.Q)
+            slacks = [
+                [-symmetric_part(np.linalg.solve(root, floats(X) @ root)) - most * np.eye(len(root)) for X in matrices]
+                for matrices, root in ((M["controller"], V), (M["observer"], W))
+            ]
+            X = np.linalg.solve(V, BK @ W)
             least = max(
                 float(eigh(X @ np.linalg.solve(S_o, X.T), S_c, eigvals_only=True)[-1]) for S_c, S_o in product(*slacks)
             )
