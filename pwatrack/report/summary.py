@@ -202,7 +202,7 @@ def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
         on, unit = channel_text(spec, bounds.channel)
         sizes = [(signal, size) for signal, size in bounds.sizes.items() if signal[0] != "estimate"][:_SIGNALS]
         said = ", ".join(
-            f"|{name}| ≤ {_up(size)} {of}".rstrip()
+            f"|{name.replace('-', '−')}| ≤ {_up(size)} {of}".rstrip()
             for (name, of), size in ((signal_text(spec, signal), size) for signal, size in sizes)
         )
         table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound: too many cells for this proof'}")
