@@ -19,7 +19,7 @@ A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, whi
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from typing import Literal
 
@@ -27,11 +27,12 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
 from pwatrack.lmi.exact import Proof, unpacked
-from pwatrack.model.pwa import PWASystem
-from pwatrack.rational import Rational, decimals, floats, identity, stacked
+from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.rational import floats, identity
 
 _MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
 _KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
@@ -102,9 +103,8 @@ def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, 
         >>> push.channel, 5.9 < push.sizes["output", 0] < 6.6
         (('disturbance', 1), True)
     """
-    B, C, K, L = (decimals(X) for X in (plant.B, plant.C, design.K, design.L))
-    cells = {tuple(A_i.entries()): A_i for A_i in map(decimals, plant.A)}.values()  # equal ones say the same
-    loops = _Loops(A=list(cells), B=B, C=C, K=K, L=L, proofs=proofs, output=output)
+    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    loops = _Loops(plant.exact, K, L, proofs, output=output)
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
     return tuple(loops.jointly(channel) if loops.few_pairs else loops.in_two_steps(channel) for channel in channels)
@@ -116,39 +116,29 @@ Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what pro
 class _Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals."""
 
-    def __init__(
-        self,
-        *,
-        A: list[Rational],
-        B: Rational,
-        C: Rational,
-        K: Rational,
-        L: Rational,
-        proofs: Sequence[Proof],
-        output: bool,
-    ) -> None:
-        n = B.nrows()
-        self.B, self.C, self.K, self.L = B, C, K, L
-        self.unit, self.nothing = identity(n), 0 * identity(n)
-        self.M: dict[Loop, list[Rational]] = {
-            "controller": [A_i + B * K for A_i in A],
-            "observer": [A_i + L * C for A_i in A],
+    def __init__(self, exact: Matrices, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], *, output: bool) -> None:
+        A, B, C, n = different(exact.A), exact.B, exact.C, exact.B.shape[0]
+        self.B, self.C, self.K, self.L, self.unit = B, C, K, L, BallMatrix(identity(n))
+        self.M: dict[Loop, list[BallMatrix]] = {
+            "controller": [A_i + B @ K for A_i in A],
+            "observer": [A_i + L @ C for A_i in A],
         }
         few = len(A) ** 2 * (2 * n) ** 4 <= _MOST_WORK
         self.few_pairs, self.few_cells = few, len(A) * n**4 <= _MOST_WORK
-        self.tracked: list[Form] = [("output", k) for k in range(C.nrows())] if output else []
+        self.tracked: list[Form] = [("output", k) for k in range(C.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
-        self.inputs: list[Form] = [("input", k) for k in range(K.nrows())]
+        self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
         self.estimates: list[Form] = [("estimate", k) for k in range(n)]
         self.inners: dict[Loop, list[Inner]] = {
             "controller": [_inner(proof, invert=False) for proof in proofs if proof.of == "controller"],
             "observer": [_inner(proof, invert=True) for proof in proofs if proof.of == "observer"],
         }
         if few:
+            nothing = BallMatrix(0 * identity(n))
             self.M["joint"] = [
-                _square(X, B * K, self.nothing, Y) for X in self.M["controller"] for Y in self.M["observer"]
+                above(beside(X, B @ K), beside(nothing, Y)) for X in self.M["controller"] for Y in self.M["observer"]
             ]
-            self.inners["joint"] = _blocks(self.M, self.inners, floats(B * K))
+            self.inners["joint"] = _blocks(self.M, self.inners, (B @ K).floats)
 
     def jointly(self, channel: Channel) -> Bounds:
         """Bound e and u by the joint loop, Δ by the observer's own."""
@@ -179,30 +169,35 @@ class _Loops:
 
     def sizes(self, loop: Loop, channel: Channel, signals: list[Form]) -> Sized:
         """Return the bounds of signals and the ellipsoid they are from; nothing where none could be proved."""
-        g, rows = self.drive(loop, channel), [self.row(loop, signal) for signal in signals]
-        if not signals or not any(g.entries()):
+        g = self.drive(loop, channel)
+        if not signals or (g.radius is None and not any(g.centre.entries())):
             return dict.fromkeys(signals, 0.0), ()
-        found = ellipsoid(self.M[loop], g, stacked(rows), self.inners[loop])
+        rows = reduce(above, (self.row(loop, signal) for signal in signals))
+        found = ellipsoid(self.M[loop], g, rows, self.inners[loop])
         if found is None:
             return {}, ()
         part = Part(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)
         return dict(zip(signals, found.sizes, strict=True)), (part,)
 
-    def drive(self, loop: Loop, channel: Channel) -> Rational:
+    def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
         """Return g, (N, 1)."""
         kind, k = channel
         column = _column(self.unit if kind == "disturbance" else self.L if kind == "noise" else self.B, k)
-        nothing = 0 * column
-        e, delta = {"disturbance": (column, -column), "noise": (nothing, -column), "input": (column, nothing)}[kind]
-        return {"joint": stacked([e, delta]), "controller": e, "observer": delta}[loop]
+        nothing = BallMatrix(0 * column.centre)
+        e, delta = {
+            "disturbance": (column, nothing - column),
+            "noise": (nothing, nothing - column),
+            "input": (column, nothing),
+        }[kind]
+        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
 
-    def row(self, loop: Loop, signal: Form) -> Rational:
+    def row(self, loop: Loop, signal: Form) -> BallMatrix:
         """Return c, (1, N)."""
         kind, k = signal
         row = _column((self.C if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
-        nothing = 0 * row
+        nothing = BallMatrix(0 * row.centre)
         e, delta = {"input": (row, row), "estimate": (nothing, row)}.get(kind, (row, nothing))
-        return {"joint": stacked([e, delta]), "controller": e, "observer": delta}[loop].transpose()
+        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
 
 
 def _together(channel: Channel, found: Sequence[Sized]) -> Bounds:
@@ -216,7 +211,7 @@ def _inner(proof: Proof, *, invert: bool) -> Inner:
     return Inner(Q=floats(P.inv() if invert else P), most=2 * _KEPT * proof.rate)
 
 
-def _blocks(M: Mapping[Loop, list[Rational]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:
+def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:
     """Return [κ Q_c, 0; 0, Q_o] for the first proofs and the last ones; by the Schur complement κ is large enough."""
     found = []
     for place in (0, -1):
@@ -225,7 +220,7 @@ def _blocks(M: Mapping[Loop, list[Rational]], inners: Mapping[Loop, list[Inner]]
         with suppress(np.linalg.LinAlgError):
             V, W = np.linalg.cholesky(c.Q), np.linalg.cholesky(o.Q)
             slacks = [
-                [-symmetric_part(np.linalg.solve(root, floats(X) @ root)) - most * np.eye(len(root)) for X in matrices]
+                [-symmetric_part(np.linalg.solve(root, X.floats @ root)) - most * np.eye(len(root)) for X in matrices]
                 for matrices, root in ((M["controller"], V), (M["observer"], W))
             ]
             X = np.linalg.solve(V, BK @ W)
@@ -236,12 +231,6 @@ def _blocks(M: Mapping[Loop, list[Rational]], inners: Mapping[Loop, list[Inner]]
     return found
 
 
-def _square(a: Rational, b: Rational, c: Rational, d: Rational) -> Rational:
-    """Return [a, b; c, d]."""
-    left, right = stacked([a, c]), stacked([b, d])
-    return stacked([left.transpose(), right.transpose()]).transpose()
-
-
-def _column(X: Rational, k: int) -> Rational:
+def _column(X: BallMatrix, k: int) -> BallMatrix:
     """Return column k, (n, 1)."""
-    return X * decimals(np.eye(X.ncols())[:, [k]])
+    return X.part(range(X.shape[0]), [k])

@@ -1,14 +1,17 @@
 """A proved bound of the quadratic cost of a gain, or of what white noise does to the observer, for any switching."""
 
 import warnings
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.synthesis import Task
 from pwatrack.errors import Problem, Undecided
+from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import centre, distinct
 from pwatrack.lmi.program import least_trace
@@ -18,7 +21,7 @@ from pwatrack.rational import decimals, is_positive_definite, scalar
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 
 
-def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
+def cost_bound(task: Task, K: Array, Q: Array, R: Array, *, exact: Sequence[BallMatrix] | None = None) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
     **The controller.** With x̂(0) = x(0) the observer is right at all times, and e' = M̂ e, v = K e for e = x − x_d and
@@ -43,6 +46,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         task: A (l, n, n) and B (n, m).
         K: (m, n), as printed.
         Q, R: (n, n) and (m, m).
+        exact: The M_i in the numbers of the plant; by default those of the decimals that A, B and K print as.
 
     Raises:
         Undecided: If no X could be proved.
@@ -53,6 +57,9 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         [[1.0]]
     """
     closed, weight = task.A + task.B @ K, Q + K.T @ R @ K
+    if exact is None:
+        gain = BallMatrix.of(task.B) @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
+        exact = [BallMatrix.of(A_i) + gain for A_i in task.A]
     matrices, _ = distinct(closed)
     n, speed = len(Q), float(np.linalg.norm(closed, 2, axis=(1, 2)).max())
     slack = 1e-9 * float(np.trace(weight)) / n * np.eye(n)
@@ -72,7 +79,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         X = inverse.T @ candidate.P @ inverse * size / speed
         for room in _ROOM:
             trial = (X + X.T) / 2 * (1 + room)
-            if np.isfinite(trial).all() and _proved(task, K, Q, R, trial):
+            if np.isfinite(trial).all() and _proved(exact, K, Q, R, trial):
                 return readonly(trial)
     raise Undecided(
         Problem(
@@ -105,10 +112,18 @@ def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
     return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
 
 
-def _proved(task: Task, K: Array, Q: Array, R: Array, X: Array) -> bool:
-    exact, exact_K, exact_B = decimals(X), decimals(K), decimals(task.B)
-    weight = decimals(Q) + exact_K.transpose() * decimals(R) * exact_K
-    half = [exact * (decimals(A_i) + exact_B * exact_K) for A_i in task.A]
-    return is_positive_definite(exact) and all(
-        is_positive_definite(scalar(-1.0) * (XM + XM.transpose()) - weight) for XM in half
+def _proved(M: Sequence[BallMatrix], K: Array, Q: Array, R: Array, X: Array) -> bool:
+    exact, gain, unit = (
+        decimals(X),
+        decimals(K),
+        [Fraction(v) for v in np.sqrt(np.maximum(np.diag(X), 1e-300)).tolist()],
     )
+    weight = decimals(Q) + gain.transpose() * decimals(R) * gain
+    if not is_positive_definite(exact):
+        return False
+    for M_i in different(M):
+        XM = exact * M_i.centre
+        radius = None if M_i.radius is None else M_i.radius.transpose()
+        if not is_positive_definite(-(XM + XM.transpose()) - unsure(radius, exact, unit) - weight):
+            return False
+    return True

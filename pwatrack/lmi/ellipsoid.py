@@ -15,17 +15,19 @@ Matrix Inequalities in System and Control Theory, 1994, section 6.1.3).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi import structured
-from pwatrack.lmi.exact import unpacked
+from pwatrack.lmi.exact import unpacked, unsure
 from pwatrack.lmi.inequality import weighted
-from pwatrack.lmi.norm import root_above
+from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
-from pwatrack.rational import Rational, floats, is_positive_definite, scalar
+from pwatrack.rational import Rational, is_positive_definite, scalar
 
 _BITS = 40  # of the entries of Q, once its diagonal is about 1
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
@@ -38,6 +40,8 @@ _SHARES = (0.0, 1e-6, 1e-3, 0.1)  # of a Q far inside that is mixed in, until th
 @dataclass(frozen=True, kw_only=True)
 class Ellipsoid:
     """Q ≻ 0 and −(M_p Q + Q M_pᵀ) − a Q − g gᵀ / a ≻ 0 for every p, proved exactly; and c Q cᵀ ≤ size² for rows c.
+
+    Where M_p, g or c have irrational entries, for everything in their balls.
 
     Attributes:
         integers, exponents: Q_jk = integers_jk · 2^(exponents_j + exponents_k).
@@ -59,12 +63,12 @@ class Inner:
     most: float
 
 
-def ellipsoid(M: Sequence[Rational], g: Rational, forms: Rational, inners: Sequence[Inner]) -> Ellipsoid | None:
+def ellipsoid(M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]) -> Ellipsoid | None:
     """Return an ellipsoid in which all of c z are small at once: the sum of c Q cᵀ, each over its usual size.
 
     Args:
         M: The matrices M_p (N, N).
-        g: (N, 1).
+        g: (N, 1), not 0.
         forms: The rows c, (s, N).
         inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
 
@@ -73,15 +77,14 @@ def ellipsoid(M: Sequence[Rational], g: Rational, forms: Rational, inners: Seque
 
     Example: |z| ≤ |g| / λ · sup |d| for z' = −λ z + g d.
 
-        >>> from pwatrack.rational import decimals
-        >>> M, g, c = (decimals(np.array([[v]])) for v in (-2.0, 3.0, 1.0))
+        >>> M, g, c = (BallMatrix.of([[v]]) for v in (-2, 3, 1))
         >>> found = ellipsoid([M], g, c, [Inner(Q=np.eye(1), most=3.9)])
         >>> 1.5 < found.sizes[0] < 1.53
         True
     """
-    if not inners or not any(g.entries()):
+    matrices, column, rows = np.array([M_p.floats for M_p in M]), g.floats[:, 0], forms.floats
+    if not inners or not column.any():
         return None
-    matrices, column, rows = np.array([floats(M_p) for M_p in M]), floats(g)[:, 0], floats(forms)
     most = max(inner.most for inner in inners)
     weights, best, least = None, None, np.inf
     where, steps = _FIRST, list[tuple[float, float]]()
@@ -147,24 +150,35 @@ def _smallest(
     return size * V @ found.P @ V.T, far, slope / float((W * found.P).sum()) / speed
 
 
-def _proved(M: Sequence[Rational], g: Rational, forms: Rational, Q: Array, far: Array, a: float) -> Ellipsoid | None:
+def _proved(
+    M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, Q: Array, far: Array, a: float
+) -> Ellipsoid | None:
     """Round Q to short numbers and prove the inequality, or return None."""
-    exact_a = scalar(a)
-    drive = g * g.transpose() * (1 / exact_a)
     for share in _SHARES:
         mixed = (1 - share) * Q + share * far
         if not np.isfinite(mixed).all():
             continue
         integers, exponents = _rounded(mixed)
-        exact = unpacked(integers, exponents)
-        halves = (M_p * exact for M_p in M)
-        if is_positive_definite(exact) and all(
-            is_positive_definite(-(MQ + MQ.transpose()) - exact_a * exact - drive) for MQ in halves
-        ):
-            squares = forms * exact * forms.transpose()
-            sizes = tuple(root_above(squares[s, s]) for s in range(forms.nrows()))
+        exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
+        rest = scalar(a) * exact + square_above(g, [1 / Fraction(repr(a))], unit)
+        if is_positive_definite(exact) and all(is_positive_definite(-_change(X, exact, unit) - rest) for X in M):
+            sizes = tuple(root_above(square) for square in _squares(forms, exact))
             return Ellipsoid(integers=integers, exponents=exponents, a=a, sizes=sizes)
     return None
+
+
+def _change(M: BallMatrix, Q: Rational, unit: Sequence[Fraction]) -> Rational:
+    """Return M Q + Q Mᵀ, or what is above it for every M in the ball."""
+    MQ = M.centre * Q
+    return MQ + MQ.transpose() + unsure(M.radius, Q, unit)
+
+
+def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
+    """Return c Q cᵀ for each row c, or the most that it is in the ball."""
+    squares = forms @ BallMatrix(Q) @ forms.transpose()
+    return [
+        squares.centre[k, k] + (0 if squares.radius is None else squares.radius[k, k]) for k in range(forms.shape[0])
+    ]
 
 
 def _rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:

@@ -1,5 +1,6 @@
 """The norm that a proof speaks of, and how large a matrix is from one such norm to another, proved exactly."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -8,7 +9,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.exact import Proof, unpacked
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.exact import Proof, unpacked, unsure
 from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational
 
 
@@ -63,6 +65,20 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     while not is_positive_definite(_square(c * (1 + grow)) * of.Q - size):
         grow *= 10  # the estimate was off by its rounding
     return c * (1 + grow)
+
+
+def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
+    """Return U diag(weights) Uᵀ, or an exact matrix above it for every U in the ball.
+
+    Args:
+        U: (n, k).
+        weights: k numbers, none negative.
+        unit: n sizes, for the diagonal that is added; see `unsure`.
+    """
+    k = len(weights)
+    diagonal = rational([[w if j == i else Fraction(0) for i in range(k)] for j, w in enumerate(weights)], (k, k))
+    square = U @ BallMatrix(diagonal) @ U.transpose()
+    return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
 
 
 def _estimate(size: Rational, Q: Rational) -> float:
