@@ -14,10 +14,14 @@ from rich.console import Console
 
 from pwatrack import Partition, PWASystem, Result, design, load_spec, simulate
 from pwatrack.arrays import Array, IntArray, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Form
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible
 from pwatrack.lmi.audit import added, definite, product, transposed
+from pwatrack.lmi.changes import largest_share
+from pwatrack.lmi.ellipsoid import Inner, ellipsoid
+from pwatrack.real import Real
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.propagate import simulate_flow
@@ -154,6 +158,20 @@ def test_every_bound_is_proved_again_in_fractions(specs: Path, path: str) -> Non
                 assert bounds.sizes[signal] == size
 
 
+def test_what_is_irrational_is_bounded_for_all_of_its_ball() -> None:
+    """|z| ≤ |c| |g| / λ in one dimension: the bound covers the worst of all balls, and the share of a gain its own."""
+
+    def ball(centre: str, radius: str) -> BallMatrix:
+        return BallMatrix.of([[Real(Fraction(centre), Fraction(radius))]])
+
+    found = ellipsoid([ball("-2", "1/10")], ball("3", "1/10"), ball("1", "1/100"), [Inner(Q=np.eye(1), most=3.6)])
+    assert found is not None
+    assert 1.01 * 3.1 / 1.9 <= found.sizes[0] < 1.2 * 1.01 * 3.1 / 1.9
+    shares = [largest_share([BallMatrix.of([[4]]).centre], ball("1", r), ball("1", "0"), np.ones((1, 1))) for r in "01"]
+    assert 0.9 < shares[0] <= 1
+    assert shares[1] <= 4 / (2 * 2)
+
+
 def test_where_there_are_too_many_cells_nothing_is_claimed(
     paper_spec: Spec, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,7 +185,7 @@ def test_where_there_are_too_many_cells_nothing_is_claimed(
 def test_a_gain_of_zero_lets_no_noise_through() -> None:
     """A stable plant that needs neither gain: what a sensor says does not matter, a disturbance does."""
     plant = random_plant(3, n=2, k=1, r=1, strength=0.0)
-    calm = replace(plant, A=readonly(plant.A - 10 * np.eye(2)))
+    calm = PWASystem.create(partition=plant.partition, A=plant.A - 10 * np.eye(2), b=0 * plant.b, B=plant.B, C=plant.C)
     controller = track(calm, "sin(2*t)", K=np.zeros((1, 2)), L=np.zeros((2, 1))).controller
     assert set(controller.bounds[-1].sizes.values()) == {0.0}
     push = controller.bounds[0]
