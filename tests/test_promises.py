@@ -164,9 +164,9 @@ def test_what_is_irrational_is_bounded_for_all_of_its_ball() -> None:
     def ball(centre: str, radius: str) -> BallMatrix:
         return BallMatrix.of([[Real(Fraction(centre), Fraction(radius))]])
 
-    found = ellipsoid([ball("-2", "1/10")], ball("3", "1/10"), ball("1", "1/100"), [Inner(Q=np.eye(1), most=3.6)])
+    found = ellipsoid([ball("-2", "0.01")], ball("3", "0.01"), ball("1", "0.01"), [Inner(Q=np.eye(1), most=3.6)])
     assert found is not None
-    assert 1.01 * 3.1 / 1.9 <= found.sizes[0] < 1.2 * 1.01 * 3.1 / 1.9
+    assert 1.01 * 3.01 / 1.99 <= found.sizes[0] < 1.2 * 1.01 * 3.01 / 1.99
     shares = [largest_share([BallMatrix.of([[4]]).centre], ball("1", r), ball("1", "0"), np.ones((1, 1))) for r in "01"]
     assert 0.9 < shares[0] <= 1
     assert shares[1] <= 4 / (2 * 2)

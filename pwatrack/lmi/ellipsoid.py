@@ -34,7 +34,7 @@ _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it sta
 _TRIES = 3  # of a
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
-_SHARES = (0.0, 1e-6, 1e-3, 0.1)  # of a Q far inside that is mixed in, until the inequality is proved
+_SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 
 
 @dataclass(frozen=True, kw_only=True)
