@@ -107,7 +107,7 @@ def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, 
     loops = _Loops(plant.exact, K, L, proofs, output=output)
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
-    return tuple(loops.jointly(channel) if loops.few_pairs else loops.in_two_steps(channel) for channel in channels)
+    return tuple(loops.bounds(channel) for channel in channels)
 
 
 Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
@@ -140,17 +140,20 @@ class _Loops:
             ]
             self.inners["joint"] = _blocks(self.M, self.inners, (B @ K).floats)
 
-    def jointly(self, channel: Channel) -> Bounds:
-        """Bound e and u by the joint loop, Δ by the observer's own."""
-        return _together(
-            channel,
-            [self.sizes("joint", channel, self.tracked + self.inputs), self.sizes("observer", channel, self.estimates)],
-        )
-
-    def in_two_steps(self, channel: Channel) -> Bounds:
-        """Bound Δ, then e driven by d and by K Δ: K (e + Δ) is at most K e and K Δ together."""
+    def bounds(self, channel: Channel) -> Bounds:
+        """Bound e and u by the joint loop, or in two steps; Δ by the observer's own loop."""
         if not self.few_cells:
             return Bounds(channel=channel, sizes={}, parts=())
+        found: Sized = {}, ()
+        if self.few_pairs:
+            found = self.sizes("joint", channel, self.tracked + self.inputs)
+        if not found[0]:
+            found = self.in_two_steps(channel)
+        estimates = self.sizes("observer", channel, self.estimates)
+        return Bounds(channel=channel, sizes=found[0] | estimates[0], parts=found[1] + estimates[1])
+
+    def in_two_steps(self, channel: Channel) -> Sized:
+        """Bound K Δ, then e driven by d and by K Δ: K (e + Δ) is at most K e and K Δ together."""
         seen, feedback = self.tracked + self.inputs, self.sizes("observer", channel, self.inputs)
         steps = [(1.0, self.sizes("controller", channel, seen))]
         steps += [(feedback[0].get(signal, np.inf), self.driven[signal]) for signal in self.inputs]
@@ -158,8 +161,8 @@ class _Loops:
         for signal in seen:
             total[signal] += sum(drive * sizes.get(signal, np.inf) for drive, (sizes, _) in steps if drive)
         sizes = {signal: size * _ABOVE for signal, size in total.items() if np.isfinite(size)}
-        parts = [*feedback[1], *(part for drive, (_, proof) in steps if drive for part in proof)]
-        return _together(channel, [(sizes, tuple(parts)), self.sizes("observer", channel, self.estimates)])
+        proofs = (part for drive, (_, parts) in steps if drive for part in parts)
+        return sizes, (*feedback[1], *proofs) if sizes else ()
 
     @cached_property
     def driven(self) -> dict[Form, Sized]:
@@ -198,11 +201,6 @@ class _Loops:
         nothing = BallMatrix(0 * row.centre)
         e, delta = {"input": (row, row), "estimate": (nothing, row)}.get(kind, (row, nothing))
         return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
-
-
-def _together(channel: Channel, found: Sequence[Sized]) -> Bounds:
-    sizes = {signal: size for one, _ in found for signal, size in one.items()}
-    return Bounds(channel=channel, sizes=sizes, parts=tuple(part for _, parts in found for part in parts))
 
 
 def _inner(proof: Proof, *, invert: bool) -> Inner:

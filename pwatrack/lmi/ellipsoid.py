@@ -110,6 +110,8 @@ def _next(steps: Sequence[tuple[float, float]]) -> float:
     For one real eigenvalue cost · a · (most − a) is constant, and the curvature 1/2 at its least.
     """
     (x, slope), before = steps[-1], steps[:-1]
+    if not np.isfinite(slope):
+        return x
     curvature = 0.5
     if before and (slope - before[-1][1]) * (x - before[-1][0]) > 0:
         curvature = (slope - before[-1][1]) / (x - before[-1][0])
@@ -124,7 +126,10 @@ def _smallest(
     In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1.
     """
     N, speed = len(g), inner.most / 2
-    V = np.linalg.cholesky(inner.Q)
+    try:
+        V = np.linalg.cholesky(inner.Q)
+    except np.linalg.LinAlgError:
+        return np.full_like(inner.Q, np.inf), inner.Q, 1 / a
     inside = solve_triangular(V, np.swapaxes(M @ V, 0, 1).reshape(N, -1), lower=True).reshape(N, -1, N)
     scaled, column = np.swapaxes(inside, 0, 1) / speed, solve_triangular(V, g, lower=True) / speed
     short = a / speed

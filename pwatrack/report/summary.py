@@ -205,7 +205,7 @@ def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
             f"|{name.replace('-', '−')}| ≤ {_up(size)} {of}".rstrip()
             for (name, of), size in ((signal_text(spec, signal), size) for signal, size in sizes)
         )
-        table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound: too many cells for this proof'}")
+        table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound proved'}")
     if len(found) > _CHANNELS:
         table.add_row("", f"{len(found) - _CHANNELS} more in run.json")
 
