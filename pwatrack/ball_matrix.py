@@ -121,6 +121,18 @@ def above(one: BallMatrix, other: BallMatrix) -> BallMatrix:
     return BallMatrix(stacked([one.centre, other.centre]), None if both is None else stacked(both))
 
 
+def beside(one: BallMatrix, other: BallMatrix) -> BallMatrix:
+    """Return one matrix beside another."""
+    return above(one.transpose(), other.transpose()).transpose()
+
+
+def different(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
+    """Return the matrices without repetitions: equal cells say the same."""
+    return list(
+        {(*X.centre.entries(), *(() if X.radius is None else X.radius.entries())): X for X in matrices}.values()
+    )
+
+
 def stack(matrices: Sequence[BallMatrix]) -> Array:
     """Return the doubles nearest to some matrices of one shape, (l, j, k)."""
     return readonly([matrix.floats for matrix in matrices])

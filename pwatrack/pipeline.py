@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
@@ -316,13 +317,19 @@ def _check_timing(
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
     """Return the proved bounds of the costs that were asked for."""
+    exact, K, L = spec.plant.exact, *(BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (gains.K, gains.L))
     parts = (
-        (spec.controller, controller_task(spec.plant, spec.solver), gains.K),
-        (spec.observer, observer_task(spec.plant, spec.solver), gains.L.T),
+        (spec.controller, controller_task(spec.plant, spec.solver), gains.K, [A + exact.B @ K for A in exact.A]),
+        (
+            spec.observer,
+            observer_task(spec.plant, spec.solver),
+            gains.L.T,
+            [(A + L @ exact.C).transpose() for A in exact.A],
+        ),
     )
     return {
-        task.of: cost_bound(task, K, goal.Q, goal.R)
-        for goal, task, K in parts
+        task.of: cost_bound(task, gain, goal.Q, goal.R, exact=closed)
+        for goal, task, gain, closed in parts
         if goal.Q is not None and goal.R is not None
     }
 

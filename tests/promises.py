@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import sqrtm
+from scipy.linalg import expm, sqrtm
 
 from pwatrack import Controller, PWASystem
 from pwatrack.arrays import Array
+from pwatrack.control.bounds import Bounds, Form
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import Goal
 from pwatrack.control.proof import prove_design
@@ -71,28 +72,6 @@ class Bound:
         driven = np.exp(-slow * t) * -np.expm1(-gap * t) / gap
         result: Array = self.output * (np.exp(-self.rates[0] * t) * self.e0 + self.kappa * driven * self.e_hat0)
         return result
-
-
-def gains_again(loop: ClosedLoop) -> list[float]:
-    """The four input-to-state gains in the order of `Gains`: d‖·‖/dt ≤ −α ‖·‖ + ‖input‖ is at rest at ‖input‖ / α."""
-    plant, design = loop.controller.plant, loop.controller.design
-
-    def size(X: Array) -> float:
-        return float(np.linalg.norm(X, 2))
-
-    found = []
-    for o in proofs_of(loop, "observer"):
-        R = root_of_norm(o)
-        rest = [size(R) / o.rate, size(R @ design.L) / o.rate]
-        for c in proofs_of(loop, "controller"):
-            R_c = root_of_norm(c)
-            kappa, back = (
-                size(R_c @ plant.B @ design.K @ np.linalg.inv(R)),
-                size(np.asarray(np.linalg.inv(R_c), dtype=float)),
-            )
-            tracking = [back * (kappa * rest[0] + size(R_c)) / c.rate, back * kappa * rest[1] / c.rate]
-            found.append([size(np.asarray(np.linalg.inv(R), dtype=float)) * r for r in rest] + tracking)
-    return [float(v) for v in np.min(found, axis=0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +146,71 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
     )
 
 
-def disturbed(loop: ClosedLoop, w_size: float, v_size: float, duration: float, step: float) -> tuple[Array, Array]:
-    """Return |x̂ − x| and |x − x_d| from error 0 under the w and v that raise the observer error fastest.
+def joint_system(controller: Controller, bounds: Bounds) -> tuple[Array, Array, dict[Form, Array]]:
+    """M_ij of (e, Δ) for all pairs of cells, g of a channel, and the row of each signal that is bounded."""
+    plant, K, L = controller.plant, controller.design.K, controller.design.L
+    n = len(plant.B)
+    M = np.array(
+        [
+            np.block([[A_i + plant.B @ K, plant.B @ K], [np.zeros((n, n)), A_j + L @ plant.C]])
+            for A_i in plant.A
+            for A_j in plant.A
+        ]
+    )
+    kind, k = bounds.channel
+    eye, nothing = np.eye(n), np.zeros(n)
+    g = np.concatenate([eye[k], -eye[k]] if kind == "disturbance" else [nothing, -L[:, k]])
+    halves = {"output": (plant.C, 0 * plant.C), "state": (eye, 0 * eye), "input": (K, K), "estimate": (0 * eye, eye)}
+    return M, g, {signal: np.concatenate([X[signal[1]] for X in halves[signal[0]]]) for signal in bounds.sizes}
+
+
+def worst(M: Array, g: Array, c: Array, *, duration: float, steps: int = 300, rounds: int = 8) -> float:
+    """The largest |c z| at the end that is found for z' = M_p(t) z + g d from z = 0, |d| ≤ 1: a lower bound of all.
+
+    By sweeps as in Pontryagin's principle: with p' = −Mᵀ p from p = c at the end, d = sign pᵀg, and in each step
+    the M_p for which pᵀz is largest after it. Both are constant in each step, so the result is exact up to rounding.
+    """
+    h, N, distinct = duration / steps, len(g), np.unique(M, axis=0)
+    flow = expm(
+        h
+        * np.concatenate(
+            [
+                np.concatenate([distinct, np.tile(g[:, None], (len(distinct), 1, 1))], axis=2),
+                np.zeros((len(distinct), 1, N + 1)),
+            ],
+            axis=1,
+        )
+    )
+    E, push = flow[:, :N, :N], flow[:, :N, N]
+
+    def costate(cells: Array) -> tuple[Array, float]:
+        p = np.empty((steps + 1, N))
+        p[-1] = c
+        for k in range(steps - 1, -1, -1):
+            p[k] = E[cells[k]].T @ p[k + 1]
+        return p, float(np.abs((p[1:] * push[cells]).sum(axis=1)).sum())
+
+    best = 0.0
+    for first in range(len(distinct)):
+        cells = np.full(steps, first)
+        p, value = costate(cells)
+        for _ in range(rounds):
+            d = np.sign((p[1:] * push[cells]).sum(axis=1))
+            z, following = np.zeros(N), cells.copy()
+            for k in range(steps):
+                after = E @ z + push * d[k]
+                following[k] = np.argmax(after @ p[k + 1])
+                z = after[following[k]]
+            next_p, next_value = costate(following)
+            if next_value <= value * (1 + 1e-3):
+                break
+            cells, p, value = following, next_p, next_value
+        best = max(best, value)
+    return best
+
+
+def disturbed(loop: ClosedLoop, bounds: Bounds, duration: float, step: float) -> dict[Form, float]:
+    """The largest size of each signal from error 0 under a d that pushes the observer error outwards, |d| ≤ 1.
 
     (1), (18), (19) are integrated by the classical Runge-Kutta method on x and x̂; x_d and u_ff are those of the loop.
     """
@@ -179,6 +221,11 @@ def disturbed(loop: ClosedLoop, w_size: float, v_size: float, duration: float, s
     assert len(cell) == 1 << len(weights)
     root = root_of_norm(proofs_of(loop, "observer")[-1])
     Q = root.T @ root
+    kind, j = bounds.channel
+    _, _, rows = joint_system(loop.controller, bounds)
+    w = np.eye(n)[j] if kind == "disturbance" else np.zeros(n)
+    v = np.eye(len(plant.C))[j] if kind == "noise" else np.zeros(len(plant.C))
+    out = -w - design.L @ v
 
     def field(x: Array) -> Array:
         i = cell[tuple(plant.partition.H @ x + plant.partition.h > 0)]
@@ -188,24 +235,20 @@ def disturbed(loop: ClosedLoop, w_size: float, v_size: float, duration: float, s
     desired = run(loop, np.zeros(n), duration, step / 2)
     x_d, u_ff = desired.x_d, desired.u_ff
     z = np.concatenate([x_d[0], x_d[0]])
-    observer, tracking = [], []
+    largest = dict.fromkeys(rows, 0.0)
     for k in range((len(x_d) - 1) // 2):
-        x, x_hat = z[:n], z[n:]
-        pull = Q @ (x_hat - x) if k else np.ones(n)
-        w = -w_size * pull / max(float(np.linalg.norm(pull)), 1e-300)
-        at_y = design.L.T @ pull
-        v = -v_size * at_y / max(float(np.linalg.norm(at_y)), 1e-300)
+        d = 1.0 if float((z[n:] - z[:n]) @ Q @ out) >= 0 else -1.0
 
-        def rate(z: Array, m: int, w: Array = w, v: Array = v) -> Array:
+        def rate(z: Array, m: int, d: float = d) -> Array:
             x, x_hat = z[:n], z[n:]
             Bu = plant.B @ (design.K @ (x_hat - x_d[m]) + u_ff[m])
-            correction = design.L @ (plant.C @ x_hat - (plant.C @ x + v))
-            return np.concatenate([field(x) + Bu + w, field(x_hat) + Bu + correction])
+            correction = design.L @ (plant.C @ x_hat - (plant.C @ x + d * v))
+            return np.concatenate([field(x) + Bu + d * w, field(x_hat) + Bu + correction])
 
         k1 = rate(z, 2 * k)
         k2 = rate(z + step / 2 * k1, 2 * k + 1)
         k3 = rate(z + step / 2 * k2, 2 * k + 1)
         z = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + step * k3, 2 * k + 2))
-        observer.append(float(np.linalg.norm(z[n:] - z[:n])))
-        tracking.append(float(np.linalg.norm(z[:n] - x_d[2 * k + 2])))
-    return np.array(observer), np.array(tracking)
+        errors = np.concatenate([z[:n] - x_d[2 * k + 2], z[n:] - z[:n]])
+        largest = {signal: max(size, abs(float(rows[signal] @ errors))) for signal, size in largest.items()}
+    return largest

@@ -227,17 +227,23 @@ def test_noise_is_seeded_and_has_its_deviation(paper_spec: Spec, paper: Result) 
     v = runs[0].response.trace.z[:, runs[0].loop.at.v]
     assert np.std(v) == pytest.approx(0.02, rel=0.05)
     assert abs(np.corrcoef(v[:-1, 0], v[1:, 0])[0, 1]) < 0.05
-    gains = paper.controller.guarantees.gains
-    tail = runs[0].response.observer_error[-1000:]
-    assert 1e-4 < tail.max() < gains.noise_to_observer * np.abs(v).max()
+    response, sizes = runs[0].response, paper.controller.bounds[-1].sizes
+    error = np.abs(response.y - response.y_d)[-1000:, 0]
+    assert 1e-4 < error.max() < sizes["output", 0] * np.abs(v).max()
+    off = np.abs(response.x_hat - response.x)[-1000:].max(axis=0)
+    assert all(off[k] < sizes["estimate", k] * np.abs(v).max() for k in range(4))
 
 
-def test_a_disturbance_leaves_no_more_error_than_the_gains_say(paper_spec: Spec, paper: Result) -> None:
+def test_a_disturbance_leaves_no_more_error_than_its_bounds_say(paper_spec: Spec, paper: Result) -> None:
+    """What two of them leave adds up."""
     push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, 0.01, 0.0, -0.02)])
     response = simulate(replace(paper_spec, conditions=Conditions(disturbance=push)), paper.controller).response
-    gains, size = paper.controller.guarantees.gains, float(np.hypot(0.01, 0.02))
-    assert 1e-3 < response.observer_error[-500:].max() < gains.disturbance_to_observer * size
-    assert np.linalg.norm(response.x - response.x_d, axis=1)[-500:].max() < gains.disturbance_to_tracking * size
+    first, second = (paper.controller.bounds[k].sizes for k in (1, 3))
+    most = {signal: 0.01 * first[signal] + 0.02 * second[signal] for signal in first}
+    assert 1e-3 < np.abs(response.y - response.y_d)[-500:].max() < most["output", 0]
+    assert 1e-3 < np.abs(response.u - response.u_ff)[-500:].max() < most["input", 0]
+    off = np.abs(response.x_hat - response.x)[-500:].max(axis=0)
+    assert all(off[k] < most["estimate", k] for k in range(4))
 
 
 def test_every_fault_under_simulation_is_said_at_once_with_its_line(paper_spec: Spec, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from benchmarks.corpus import feasible
 from pwatrack import PWASystem, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import Impossibility
-from pwatrack.control.cost import cost_bound
+from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import Goal
 from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, Task, controller_task, observer_task, stabilising_gain, synthesize
@@ -159,6 +159,51 @@ def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path)
         cost = float(np.trapezoid(rate, result.response.t))
         bound = float(e[0] @ controller.costs["controller"] @ e[0])
         assert 0.1 * bound < cost <= bound * (1 + 1e-5)
+
+
+def test_switching_turns_noise_into_a_bias_and_the_bound_that_is_printed_holds() -> None:
+    """Δ1' = −b Δ1 − v rectified into Δ2' = κ max(0, Δ1) − ε Δ2: its mean is κ σ / (ε √(4 π b)) for x = 0.
+
+    The mean alone is far above the X that would bound the covariance if nothing switched; but the average of
+    Δᵀ X⁻¹ W X⁻¹ Δ stays below tr(X⁻¹ W).
+    """
+    b, kappa, eps = 2.0, 1.0, 0.05
+    A = np.array([[[1 - b, 0.0], [slope, -eps]] for slope in (0.0, kappa)])
+    C, L = np.array([[1.0, 0.0]]), np.array([[-1.0], [0.0]])
+    Q, R = np.diag([1e-4, 1e-4]), np.eye(1)
+    task = Task(A=np.swapaxes(A, 1, 2), B=C.T, cells=["below", "above"], of="observer")
+    X = cost_bound(task, L.T, Q, R)
+    W, level = Q + L @ R @ L.T, noise_level(X, L, Q, R)
+    random = np.random.default_rng(0)
+    step, paths = 0.02, 1000
+    x, x_hat = np.zeros((2, paths)), np.zeros((2, paths))
+
+    def field(x: Array) -> Array:
+        return np.array([(1 - b) * x[0], kappa * np.maximum(0, x[0]) - eps * x[1]])
+
+    squares, means = [], []
+    for k in range(8000):
+        v, w = random.normal(size=paths) / np.sqrt(step), random.normal(size=(2, paths)) * 1e-2 / np.sqrt(step)
+        correction = L * (x_hat[0] - x[0] - v)
+        x, x_hat = x + step * (field(x) + w), x_hat + step * (field(x_hat) + correction)
+        if k >= 4000 and k % 20 == 0:
+            p = np.linalg.solve(X, x_hat - x)
+            squares.append(float(np.einsum("jp,jk,kp->p", p, W, p).mean()))
+            means.append(float((x_hat - x)[1].mean()))
+    assert np.mean(means) == pytest.approx(kappa / eps / np.sqrt(4 * np.pi * b), rel=0.05)
+    assert np.mean(means) ** 2 > 2 * X[1, 1]
+    assert 0.02 * level < np.mean(squares) < level
+
+
+def test_in_one_dimension_the_bound_is_that_of_the_exact_stationary_density() -> None:
+    """dΔ = −a(Δ) Δ dt + σ dω has the density exp(−a± Δ² / σ²): E Δ² is known, and nearly reached where a₋ = a₊."""
+    for low, high in ((1.0, 1.001), (1.0, 4.0), (0.1, 50.0)):
+        task = Task(A=np.array([[[1 - low]], [[1 - high]]]), B=np.eye(1), cells=["a", "b"], of="observer")
+        Q, R, L = np.eye(1), np.eye(1), -np.eye(1)
+        X, W = cost_bound(task, L, Q, R), 2.0
+        square = W / 2 * (low**-1.5 + high**-1.5) / (low**-0.5 + high**-0.5)
+        assert W * square / X[0, 0] ** 2 <= noise_level(X, L, Q, R)
+        assert high > 1.01 * low or W * square / X[0, 0] ** 2 > 0.99 * noise_level(X, L, Q, R)
 
 
 @pytest.mark.parametrize("seed", range(12))

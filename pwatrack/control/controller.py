@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from pwatrack.arrays import Array
+from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
@@ -37,5 +38,10 @@ class Controller:
 
     @cached_property
     def guarantees(self) -> Guarantees:
-        """What the proofs promise: rates, overshoot, bounds on errors, and what disturbances can do."""
+        """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
         return guarantees(self.plant, self.design, self.proofs)
+
+    @cached_property
+    def bounds(self) -> tuple[Bounds, ...]:
+        """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
+        return signal_bounds(self.plant, self.design, self.proofs, output=self.generator is not None)

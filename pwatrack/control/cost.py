@@ -1,13 +1,17 @@
-"""A proved bound of the quadratic cost of a gain, whatever the switching; or of the observer error's covariance."""
+"""A proved bound of the quadratic cost of a gain, or of what white noise does to the observer, for any switching."""
 
 import warnings
+from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.synthesis import Task
 from pwatrack.errors import Problem, Undecided
+from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import centre, distinct
 from pwatrack.lmi.program import least_trace
@@ -17,17 +21,32 @@ from pwatrack.rational import decimals, is_positive_definite, scalar
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 
 
-def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
+def cost_bound(task: Task, K: Array, Q: Array, R: Array, *, exact: Sequence[BallMatrix] | None = None) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
-    Integrated along any solution of e' = M̂ e, u = K e, it bounds ∫(eᵀQe + uᵀRu) dt by e(0)ᵀ X e(0) (Boyd et al.,
-    Linear Matrix Inequalities in System and Control Theory, 1994, section 7.4). For the observer, with A_iᵀ, Cᵀ and Lᵀ,
-    X bounds the covariance of x̂ − x under white noise of densities Q on the states and R on the outputs.
+    **The controller.** With x̂(0) = x(0) the observer is right at all times, and e' = M̂ e, v = K e for e = x − x_d and
+    v = u − u_ff. Integrated along it, the inequality bounds ∫(eᵀQe + vᵀRv) dt by e(0)ᵀ X e(0) (Boyd et al., Linear
+    Matrix Inequalities in System and Control Theory, 1994, section 7.4).
+
+    **The observer**, with A_iᵀ, Cᵀ and Lᵀ: X M_iᵀ + M_i X + W ≺ 0 for M_i = A_i + L C, W = Q + L R Lᵀ. White noise of
+    density Q added to ẋ and of density R to y, independent, makes Δ = x̂ − x obey dΔ = M̂ Δ dt + dω, dω dωᵀ = W dt, with
+    M̂ in conv{M_i} whatever x and x̂ are. Itô's formula for V = ΔᵀX⁻¹Δ gives, with p = X⁻¹Δ,
+
+        dE V/dt = E[pᵀ (M̂ X + X M̂ᵀ) p] + tr(X⁻¹W) ≤ −E[pᵀ W p] + tr(X⁻¹W),
+
+    (the coefficients are Lipschitz, so all second moments are finite), and integrated over [0, T]
+
+        1/T ∫ E[Δᵀ X⁻¹ W X⁻¹ Δ] dt ≤ tr(X⁻¹W) + E V(0) / T:
+
+    the average over a long time, and in a stationary state the expectation itself, is at most tr(X⁻¹W). That the
+    covariance is at most X follows only where all M_i are the same: else switching rectifies noise into a bias, and a
+    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds.
 
     Args:
         task: A (l, n, n) and B (n, m).
         K: (m, n), as printed.
         Q, R: (n, n) and (m, m).
+        exact: The M_i in the numbers of the plant; by default those of the decimals that A, B and K print as.
 
     Raises:
         Undecided: If no X could be proved.
@@ -38,6 +57,9 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         [[1.0]]
     """
     closed, weight = task.A + task.B @ K, Q + K.T @ R @ K
+    if exact is None:
+        gain = BallMatrix.of(task.B) @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
+        exact = [BallMatrix.of(A_i) + gain for A_i in task.A]
     matrices, _ = distinct(closed)
     n, speed = len(Q), float(np.linalg.norm(closed, 2, axis=(1, 2)).max())
     slack = 1e-9 * float(np.trace(weight)) / n * np.eye(n)
@@ -57,7 +79,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         X = inverse.T @ candidate.P @ inverse * size / speed
         for room in _ROOM:
             trial = (X + X.T) / 2 * (1 + room)
-            if np.isfinite(trial).all() and _proved(task, K, Q, R, trial):
+            if np.isfinite(trial).all() and _proved(exact, K, Q, R, trial):
                 return readonly(trial)
     raise Undecided(
         Problem(
@@ -68,10 +90,40 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     )
 
 
-def _proved(task: Task, K: Array, Q: Array, R: Array, X: Array) -> bool:
-    exact, exact_K, exact_B = decimals(X), decimals(K), decimals(task.B)
-    weight = decimals(Q) + exact_K.transpose() * decimals(R) * exact_K
-    half = [exact * (decimals(A_i) + exact_B * exact_K) for A_i in task.A]
-    return is_positive_definite(exact) and all(
-        is_positive_definite(scalar(-1.0) * (XM + XM.transpose()) - weight) for XM in half
+def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
+    """Return tr(X⁻¹ W), W = Q + L R Lᵀ, rounded up: the bound of E[Δᵀ X⁻¹ W X⁻¹ Δ], see `cost_bound`.
+
+    Args:
+        X: What `cost_bound` returned for the observer, (n, n).
+        L: (n, q), as printed.
+        Q, R: Densities of the noise on ẋ and on y, (n, n) and (q, q).
+
+    Example:
+        >>> one = np.eye(1)
+        >>> 8.0 <= noise_level(one / 4, one, one, one) < 8.0 + 1e-12
+        True
+    """
+    exact = decimals(L)
+    W = decimals(Q) + exact * decimals(R) * exact.transpose()
+    level = decimals(X).inv() * W
+    total = sum((level[k, k] for k in range(len(X))), scalar(0.0))
+    value = Fraction(int(total.p), int(total.q))
+    near = float(value)
+    return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
+
+
+def _proved(M: Sequence[BallMatrix], K: Array, Q: Array, R: Array, X: Array) -> bool:
+    exact, gain, unit = (
+        decimals(X),
+        decimals(K),
+        [Fraction(v) for v in np.sqrt(np.maximum(np.diag(X), 1e-300)).tolist()],
     )
+    weight = decimals(Q) + gain.transpose() * decimals(R) * gain
+    if not is_positive_definite(exact):
+        return False
+    for M_i in different(M):
+        XM = exact * M_i.centre
+        radius = None if M_i.radius is None else M_i.radius.transpose()
+        if not is_positive_definite(-(XM + XM.transpose()) - unsure(radius, exact, unit) - weight):
+            return False
+    return True

@@ -14,7 +14,7 @@ class Goal:
         given: The gain itself, (m, n): only to be proved.
         rate: Decay rate in 1/s that is to be reached at least, or "largest".
         gain: Bound on the spectral norm of the gain in the units given, or "smallest" for a given rate.
-        Q, R: Weights of ∫(eᵀQe + uᵀRu) dt, (n, n) and (m, m); for the observer the covariance densities
+        Q, R: Weights of ∫(eᵀQe + vᵀRv) dt, (n, n) and (m, m); for the observer the covariance densities
             of noise on the states and on the measurement.
 
     Example:

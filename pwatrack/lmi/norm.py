@@ -1,5 +1,6 @@
 """The norm that a proof speaks of, and how large a matrix is from one such norm to another, proved exactly."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -8,7 +9,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.exact import Proof, unpacked
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.exact import Proof, unpacked, unsure
 from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational
 
 
@@ -40,7 +42,7 @@ class Norm:
             True
         """
         column = rational([[Fraction(float(v))] for v in vector], (len(vector), 1))
-        return _root_above((column.transpose() * self.Q * column)[0, 0])
+        return root_above((column.transpose() * self.Q * column)[0, 0])
 
 
 def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
@@ -65,6 +67,20 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     return c * (1 + grow)
 
 
+def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
+    """Return U diag(weights) Uᵀ, or an exact matrix above it for every U in the ball.
+
+    Args:
+        U: (n, k).
+        weights: k numbers, none negative.
+        unit: n sizes, for the diagonal that is added; see `unsure`.
+    """
+    k = len(weights)
+    diagonal = rational([[w if j == i else Fraction(0) for i in range(k)] for j, w in enumerate(weights)], (k, k))
+    square = U @ BallMatrix(diagonal) @ U.transpose()
+    return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
+
+
 def _estimate(size: Rational, Q: Rational) -> float:
     """Return about the root of the largest eigenvalue of Q⁻¹ size, not far below it."""
     n, S, W = Q.nrows(), floats(size), floats(Q)
@@ -82,12 +98,12 @@ def _square(value: float) -> Any:
     return rational([[Fraction(value) ** 2]], (1, 1))[0, 0]
 
 
-def _root_above(value: Any) -> float:
+def root_above(value: Any) -> float:
     """Return a float just above the root of a rational number.
 
     Example: numbers whose squares are no floats.
 
-        >>> [_root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
+        >>> [root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
         [1e-300, 1.0, 1e+300]
     """
     exact = Fraction(int(value.p), int(value.q))

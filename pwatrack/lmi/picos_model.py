@@ -26,7 +26,8 @@ def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
     t = picos.RealVariable("t")
     for constraint in program.constraints:
         problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t)])
-    problem.set_objective("min", program.price * t if program.price else picos.trace(P))
+    traced = P if program.cost is None else program.cost * P
+    problem.set_objective("min", program.price * t if program.price else picos.trace(traced))
     if program.weight is not None:  # tr V P⁻¹ Vᵀ ≤ tr W
         V, W = program.weight, picos.SymmetricVariable("W", len(program.weight))
         problem.add_constraint(((W & V) // (V.T & P)) >> 0)

@@ -26,12 +26,13 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """Minimise price · t, the trace of P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t.
+    """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t.
 
     Attributes:
         constraints: The inequalities; all have the same P, Y and t.
         price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
         weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
+        cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
         start: P, Y, t that satisfy all of them strictly, where that is known.
         gap: Share of the objective that may be missed; P, Y and the multipliers are further inside where it is larger.
         fixed_trace: Whether the trace of P is to stay what it is at the start.
@@ -41,6 +42,7 @@ class Program:
     constraints: tuple[Inequality, ...]
     price: float
     weight: Array | None = None
+    cost: Array | None = None
     start: tuple[Array, Array, float] | None = None
     gap: float = 1e-4
     fixed_trace: bool = False
@@ -130,6 +132,18 @@ def least_condition(inequality: Inequality, unit: Array, start: Array | None = N
 def least_trace(inequality: Inequality) -> Program:
     """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
     return Program(constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))), price=0.0)
+
+
+def least_sizes(inequality: Inequality, W: Array, start: Array) -> Program:
+    """Minimise tr W P subject to F_i(P) ⪯ 0 for all cells, within a hundredth; F_i must make P ≻ 0.
+
+    Args:
+        inequality: From `weighted`, with stable matrices.
+        W: (n, n), positive semidefinite.
+        start: A P that satisfies the inequality strictly.
+    """
+    nothing = np.zeros((0, inequality.n))
+    return Program(constraints=(inequality,), price=0.0, cost=W, start=(start, nothing, 0.0), gap=0.01)
 
 
 def least_cost(inequality: Inequality, weight: Array, start: Array | None = None) -> Program:

@@ -107,9 +107,10 @@ class _Space:
         self.emphasis = [cells / len(c.constant) if program.even else 1.0 for c in program.constraints]
         self.rows, self.columns = np.tril_indices(self.n)
         self.size = len(self.rows) + self.m * self.n + 1
-        self.trace = np.append((self.rows == self.columns).astype(float), np.zeros(self.m * self.n + 1))
+        self.trace = self._of_trace(np.eye(self.n))
         self.V = program.weight
-        self.linear = program.price * np.eye(self.size)[-1] if program.price else self.trace * (self.V is None)
+        traced = self.trace if program.cost is None else self._of_trace(program.cost)
+        self.linear = program.price * np.eye(self.size)[-1] if program.price else traced * (self.V is None)
 
     def objective(self, v: Array) -> float:
         """Return what is to be small."""
@@ -190,6 +191,10 @@ class _Space:
             hessian[k:-1, k:-1] = 2 * YY.reshape(m * n, m * n)
         return gradient, hessian
 
+    def _of_trace(self, W: Array) -> Array:
+        """Return tr W P as a row on all coordinates."""
+        return np.append(self._lower(W) / 2, np.zeros(self.m * self.n + 1))
+
     def _lower(self, X: Array) -> Array:
         """Return 2 tr(U X) as a row on the lower triangle of U."""
         total = X + X.T
@@ -244,10 +249,9 @@ def _exact_step(space: _Space, v: Array, factors: list[Array], step: Array, weig
     """Return the length that minimises the sum along a step; given the eigenvalues of the change that is scalar."""
     values, emphases = [], []
     for factor, change, emphasis in zip(factors, space.left_sides(step, linear=True), space.emphasis, strict=True):
-        for L, D in zip(factor, change, strict=True):
-            half = solve_triangular(L, -D, lower=True, check_finite=False)
-            values.append(np.linalg.eigvalsh(solve_triangular(L, half.T, lower=True, check_finite=False)))
-            emphases.append(np.full(len(L), emphasis))
+        upper = np.linalg.inv(np.swapaxes(factor, 1, 2))
+        values.append(np.linalg.eigvalsh(np.swapaxes(upper, 1, 2) @ -change @ upper).ravel())
+        emphases.append(np.full(len(values[-1]), emphasis))
     e, counts, slope = np.concatenate(values), np.concatenate(emphases), weight * float(space.linear @ step)
     cost, falls = np.zeros(0), np.zeros(0)
     if space.V is not None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pwatrack import __version__
 from pwatrack.arrays import Array
+from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
 from pwatrack.control.pareto import Front
@@ -56,7 +57,7 @@ def write_design(
         _design_files(run, spec, controller)
         if fronts:
             _fronts(run, spec, fronts)
-        _index(run, spec, seconds, _gain_figures(controller))
+        _index(run, spec, seconds, _gain_figures(controller), {"bounds": bound_content(spec, controller)})
     return Path(folder)
 
 
@@ -89,6 +90,7 @@ def write_result(
                 figure.savefig(run.place(name), format="png", dpi=150)
         figures = _gain_figures(result.controller) | measures(result)
         more: dict[str, Any] = {"conditions": result.loop.conditions.texts(result.spec.plant)}
+        more["bounds"] = bound_content(result.spec, result.controller)
         if many:
             _ensemble(run, many)
             more["ensemble"] = ensemble_measures(many)
@@ -158,21 +160,71 @@ def _finite(value: Any) -> float | None:
 
 def _gain_figures(controller: Controller) -> dict[str, float]:
     guarantees = controller.guarantees
-    robust_rate, robust_radius = guarantees.robust
+    robust_rate, of_K, of_L = guarantees.robust
     promised = {}
     for part in ("controller", "observer", "generator"):
         if proved := getattr(guarantees, part):
             promised[f"{part}_rate"] = max(p.rate for p in proved)
-            promised[f"{part}_overshoot"] = min(p.overshoot for p in proved)
     return {
         "norm_K": float(np.linalg.norm(controller.design.K, 2)),
         "norm_L": float(np.linalg.norm(controller.design.L, 2)),
         **promised,
         "rate": guarantees.rate,
         "robust_rate": robust_rate,
-        "robust_radius": robust_radius,
-        **asdict(guarantees.gains),
+        "robust_share_K": of_K,
+        "robust_share_L": of_L,
     }
+
+
+def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
+    """Return what run.json says of each disturbance and each sensor's noise: the bound of every signal per 1 of it."""
+    content = []
+    for bounds in controller.bounds:
+        on, unit = channel_text(spec, bounds.channel)
+        signals = {}
+        for signal, size in bounds.sizes.items():
+            name, of = signal_text(spec, signal)
+            signals[name] = {"bound": size, "unit": of}
+        content.append({"kind": bounds.channel[0], "on": on, "per": f"1 {unit}".rstrip(), "signals": signals})
+    return content
+
+
+def declared(spec: Spec, channel: Channel) -> bool:
+    """Whether the simulation has this disturbance or noise."""
+    kind, k = channel
+    disturbance, noise = spec.conditions.disturbance, spec.conditions.noise
+    if kind == "noise":
+        return noise is not None and bool(noise.std[k])
+    return disturbance is not None and bool(disturbance.Q[k].any())
+
+
+def channel_text(spec: Spec, channel: Channel) -> tuple[str, str]:
+    """Return where a disturbance or noise enters, and its unit: on dv/dt it is that of v per second."""
+    kind, k = channel
+    name = spec.plant.outputs[k] if kind == "noise" else spec.plant.states[k]
+    unit = spec.units.get(name, "")
+    return (f"measured {name}", unit) if kind == "noise" else (f"d{name}/dt", per_second(unit))
+
+
+def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
+    """Return a signal that is bounded, as text, and its unit."""
+    kind, k = signal
+    plant = spec.plant
+    name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
+    texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
+    return texts.get(kind, f"{name} - {name}_d"), spec.units.get(name, "")
+
+
+def per_second(unit: str) -> str:
+    """Return the unit of a derivative.
+
+    Example:
+        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
+        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
+    """
+    if unit.endswith("/s"):
+        return f"{unit}²"
+    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:

@@ -12,18 +12,20 @@ from rich.table import Table
 from pwatrack.arrays import Array, complex_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
+from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Goal
-from pwatrack.control.guarantees import Contraction, Guarantees
+from pwatrack.control.guarantees import Contraction
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.pipeline import Result
-from pwatrack.report.files import ensemble_measures, error_unit, measures
+from pwatrack.report.files import channel_text, declared, ensemble_measures, error_unit, measures, signal_text
 from pwatrack.spec.load import Spec
 from pwatrack.variation import EnsembleResult
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that
+_CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
 
 
 def print_plant(console: Console, name: str, report: Applicability) -> None:
@@ -106,11 +108,11 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         ("(8) controller", promised.controller, "K", design.K, spec.controller),
         ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.observer),
     ):
-        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rates(proved)}")
+        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rate(proved)}")
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {_origin(goal)}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
-            table.add_row("", _cost_text(claim.split()[1], controller.costs[claim.split()[1]]))
+            table.add_row("", _cost_text(claim.split()[1], spec, controller))
     if generator is None:
         until, bounded = controller.trajectory.until, controller.trajectory.bounded
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
@@ -119,16 +121,28 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
         _generator_rows(table, generator, promised.generator)
-    _promise_rows(table, promised)
+    _promise_rows(table, controller)
+    _bound_rows(table, spec, controller)
     console.print(table)
 
 
-def _cost_text(part: str, X: Array) -> str:
+def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
     """Say what the proved bound of a cost means."""
-    trace = f"tr X = {np.trace(X):.4g}, X in gains.json"
     if part == "controller":
-        return f"∫(eᵀQe + uᵀRu) dt ≤ e(0)ᵀ X e(0), proved for any switching; {trace}"
-    return f"covariance of x̂ − x ⪯ X under the noise given, proved for any switching; {trace}"
+        return (
+            "∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from x̂(0) = x(0), for any switching; e = x − x_d, v = u − u_ff, "
+            "X in gains.json"
+        )
+    X, goal = controller.costs[part], spec.observer
+    assert goal.Q is not None
+    assert goal.R is not None
+    if len(np.unique(spec.plant.A, axis=0)) == 1:
+        return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
+    level = noise_level(X, controller.design.L, goal.Q, goal.R)
+    return (
+        f"E[Δᵀ X⁻¹ W X⁻¹ Δ] ≤ {_up(level)} 1/s under the white noise given, averaged over a long time, for any "
+        "switching; Δ = x̂ − x, W = Q + L R Lᵀ, X in gains.json"
+    )
 
 
 def _origin(goal: Goal) -> str:
@@ -145,7 +159,7 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
     if not proved:
         table.add_row("(17) generator", "none needed: relative degree = number of states")
     else:
-        table.add_row("(17) generator", f"proved, {_rates(proved)}; η = {', '.join(generator.form.eta_names)}")
+        table.add_row("(17) generator", f"proved, {_rate(proved)}; η = {', '.join(generator.form.eta_names)}")
         if generator.shift is not None:
             table.add_row("Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}")
         else:
@@ -154,29 +168,46 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
     table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
 
 
-def _rates(proved: Sequence[Contraction]) -> str:
-    """Say the rate and overshoot of each proof of one inequality."""
-    return ", or ".join(f"rate {_down(p.rate)} 1/s (overshoot {_up(p.overshoot)})" for p in proved)
+def _rate(proved: Sequence[Contraction]) -> str:
+    """Say the best rate that one inequality is proved for."""
+    return f"rate {_down(max(p.rate for p in proved))} 1/s"
 
 
-def _promise_rows(table: Table, promised: Guarantees) -> None:
-    """Say what the proofs promise, in plain words."""
-    rate, radius = promised.robust
-    gains = promised.gains
+def _promise_rows(table: Table, controller: Controller) -> None:
+    """Say how fast errors go to 0, and by how much the gains may change."""
+    promised = controller.guarantees
+    error = "y − y_d and x − x_d go" if controller.generator is not None else "x − x_d goes"
+    text = f"from every start {error} to 0 at least as fast as e^(−{_down(promised.rate)} t), for any switching"
+    if promised.generator:
+        own = _down(max(p.rate for p in promised.generator))
+        text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"
+    rate, of_K, of_L = promised.robust
+    table.add_row("promise", text)
     table.add_row(
-        "promise",
-        "every solution of the closed loop approaches the reference at least as fast as "
-        f"e^(−{_down(promised.rate)} t), for any switching; and as e^(−{_down(rate)} t) for any change of "
-        f"A_i + B K and of A_i + L C below {_down(radius)} 1/s",
+        "",
+        f"at least as fast as e^(−{_down(rate)} t) with K and L changed in every entry by less than "
+        f"{_down(100 * of_K)} % and {_down(100 * of_L)} % of it, the plant as designed",
     )
-    for cause, where, observer, tracking in (
-        ("disturbance", "w added to ẋ", gains.disturbance_to_observer, gains.disturbance_to_tracking),
-        ("noise", "v added to y", gains.noise_to_observer, gains.noise_to_tracking),
-    ):
-        size = f"sup ‖{where[0]}‖"
-        table.add_row(
-            cause, f"{where}: in the end ‖x̂ − x‖ ≤ {_up(observer)} {size} and ‖x − x_d‖ ≤ {_up(tracking)} {size}"
+
+
+def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
+    """Say what disturbances and noise can do to what is tracked and to the inputs; declared ones come first."""
+    found = sorted(controller.bounds, key=lambda bounds: not declared(spec, bounds.channel))
+    table.add_row(
+        "disturbances",
+        "in the loop as designed, each below the size named: the errors that are left in the end, in proportion to it; "
+        "what acts together adds up; from error 0 they hold at all times",
+    )
+    for bounds in found[:_CHANNELS]:
+        on, unit = channel_text(spec, bounds.channel)
+        sizes = [(signal, size) for signal, size in bounds.sizes.items() if signal[0] != "estimate"][:_SIGNALS]
+        said = ", ".join(
+            f"|{name.replace('-', '−')}| ≤ {_up(size)} {of}".rstrip()
+            for (name, of), size in ((signal_text(spec, signal), size) for signal, size in sizes)
         )
+        table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound proved'}")
+    if len(found) > _CHANNELS:
+        table.add_row("", f"{len(found) - _CHANNELS} more in run.json")
 
 
 def _down(value: float) -> str:

@@ -332,7 +332,7 @@ class SystemSection(Section):
 
 
 class CostSection(Section):
-    """Weights Q and R of ∫(eᵀQe + uᵀRu) dt; for the observer, noise covariance densities of states and outputs."""
+    """Weights Q and R of ∫(eᵀQe + vᵀRv) dt; for the observer, noise covariance densities of states and outputs."""
 
     Q: Rows
     R: Rows

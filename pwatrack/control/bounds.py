@@ -1,0 +1,234 @@
+"""What a disturbance, or the noise of a sensor, can do to each signal: bounds in the signal's own unit.
+
+With d added to the k-th state equation, or to the k-th measured output, (1), (18) and (19) give for e = x − x_d and
+Δ = x̂ − x
+
+    (e, Δ)' = M (e, Δ) + g d,      M ∈ conv{M_ij},   M_ij = [A_i + B K, B K; 0, A_j + L C],
+
+g = (ε_k, −ε_k) for the disturbance and g = (0, −L ε_k) for the noise, ε_k the k-th unit vector: f is continuous and
+linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with Â and Ã in conv{A_i}, each for itself. An
+ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: C e, K (e + Δ) = u − u_ff, Δ.
+
+Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
+0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
+
+Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, with M =
+A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import block_diag, eigh
+
+from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.control.synthesis import Design
+from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
+from pwatrack.lmi.exact import Proof, unpacked
+from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.rational import floats, identity
+
+_MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
+_KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
+_ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
+
+Loop = Literal["joint", "controller", "observer"]
+Channel = tuple[Literal["disturbance", "noise", "input"], int]
+Form = tuple[Literal["output", "state", "input", "estimate"], int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One ellipsoid: what d = 1 at most can make of some signals of z' = M z + g d from z = 0, M ∈ conv{M_p}.
+
+    Attributes:
+        loop: "joint": z = (e, Δ) with M_ij as above, for all pairs of cells i, j. "controller": z = e, A_i + B K.
+            "observer": z = Δ, A_j + L C.
+        channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
+            (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k.
+        signals: The rows c. ("output", k): C e; ("state", k): e; ("input", k): K (e + Δ), of which a single loop has
+            its half; ("estimate", k): Δ.
+        ellipsoid: Q, a and the sizes, one for each signal.
+    """
+
+    loop: Loop
+    channel: Channel
+    signals: tuple[Form, ...]
+    ellipsoid: Ellipsoid
+
+    def size(self, signal: Form) -> float:
+        """Return the bound of one signal."""
+        return self.ellipsoid.sizes[self.signals.index(signal)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """What one channel can do to each signal, per sup |d|: of the disturbance of a state equation, or of a sensor.
+
+    Attributes:
+        channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output.
+        sizes: ("output", k): |y_k − y_dk| for output tracking; ("state", k): |x_k − x_dk| for state tracking;
+            ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
+        parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
+            controller's loop with this channel and all inputs, where a size is their sum.
+    """
+
+    channel: Channel
+    sizes: dict[Form, float]
+    parts: tuple[Part, ...]
+
+
+def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, output: bool) -> tuple[Bounds, ...]:
+    """Bound every signal for every disturbance and noise by itself, each proved exactly.
+
+    Args:
+        plant: The system (1).
+        design: Its gains K and L.
+        proofs: What `prove_design` returned for them.
+        output: Whether outputs are tracked, else states.
+
+    Returns:
+        One for each state equation, then one for each output.
+
+    Example: the paper's example. A push of 1 N on the first mass, 1 m/s² there, moves it by 6.3 m at most.
+
+        >>> from pwatrack import design, load_spec
+        >>> push = design(load_spec("specs/two_mass_backlash.yaml")).bounds[1]
+        >>> push.channel, 5.9 < push.sizes["output", 0] < 6.6
+        (('disturbance', 1), True)
+    """
+    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    loops = _Loops(plant.exact, K, L, proofs, output=output)
+    channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
+    channels += [("noise", k) for k in range(len(plant.C))]
+    return tuple(loops.bounds(channel) for channel in channels)
+
+
+Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
+
+
+class _Loops:
+    """The three loops, exact: their matrices, where d enters, the rows of the signals."""
+
+    def __init__(self, exact: Matrices, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], *, output: bool) -> None:
+        A, B, C, n = different(exact.A), exact.B, exact.C, exact.B.shape[0]
+        self.B, self.C, self.K, self.L, self.unit = B, C, K, L, BallMatrix(identity(n))
+        self.M: dict[Loop, list[BallMatrix]] = {
+            "controller": [A_i + B @ K for A_i in A],
+            "observer": [A_i + L @ C for A_i in A],
+        }
+        few = len(A) ** 2 * (2 * n) ** 4 <= _MOST_WORK
+        self.few_pairs, self.few_cells = few, len(A) * n**4 <= _MOST_WORK
+        self.tracked: list[Form] = [("output", k) for k in range(C.shape[0])] if output else []
+        self.tracked += [] if output else [("state", k) for k in range(n)]
+        self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
+        self.estimates: list[Form] = [("estimate", k) for k in range(n)]
+        self.inners: dict[Loop, list[Inner]] = {
+            "controller": [_inner(proof, invert=False) for proof in proofs if proof.of == "controller"],
+            "observer": [_inner(proof, invert=True) for proof in proofs if proof.of == "observer"],
+        }
+        if few:
+            nothing = BallMatrix(0 * identity(n))
+            self.M["joint"] = [
+                above(beside(X, B @ K), beside(nothing, Y)) for X in self.M["controller"] for Y in self.M["observer"]
+            ]
+            self.inners["joint"] = _blocks(self.M, self.inners, (B @ K).floats)
+
+    def bounds(self, channel: Channel) -> Bounds:
+        """Bound e and u by the joint loop, or in two steps; Δ by the observer's own loop."""
+        if not self.few_cells:
+            return Bounds(channel=channel, sizes={}, parts=())
+        found: Sized = {}, ()
+        if self.few_pairs:
+            found = self.sizes("joint", channel, self.tracked + self.inputs)
+        if not found[0]:
+            found = self.in_two_steps(channel)
+        estimates = self.sizes("observer", channel, self.estimates)
+        return Bounds(channel=channel, sizes=found[0] | estimates[0], parts=found[1] + estimates[1])
+
+    def in_two_steps(self, channel: Channel) -> Sized:
+        """Bound K Δ, then e driven by d and by K Δ: K (e + Δ) is at most K e and K Δ together."""
+        seen, feedback = self.tracked + self.inputs, self.sizes("observer", channel, self.inputs)
+        steps = [(1.0, self.sizes("controller", channel, seen))]
+        steps += [(feedback[0].get(signal, np.inf), self.driven[signal]) for signal in self.inputs]
+        total = {signal: feedback[0].get(signal, 0.0) for signal in seen}
+        for signal in seen:
+            total[signal] += sum(drive * sizes.get(signal, np.inf) for drive, (sizes, _) in steps if drive)
+        sizes = {signal: size * _ABOVE for signal, size in total.items() if np.isfinite(size)}
+        proofs = (part for drive, (_, parts) in steps if drive for part in parts)
+        return sizes, (*feedback[1], *proofs) if sizes else ()
+
+    @cached_property
+    def driven(self) -> dict[Form, Sized]:
+        """What each input can do to e and K e."""
+        signals = self.tracked + self.inputs
+        return {("input", k): self.sizes("controller", ("input", k), signals) for _, k in self.inputs}
+
+    def sizes(self, loop: Loop, channel: Channel, signals: list[Form]) -> Sized:
+        """Return the bounds of signals and the ellipsoid they are from; nothing where none could be proved."""
+        g = self.drive(loop, channel)
+        if not signals or (g.radius is None and not any(g.centre.entries())):
+            return dict.fromkeys(signals, 0.0), ()
+        rows = reduce(above, (self.row(loop, signal) for signal in signals))
+        found = ellipsoid(self.M[loop], g, rows, self.inners[loop])
+        if found is None:
+            return {}, ()
+        part = Part(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)
+        return dict(zip(signals, found.sizes, strict=True)), (part,)
+
+    def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
+        """Return g, (N, 1)."""
+        kind, k = channel
+        column = _column(self.unit if kind == "disturbance" else self.L if kind == "noise" else self.B, k)
+        nothing = BallMatrix(0 * column.centre)
+        e, delta = {
+            "disturbance": (column, nothing - column),
+            "noise": (nothing, nothing - column),
+            "input": (column, nothing),
+        }[kind]
+        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
+
+    def row(self, loop: Loop, signal: Form) -> BallMatrix:
+        """Return c, (1, N)."""
+        kind, k = signal
+        row = _column((self.C if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
+        nothing = BallMatrix(0 * row.centre)
+        e, delta = {"input": (row, row), "estimate": (nothing, row)}.get(kind, (row, nothing))
+        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
+
+
+def _inner(proof: Proof, *, invert: bool) -> Inner:
+    """Return the Q of a proof: (8) is stated for it, (9) for its inverse."""
+    P = unpacked(proof.integers, proof.exponents)
+    return Inner(Q=floats(P.inv() if invert else P), most=2 * _KEPT * proof.rate)
+
+
+def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:
+    """Return [κ Q_c, 0; 0, Q_o] for the first proofs and the last ones; by the Schur complement κ is large enough."""
+    found = []
+    for place in (0, -1):
+        c, o = inners["controller"][place], inners["observer"][place]
+        most = min(c.most, o.most)
+        with suppress(np.linalg.LinAlgError):
+            V, W = np.linalg.cholesky(c.Q), np.linalg.cholesky(o.Q)
+            slacks = [
+                [-symmetric_part(np.linalg.solve(root, X.floats @ root)) - most * np.eye(len(root)) for X in matrices]
+                for matrices, root in ((M["controller"], V), (M["observer"], W))
+            ]
+            X = np.linalg.solve(V, BK @ W)
+            least = max(
+                float(eigh(X @ np.linalg.solve(S_o, X.T), S_c, eigvals_only=True)[-1]) for S_c, S_o in product(*slacks)
+            )
+            found.append(Inner(Q=block_diag((2 * least + 1e-6) * c.Q, o.Q), most=most))
+    return found
+
+
+def _column(X: BallMatrix, k: int) -> BallMatrix:
+    """Return column k, (n, 1)."""
+    return X.part(range(X.shape[0]), [k])
