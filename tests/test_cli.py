@@ -2,9 +2,12 @@ import csv
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from typer.testing import Result as Run
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.cli import app
+from pwatrack.report.run_folder import read_index
 
 STIFF = ("--set", "k2=0.7", "--set", "k3=0.7")
 
@@ -37,6 +41,12 @@ def shortened(source: Path, target: Path, *replacements: tuple[str, str]) -> Pat
         text = text.replace(old, new)
     target.write_text(text, encoding="utf-8")
     return target
+
+
+def index_of(folder: Path) -> dict[str, Any]:
+    index = read_index(folder)
+    assert index is not None
+    return index
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
@@ -101,8 +111,8 @@ def test_the_trace_read_back_has_every_bit_of_the_result_of_the_library(
         expected |= {f"{state}_d": response.x_d[:, k]}
     for k in range(response.eta_hat.shape[1]):
         expected[f"eta_hat{k + 1}"] = response.eta_hat[:, k]
-    for name, signal in expected.items():
-        assert read[name].astype(float).tobytes() == np.ascontiguousarray(signal).tobytes(), name
+    for name, values in expected.items():
+        assert read[name].astype(float).tobytes() == np.ascontiguousarray(values).tobytes(), name
     cells = [read[f"cell_{part}"].astype(int) for part in ("plant", "observer", "generator")]
     assert np.array_equal(np.transpose(cells), response.trace.modes)
     assert set(header) == {*expected, "cell_plant", "cell_observer", "cell_generator"}
@@ -153,7 +163,11 @@ def test_a_discontinuous_field_ends_with_3_and_its_place(specs: Path, tmp_path: 
     message = refused(call(command, specs / "refused" / "printed_A1.yaml", *out), 3)
     assert re.match(r"error: .*printed_A1\.yaml:\d+:\d+: ", message)
     assert "'gap'" in message
-    assert not (tmp_path / "out").exists()
+    if command != "check":
+        index = index_of(tmp_path / "out")
+        assert (index["verdict"], index["exit"], index["simulation"]) == ("outside the theory", 3, None)
+        assert f"error: {index['reasons'][0]['place']}: {index['reasons'][0]['message']}" in message
+        assert contents(tmp_path / "out").keys() == {"run.json"}
 
 
 @pytest.mark.parametrize("name", ["printed_gains.yaml", "stiff_springs.yaml"])
@@ -163,7 +177,8 @@ def test_what_is_proved_infeasible_ends_with_4_and_its_place(
 ) -> None:
     message = refused(call(command, specs / "refused" / name, "--out", tmp_path / "out"), 4)
     assert re.match(rf"error: .*{name}:\d+:\d+: ", message)
-    assert contents(tmp_path / "out").keys() == {"refusal.json"}
+    assert contents(tmp_path / "out").keys() == {"refusal.json", "run.json"}
+    assert (index_of(tmp_path / "out")["verdict"], index_of(tmp_path / "out")["exit"]) == ("infeasible", 4)
     assert call("verify", tmp_path / "out").exit_code == 0
 
 
@@ -233,17 +248,33 @@ def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatc
     assert (spec.parent / "runs" / "plant" / "gains.json").is_file()
 
 
-def test_a_refusal_leaves_the_results_of_an_earlier_run_as_they_were(spec: Path, tmp_path: Path) -> None:
+def test_a_folder_tells_the_last_run_alone_whatever_came_of_it(spec: Path, specs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for arguments, code, verdict in (
+        (("simulate", spec), 0, "proved"),
+        (("design", spec, *STIFF), 4, "infeasible"),
+        (("design", spec), 0, "proved"),
+        (("simulate", specs / "refused" / "printed_A1.yaml"), 3, "outside the theory"),
+    ):
+        run = call(*arguments, "--out", out)
+        assert (run.exit_code, index_of(out)["verdict"]) == (code, verdict), run.output
+        assert set(contents(out)) == {*index_of(out)["files"], "run.json"}
+        assert ("refusal.json" in contents(out)) == (code == 4)
+        assert ("gains.json" in contents(out)) == (code == 0)
+
+
+def test_an_invalid_spec_changes_no_earlier_result_and_says_so(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
     before = contents(out)
-    refused(call("design", spec, "--out", out, *STIFF), 4)
-    refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
-    assert contents(out).pop("refusal.json")
-    assert {name: content for name, content in contents(out).items() if name != "refusal.json"} == before
-    assert call("verify", out / "refusal.json", "--spec", spec).exit_code == 0
-    assert call("design", spec, "--out", out).exit_code == 0
-    assert "refusal.json" not in contents(out)
+    message = refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
+    assert "the earlier results" in message
+    assert contents(out) == before
+
+
+def test_a_refusal_whose_folder_cannot_be_written_is_still_that_refusal(spec: Path) -> None:
+    message = refused(call("design", spec, "--out", spec, *STIFF), 4)
+    assert "cannot write results" in message
 
 
 def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
@@ -269,7 +300,7 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
     assert (out / "sub").is_dir()
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{", "3", '{"files": 3}', "\udcff"])
+@pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, "3", '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -427,3 +458,83 @@ def test_what_goes_with_an_ensemble_is_refused_without_one(
     run = call("simulate", spec, *option, "--out", tmp_path / "out")
     assert run.exit_code == 2
     assert "--ensemble" in run.stderr
+
+
+THIN = """
+name: Cart
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  cells:
+    - {name: free, where: ["z <= 0.1"], A: [[0, 1], [-1, -1]]}
+    - {name: nowhere, where: ["z >= 0.1", "z <= 0.1"], A: [[0, 1], [-1, -1]]}
+    - {name: stop, where: ["z >= 0.1"], A: [[0, 1], [-2, -1]], b: [0, 0.1]}
+reference: {output: "0.2*sin(t)"}
+simulation: {duration: 1, sample_time: 0.01}
+"""
+
+
+def test_a_cell_that_is_left_out_is_remarked_by_every_command(tmp_path: Path) -> None:
+    path = tmp_path / "thin.yaml"
+    path.write_text(THIN, encoding="utf-8")
+    remark = "remark cell 'nowhere' has no interior and is left out"
+    out = tmp_path / "out"
+    for arguments in (("check", path), ("design", path, "--out", out), ("simulate", path, "--out", out)):
+        run = call(*arguments)
+        assert run.exit_code == 0, run.output
+        assert remark in " ".join(run.stdout.split())
+        if arguments[0] != "check":
+            assert index_of(out)["remarks"] == [remark.removeprefix("remark ")]
+
+
+def shell(command: str, *arguments: object) -> "subprocess.CompletedProcess[str]":
+    line = [sys.executable, "-m", "pwatrack", *map(str, arguments)]
+    return subprocess.run(
+        ["bash", "-c", command, "bash", *line], capture_output=True, text=True, encoding="utf-8", check=False
+    )
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("check", "specs/two_mass_backlash.yaml")])
+def test_output_that_nobody_takes_is_no_bug(arguments: tuple[str, ...]) -> None:
+    full = shell('"$@" > /dev/full', *arguments)
+    assert (full.returncode, full.stderr) == (2, "error: cannot print: No space left on device\n")
+    assert shell('"$@" > /dev/full 2> /dev/full', *arguments).returncode == 2
+    closed = shell('"$@" >&-', *arguments)
+    assert (closed.returncode, closed.stderr) == (0, "")
+    pipe = shell('"$@" | true; exit ${PIPESTATUS[0]}', *arguments)
+    assert (pipe.returncode, pipe.stderr) == (141, "")
+
+
+def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 3000"))
+    assert call("design", specs / "two_mass_paper_gains.yaml", "--out", out).exit_code == 0
+    before = contents(out)
+    command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "plant.yaml"), "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not list(out.glob(".*/trace.csv")):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate()
+    assert (process.returncode, said) == (130, "")
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("name", ["..yaml", "...yaml"])
+def test_a_spec_whose_name_is_dots_has_a_run_folder_of_its_own(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    spec.rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert call("design", tmp_path / name).exit_code == 0
+    assert set(contents(tmp_path)) == {name, "runs"}
+    assert set(contents(tmp_path / "runs")) == {name}
+
+
+def test_what_overflows_on_the_way_is_no_word_on_stderr() -> None:
+    program = "import warnings, pwatrack.__main__ as m; m.app = lambda **_: warnings.warn('x', RuntimeWarning); m.run()"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert run.stderr == b""
