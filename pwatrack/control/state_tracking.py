@@ -5,7 +5,7 @@ from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem, Subject
+from pwatrack.errors import OutsideTheory, Problem, Subject, listed
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, exosystem
 
@@ -96,8 +96,8 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
         else:
             return _constant(plant, *point)
     raise OutsideTheory(
-        Problem(
-            message="no equilibrium has the wanted outputs: " + "; ".join(misses),
+        Problem.of_many(
+            lambda most: f"no equilibrium has the wanted outputs: {listed(misses, most, '; ')}",
             subject=subject,
             hint="choose a set-point that the plant can rest at",
         )

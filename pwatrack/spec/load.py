@@ -142,12 +142,12 @@ class PlantRecipe:
                 changed = {name: float(value) for name in parameters if (value := values[name]) is not None}
                 return build_plant(system, self.tolerance), changed
             except ValidationError as error:
-                problems = [replace(p, message=f"system.{p.message}") for p in validation_problems(error, section)]
+                problems = [p.prefixed("system.") for p in validation_problems(error, section)]
             except PwatrackError as error:
                 problems, refusal = list(error.problems), error
         with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
         said = f"plant with {with_them}: "
-        raise type(refusal)(*(replace(p, message=said + p.message, subject=subject, place=None) for p in problems))
+        raise type(refusal)(*(replace(p.prefixed(said), subject=subject, place=None) for p in problems))
 
 
 def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:

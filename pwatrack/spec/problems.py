@@ -150,6 +150,11 @@ def _sections() -> tuple[tuple[Subject, type[Section]], ...]:
     return tuple(inside(SpecFile, ()))
 
 
+def known_keys() -> list[str]:
+    """Return every key that some section has."""
+    return sorted({name for _, model in _sections() for name in model.model_fields})
+
+
 def _unknown_key(subject: Subject) -> str:
     """Say where an unknown key belongs, or which one may be meant: one of its section first."""
     *section, key = (str(part) for part in subject)
@@ -308,7 +313,7 @@ def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
         problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
     for part in ("plant", "observer"):
         inside: Subject = (*subject, part, "ellipsoid")
-        places = [("simulation", "initial", part)]
+        places: list[Subject] = [("simulation", "initial", part)]
         places += [(*inside, "radii"), (*inside, "center")] if isinstance(_at(data, inside), dict) else [inside[:-1]]
         for at in places:
             names = _at(data, at)
