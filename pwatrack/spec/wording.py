@@ -133,5 +133,6 @@ def _missing_operator(text: str) -> str:
             continue
         if right == "(" and re.match(r"[A-Za-z_]", left):  # a call with a space before its parenthesis
             continue
-        return f"an operator is missing between '{left}' and '{right}': write * for a product"
+        units = "; units are not read" if left[0] in "0123456789." and right[0].isalpha() else ""
+        return f"an operator is missing between '{left}' and '{right}': write * for a product{units}"
     return ""
