@@ -159,7 +159,7 @@ def remarks(A: Array, states: Sequence[str], element: Nonlinearity, *, restoring
     wrong = np.flatnonzero(terms * signs.pop() > 1e-12 * size)
     if not len(wrong):
         return []
-    back = ", ".join(f"{states[j]}: {number_text(-d[j])}" for j in wrong)
+    back = ", ".join(f"{states[j]}: {number_text(-d[j])}" for j in map(int, wrong))
     of = linear_form_text(row, states)
     return [
         f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
