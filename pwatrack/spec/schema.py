@@ -73,9 +73,10 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
 
 
 def _sized(value: float | Fraction) -> None:
-    if abs(value) > _LARGEST:
+    size = abs(float(value))
+    if size > _LARGEST:
         raise ValueError(f"{float(value):g} is larger than {_LARGEST:g}")
-    if 0 < abs(value) < 1 / _LARGEST:
+    if value != 0 and size < 1 / _LARGEST:
         raise ValueError(f"{float(value):g} is smaller than {1 / _LARGEST:g} but not 0: write 0, or use other units")
 
 
