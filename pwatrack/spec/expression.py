@@ -3,6 +3,7 @@
 import ast
 import math
 import operator
+import re
 import warnings
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +28,7 @@ CONSTANTS = {"pi": math.pi}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
 _LONGEST = 500
+_PLAIN = re.compile(r"-?(0|[1-9][0-9]{0,14})(\.[0-9]{1,15})?")
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -135,6 +137,8 @@ def real(text: str, parameters: Parameters) -> Real:
         >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
         Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
     """
+    if _PLAIN.fullmatch(text):  # most entries of most files
+        return Real(Fraction(text))
     value: Real = _evaluate(text, _names(parameters))
     return value
 

@@ -1,6 +1,6 @@
 """Everything that can be wrong with the tree of a spec, each thing said once, with its path."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, get_args, get_origin
 
@@ -20,8 +20,9 @@ from pwatrack.spec.schema import (
 )
 from pwatrack.spec.wording import guess, shown
 
-MOST = 100  # so many faults of a file are described in full; more of them are counted
+MOST = 100  # for so many faults of a file it is guessed what was meant
 
+_LONGEST_PART = 100  # characters of one key in a path
 _MOST_SAMPLES = 10_000_000
 _MOST_TICKS = 2_000_000  # all of them are kept in memory
 
@@ -182,7 +183,8 @@ def path_text(subject: Subject) -> str:
     """
     text = ""
     for part in subject:
-        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else part)
+        name = part if isinstance(part, str) and len(part) <= _LONGEST_PART else f"{str(part)[:_LONGEST_PART]}…"
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{name}" if text else name
     return text or "the file"
 
 
@@ -199,31 +201,26 @@ _EXPECTED = {
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
     """Say what pydantic found wrong with a tree, in the words and paths of the file."""
     problems: list[Problem] = []
-    flat, more = flat_matrices(data), 0
+    flat = flat_matrices(data)
     for item in error.errors(include_url=False):
         if isinstance(item.get("ctx", {}).get("error"), BrokenParameter):
             continue
         subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
         if any(subject[: len(matrix)] == matrix for matrix in flat):
             continue  # said once for the whole matrix
-        if len(problems) >= MOST:
-            more += 1
-            continue
-        message = f"{path_text(subject)}{_fault(item, subject)}"
+        message = f"{path_text(subject)}{_fault(item, subject, guessed=len(problems) < MOST)}"
         problems.append(Problem(message=message, subject=subject[:-1] if item["type"] == "missing" else subject))
-    if more:
-        problems.append(Problem(message=f"… and {more:,} more faults like these", subject=problems[-1].subject))
     return problems
 
 
-def _fault(item: Any, subject: Subject) -> str:
-    """Return what is wrong with an entry, to be put behind its path."""
+def _fault(item: Any, subject: Subject, *, guessed: bool) -> str:
+    """Return what is wrong with an entry, to be put behind its path; guesses at what was meant take a while."""
     kind, context = item["type"], item.get("ctx", {})
     cause = context.get("error")
     if kind == "missing":
         return " is missing"
     if kind == "extra_forbidden":
-        return f": unknown key{_unknown_key(subject)}"
+        return f": unknown key{_unknown_key(subject) if guessed else ''}"
     if kind in _EXPECTED:
         return f": {_EXPECTED[kind]} is expected"
     if kind == "literal_error":
@@ -241,7 +238,7 @@ def _fault(item: Any, subject: Subject) -> str:
     if kind == "less_than_equal":
         return f": {item['input']} is above {context['le']}"
     if isinstance(cause, UnknownName):
-        return f": {cause}{cause.guess}"
+        return f": {cause}{cause.guess if guessed else ''}"
     return f": {cause or item['msg'][0].lower() + item['msg'][1:]}"
 
 
@@ -282,11 +279,10 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     units = system.get("units")
     problems += [
         Problem(
-            message=f"system.units: '{name}' is no state, input or output{guess(name, signals)}",
+            message=f"system.units: {shown(name)} is no state, input or output{meant}",
             subject=("system", "units", name),
         )
-        for name in (units if isinstance(units, dict) and context.states else {})
-        if name not in signals
+        for name, meant in _unknown(units if isinstance(units, dict) and context.states else (), signals)
     ]
     for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
         seen = set[str]()
@@ -317,11 +313,11 @@ def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
         places += [(*inside, "radii"), (*inside, "center")] if isinstance(_at(data, inside), dict) else [inside[:-1]]
         for at in places:
             names = _at(data, at)
-            for name in names if isinstance(names, dict) and context.states else ():
-                if name not in context.states:
-                    message = f"{path_text((*at, name))}: '{name}' is no state; states: {', '.join(context.states)}"
-                    message += guess(name, context.states)
-                    problems.append(Problem(message=message, subject=(*at, name)))
+            for name, meant in _unknown(names if isinstance(names, dict) and context.states else (), context.states):
+                message = (
+                    f"{path_text((*at, name))}: {shown(name)} is no state; states: {_listed(context.states)}{meant}"
+                )
+                problems.append(Problem(message=message, subject=(*at, name)))
     return problems
 
 
@@ -374,11 +370,9 @@ def plant_problems(system: SystemSection) -> list[Problem]:
             if wanted == "where" and cell.signs is not None:
                 problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
     for k, element in enumerate(system.nonlinearities or []):
-        for state in element.into:
-            if state not in system.states:
-                subject = ("system", "nonlinearities", k, "into", state)
-                close = guess(state, system.states)
-                problems.append((f"nonlinearity '{element.name}': '{state}' is no state{close}", subject))
+        for state, meant in _unknown(element.into, system.states):
+            subject = ("system", "nonlinearities", k, "into", state)
+            problems.append((f"nonlinearity '{element.name}': {shown(state)} is no state{meant}", subject))
     return [Problem(message=message, subject=subject) for message, subject in problems]
 
 
@@ -418,14 +412,21 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
     return [
         Problem(
-            message=f"{path_text(('simulation', *where))}: '{name}' is no {kind} ({_listed(known)})"
-            + guess(name, known),
+            message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",
             subject=("simulation", *where, name),
         )
         for where, names, known, kind in given
-        for name in names
-        if name not in known
+        for name, meant in _unknown(names, known)
     ]
+
+
+def _unknown(names: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names that are not known, the first ones with a guess at what was meant."""
+    wanted, count = set(known), 0
+    for name in names:
+        if name not in wanted:
+            yield name, guess(name, known) if count < MOST else ""
+            count += 1
 
 
 def _listed(names: Sequence[str]) -> str:

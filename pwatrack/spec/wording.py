@@ -22,6 +22,7 @@ _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _STARTS = re.compile(r"(?<![\w.])(?=\.?\d)", re.ASCII)
 _WORD = re.compile(r"[\w.]+", re.ASCII)
 _BESIDE = re.compile(r"([\w.]+|\))\s+([\w.]+|\()|(\))([\w(])|(?<![\w.])(\d[\d.]*)(\()", re.ASCII)
+_ODD = re.compile(r"[^ -~\t\n\r]")
 _COMMA = re.compile(r"(?<![\w.])(\d+),(\d+)(?![\w.])", re.ASCII)
 _ONE_ARGUMENT = re.compile(r"\b(?:a?sin|a?cos|a?tan|sinh|cosh|tanh|exp|sqrt|abs)\(\s*[-+]?\d+,\d+\s*\)", re.ASCII)
 
@@ -43,9 +44,10 @@ def odd_character(text: str) -> str:
         >>> odd_character("g\u0430p"), odd_character("a\x1b"), odd_character("gap")
         ("'а' (U+0430, CYRILLIC SMALL LETTER A)", 'U+001B, a control character', '')
     """
-    found = next((c for c in text if not (" " <= c <= "~" or c in "\t\n\r")), None)
-    if found is None:
+    odd = _ODD.search(text)
+    if odd is None:
         return ""
+    found = odd[0]
     if not found.isprintable():
         return f"U+{ord(found):04X}, {unicodedata.name(found, 'a control character')}"
     return f"'{found}' (U+{ord(found):04X}, {unicodedata.name(found, 'without a name')})"
@@ -72,8 +74,8 @@ def misread(text: str) -> str:
         >>> misread("sin(2t)"), misread("z^2"), misread("0,5"), misread("2*sin(t)**2")
         ('write 2*t', 'write ** for powers', 'write 0.5: decimals have a point', '')
     """
-    if odd := odd_character(text):
-        return f"it has the character {odd}{_instead(text)}"
+    if odd := _ODD.search(text):
+        return f"it has the character {odd_character(odd[0])}{_instead(odd[0])}"
     if "#" in text:
         return "'#' begins no comment inside quotes or right after a value: put a space before it, outside the quotes"
     if "^" in text:
@@ -83,8 +85,7 @@ def misread(text: str) -> str:
     return _odd_number(text) or _decimal_comma(text) or _missing_operator(text)
 
 
-def _instead(text: str) -> str:
-    character = next(c for c in text if not (" " <= c <= "~" or c in "\t\n\r"))
+def _instead(character: str) -> str:
     meant = _MEANT.get(character, unicodedata.normalize("NFKC", character))
     if unicodedata.decomposition(character).startswith("<super>") and meant.isdecimal():
         meant = f"**{meant}"
