@@ -59,7 +59,8 @@ def balancing(A: Array) -> Array:
         [32.0, 1.0]
     """
     size = np.abs(A).sum(axis=0)
-    _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # it casts factors beyond all whole numbers, for a permutation nobody asked for
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     return np.asarray(scale, dtype=np.float64)
 
 
