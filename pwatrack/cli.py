@@ -61,16 +61,17 @@ def check(
         from pwatrack.report import summary
         from pwatrack.spec.load import assignments, load_spec
 
-        spec = load_spec(spec_path, assignments(parameters or []))
-        report, refusal, reference = applicability(spec.plant), None, ""
+        report, refusal, reference, name = None, None, "", ""
         try:
+            spec = load_spec(spec_path, assignments(parameters or []))
+            name, report = spec.name, applicability(spec.plant)
             reference = check_reference(spec)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:
-            typer.echo(json.dumps(summary.plant_json(spec.name, report, reference), indent=2))
-        else:
-            summary.print_plant(console(), spec.name, report, reference)
+            typer.echo(json.dumps(summary.check_json(name, report, reference, refusal), indent=2))
+        elif report is not None:
+            summary.print_plant(console(), name, report, reference)
         if refusal is not None:
             raise refusal
 

@@ -1,6 +1,7 @@
 """What people are told: how much of it, in which order, and nothing that a terminal would obey."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ def test_however_many_problems_there_are_the_terminal_shows_a_few_and_counts_the
     error = kind(*(Problem(message=f"wrong {k}", hint="mend it" if k % 7 else "") for k in range(300)))
     lines = refusal_lines(error)
     shown = [line for line in lines if line.startswith("error: wrong")]
-    assert lines[-1] == f"error: … and {300 - len(shown)} more"
+    assert lines[-1] == f"error: … and {300 - len(shown)} more; 'check --json' lists them"
     assert shown == [f"error: wrong {k}" for k in range(len(shown))]
     assert len(lines) <= most + 6 * (kind is InvalidSpec)
 
@@ -92,6 +93,11 @@ def test_facets_at_which_the_field_jumps_are_told_with_the_largest_jump_first(tm
     assert run.exit_code == 3
     assert len(run.stderr.splitlines()) <= 11
     assert "… and" in run.stderr.splitlines()[-1]
+    found = json.loads(CliRunner().invoke(app, ["check", str(tmp_path / "plant.yaml"), "--json"]).stdout)["problems"]
+    sizes = [float(re.findall(r"([\d.e+-]+) of that equation's terms", problem["message"])[0]) for problem in found]
+    assert len(sizes) > 20
+    assert sizes == sorted(sizes, reverse=True)
+    assert all(problem["place"].startswith(str(tmp_path)) for problem in found)
 
 
 @given(st.text())

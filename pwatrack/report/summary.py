@@ -15,6 +15,7 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Goal
 from pwatrack.control.guarantees import Contraction, Guarantees
+from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import InputReference
@@ -99,6 +100,15 @@ def plant_json(name: str, report: Applicability, reference: str = "") -> dict[st
         "reference": reference or None,
         "remarks": list(plant.remarks),
     }
+
+
+def check_json(
+    name: str, report: Applicability | None, reference: str, refusal: PwatrackError | None
+) -> dict[str, Any]:
+    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
+    plant = {} if report is None else plant_json(name, report, reference)
+    problems = () if refusal is None else refusal.problems
+    return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
 
 def print_design(console: Console, spec: Spec, controller: Controller) -> None:

@@ -80,14 +80,14 @@ def refusal_lines(error: PwatrackError) -> list[str]:
     Example:
         >>> from pwatrack.errors import OutsideTheory
         >>> refusal_lines(OutsideTheory(*(f"cell {k} is wrong" for k in range(48)), hint="mend it"))[-3:]
-        ['error: cell 8 is wrong', '  hint: mend it', 'error: … and 39 more']
+        ['error: cell 8 is wrong', '  hint: mend it', "error: … and 39 more; 'check --json' lists them"]
     """
     shown = error.problems[:_MOST_FAULTS]
     if error.code is not ExitCode.INVALID:
         while len(shown) > 1 and len(_hints_last(shown)) > _MOST_LINES:
             shown = shown[:-1]
     hidden = len(error.problems) - len(shown)
-    return _hints_last(shown) + ([f"error: … and {hidden:,} more"] if hidden else [])
+    return _hints_last(shown) + ([f"error: … and {hidden:,} more; 'check --json' lists them"] if hidden else [])
 
 
 def _hints_last(problems: Sequence[Problem]) -> list[str]:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
