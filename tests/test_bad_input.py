@@ -78,6 +78,8 @@ INVALID = [
     ("k: 0.5", 'k: "0.5\\e[2J"', 4, "U+001B"),
     ("k: 0.5", "k: sine(1)", 4, "did you mean 'sin'"),
     ("k: 0.5", "k: sin(0,5)", 4, "write 0.5"),
+    ("m: 2", "m: 1e-308", 11, "-1e+308 is larger than 1e+60"),
+    ("m: 2", "m: 1e-308", 15, "1e+308 is larger than 1e+60"),
     ("[-1/m, -1]]", "[-1e61, -1]]", 11, "-1e+61 is larger than 1e+60"),
     ("[-1/m, -1]]", "[-1e-308, -1]]", 11, "is smaller than 1e-60 but not 0"),
     ("B: [[0], [1/m]]", "B: [[0], [5e-324]]", 15, "is smaller than 1e-60"),
