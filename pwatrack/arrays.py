@@ -64,11 +64,23 @@ def balancing(A: Array) -> Array:
     return np.asarray(scale, dtype=np.float64)
 
 
+def number_text(value: float, form: str = ".5g") -> str:
+    """Return a number as text, 0 without a sign of minus: whoever reads it need not ask where it is from.
+
+    Example:
+        >>> number_text(-0.0), number_text(-0.0, "+.4g"), number_text(-1e-9, ".3f"), number_text(-1.5)
+        ('0', '+0', '0.000', '-1.5')
+    """
+    text = format(float(value), form)
+    return text if any(c in "123456789in" for c in text.partition("e")[0]) else format(0.0, form)
+
+
 def complex_text(value: complex) -> str:
     """Return a number as text, without an imaginary part of 0.
 
     Example:
-        >>> complex_text(1.5 + 0j), complex_text(-0.15 - 1.174j)
-        ('1.5', '-0.15-1.174j')
+        >>> complex_text(1.5 + 0j), complex_text(-0.15 - 1.174j), complex_text(-0j)
+        ('1.5', '-0.15-1.174j', '0')
     """
-    return f"{value.real:.4g}{value.imag:+.4g}j" if value.imag else f"{value.real:.4g}"
+    real = number_text(value.real, ".4g")
+    return f"{real}{number_text(value.imag, '+.4g')}j" if value.imag else real

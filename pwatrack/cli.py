@@ -54,21 +54,27 @@ def check(
     parameters: Set = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
 ) -> None:
-    """Say what the plant is and which theorems apply."""
+    """Say what the plant is, which theorems apply, and whether the reference is one that they are about."""
     with refusals():
         from pwatrack.control.applicability import applicability
+        from pwatrack.errors import PwatrackError
+        from pwatrack.pipeline import check_reference
         from pwatrack.report import summary
         from pwatrack.spec.load import assignments, load_spec
 
-        spec = load_spec(spec_path, assignments(parameters or []))
-        report = applicability(spec.plant)
+        report, refusal, reference, name = None, None, "", ""
+        try:
+            spec = load_spec(spec_path, assignments(parameters or []))
+            name, report = spec.name, applicability(spec.plant)
+            reference = check_reference(spec)
+        except PwatrackError as error:  # raised below what can be said of the plant
+            refusal = error
         if as_json:
-            typer.echo(json.dumps(summary.plant_json(spec.name, report), indent=2))
-        else:
-            summary.print_plant(console(), spec.name, report)
-        if spec.tracking == "output" and report.refusal is not None:
-            with spec.located():
-                raise report.refusal
+            typer.echo(json.dumps(summary.check_json(name, report, reference, refusal), indent=2))
+        elif report is not None:
+            summary.print_plant(console(), name, report, reference)
+        if refusal is not None:
+            raise refusal
 
 
 @app.command(epilog="Example: pwatrack design specs/two_mass_backlash.yaml --set k2=0.3 --pareto")

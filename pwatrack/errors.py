@@ -1,10 +1,12 @@
 """The error family: what went wrong, where, by how much, and what to do next."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 Subject = tuple[str | int, ...]
+
+_FEW = 3  # entries of a long list that a terminal shows
 
 
 class ExitCode(IntEnum):
@@ -54,17 +56,56 @@ class Problem:
     `subject` says what it is about as a path in the description, for example
     `("system", "cells", 0, "A")`; whoever read the description from a file
     knows the `place` of each path. None: it is not about the description.
+
+    Attributes:
+        message: What is wrong, complete.
+        subject: What it is about.
+        hint: What to do.
+        place: Where it stands.
+        short: The message for a terminal, where it lists very many things; empty where it is the same.
     """
 
     message: str
     subject: Subject | None = ()
     hint: str = ""
     place: Place | None = None
+    short: str = ""
+
+    @staticmethod
+    def of_many(tell: Callable[[int | None], str], *, subject: Subject | None = (), hint: str = "") -> "Problem":
+        """Return a problem that lists many things, the worst first: `tell` takes how many, None for all.
+
+        Example:
+            >>> Problem.of_many(lambda most: "wrong: " + listed(["a", "b", "c", "d", "e", "f"], most)).short
+            'wrong: a, b, c … and 3 more'
+        """
+        full, short = tell(None), tell(_FEW)
+        return Problem(message=full, short=short if short != full else "", subject=subject, hint=hint)
+
+    def prefixed(self, text: str) -> "Problem":
+        """Return the same problem with a text before its message."""
+        return replace(self, message=text + self.message, short=self.short and text + self.short)
+
+    @property
+    def where(self) -> str:
+        """The place and a colon, where there is one."""
+        return f"{self.place}: " if self.place else ""
 
     def __str__(self) -> str:
-        where = f"{self.place}: " if self.place else ""
         hint = f"\n  hint: {self.hint}" if self.hint else ""
-        return f"{where}{self.message}{hint}"
+        return f"{self.where}{self.message}{hint}"
+
+
+def listed(items: Sequence[str], most: int | None, by: str = ", ") -> str:
+    """Return items joined by commas: all of them, or where there are clearly more only the first ones.
+
+    Example:
+        >>> listed(["a", "b", "c"], 2), listed(["a", "b", "c", "d", "e"], 2)
+        ('a, b, c', 'a, b … and 3 more')
+    """
+    if most is None or len(items) <= most + 1:
+        return by.join(items)
+    return f"{by.join(items[:most])} … and {len(items) - most:,} more"
 
 
 class PwatrackError(Exception):

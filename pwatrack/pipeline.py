@@ -276,17 +276,58 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures, watch.outcome()
 
 
+def check_reference(spec: Spec) -> str:
+    """Check what can be known of the reference before an inequality is solved, and say it in a few words.
+
+    That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
+
+    Raises:
+        OutsideTheory: If the reference is none that the theorems are about, or the plant is not of form (11).
+        InvalidSpec: If a start was to be periodic and there is no period.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> check_reference(load_spec("specs/two_mass_backlash.yaml"))
+        'y_d is bounded and smooth enough for relative degree 2'
+    """
+    with spec.located():
+        if isinstance(spec.reference, OutputReference):
+            form = normal_form(spec.plant)
+            _output_signal(spec.reference, form.r)
+            return f"y_d is bounded and smooth enough for relative degree {form.r}"
+        _state_desired(spec)
+        if isinstance(spec.reference, SetPoint):
+            return "x_d is an equilibrium with the wanted outputs"
+        if isinstance(spec.reference, InputReference):
+            return "u_ff is bounded; x_d is the response of the plant"
+        return "x_d is bounded and satisfies (3)"
+
+
 def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
     """Return the desired trajectory, and for output tracking the generator it comes from."""
+    if not isinstance(spec.reference, OutputReference):
+        trajectory, where = _state_desired(spec), ("reference", "start")
+        if not isinstance(spec.reference, InputReference) or spec.reference.start is None:
+            return trajectory, None
+        return bounded_response(spec.plant, trajectory, horizon=spec.duration, solver=spec.solver, subject=where), None
+    form = normal_form(spec.plant)
+    y_d = _output_signal(spec.reference, form.r)
+    generator = trajectory_generator(form, solver=spec.solver)
+    return output_trajectory(generator, exosystem([y_d])), generator
+
+
+def _output_signal(reference: OutputReference, r: int) -> Signal:
+    y_d = reference.signal(r)
+    _check([y_d], r, ("reference", "output"), "y_d")
+    return y_d
+
+
+def _state_desired(spec: Spec) -> DesiredTrajectory:
+    """Return the desired trajectory of state tracking."""
     plant, reference = spec.plant, spec.reference
-    if isinstance(reference, OutputReference):
-        form = normal_form(plant)
-        y_d = reference.signal(form.r)
-        _check([y_d], form.r, ("reference", "output"), "y_d")
-        generator = trajectory_generator(form, solver=spec.solver)
-        return output_trajectory(generator, exosystem([y_d])), generator
     if isinstance(reference, SetPoint):
-        return set_point(plant, reference.y, subject=("reference", "setpoint")), None
+        return set_point(plant, reference.y, subject=("reference", "setpoint"))
+    assert not isinstance(reference, OutputReference)
     signals = reference.signals()
     if isinstance(reference, InputReference):
         _check(signals, None, ("reference", "input"), "u_ff")
@@ -295,14 +336,10 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
             message = "start: periodic, but the inputs together have no period"
             hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
             raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
-        trajectory = input_trajectory(plant, u_ff, reference.start)
-        if reference.start is None:
-            return trajectory, None
-        where: Subject = ("reference", "start")
-        return bounded_response(plant, trajectory, horizon=spec.duration, solver=spec.solver, subject=where), None
+        return input_trajectory(plant, u_ff, reference.start)
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
-    return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state")), None  # (3)
+    return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state"))  # (3)
 
 
 def _check_timing(

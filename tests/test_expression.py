@@ -14,6 +14,7 @@ from pwatrack.real import Real
 from pwatrack.spec.expression import (
     BrokenParameter,
     ExpressionError,
+    UnknownName,
     inequalities,
     linear_form,
     number,
@@ -62,7 +63,7 @@ def test_what_only_looks_like_a_number_is_refused(text: str) -> None:
         number(text, PARAMETERS)
 
 
-@pytest.mark.parametrize("text", ["no", "yes", "on", "off", "true", "null", "nan", "inf", "e", "sin", "é"])
+@pytest.mark.parametrize("text", ["no", "yes", "on", "off", "true", "null", "nan", "inf", "e", "sin"])
 def test_a_word_that_is_not_declared_is_an_unknown_name(text: str) -> None:
     with pytest.raises(ExpressionError, match=f"unknown name '{text}'"):
         number(text, PARAMETERS)
@@ -73,8 +74,9 @@ def test_a_declared_name_that_yaml_would_read_as_false_is_a_name() -> None:
 
 
 def test_a_misspelt_name_gets_a_guess() -> None:
-    with pytest.raises(ExpressionError, match="unknown name 'omgea'; did you mean 'omega'"):
+    with pytest.raises(UnknownName, match="unknown name 'omgea'") as caught:
         number("2*omgea", {"omega": 1.0, "m1": 1.0})
+    assert caught.value.guess == "; did you mean 'omega'?"
 
 
 @pytest.mark.parametrize(

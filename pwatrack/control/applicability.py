@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pwatrack.arrays import number_text
 from pwatrack.errors import OutsideTheory
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
@@ -68,4 +69,5 @@ def _stable(plant: PWASystem, abscissa: NDArray[np.float64], then: str) -> str:
     worst = int(np.argmax(abscissa))
     if abscissa[worst] < 0:
         return then
-    return f"does not apply: an eigenvalue has real part {abscissa[worst]:+.4g} in cell '{plant.cell_names[worst]}'"
+    size = number_text(abscissa[worst], "+.4g")
+    return f"does not apply: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'"

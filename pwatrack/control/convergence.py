@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from pwatrack.arrays import Array
-from pwatrack.errors import Infeasible, Problem, Subject, Undecided
+from pwatrack.arrays import Array, number_text
+from pwatrack.errors import Infeasible, Problem, Subject, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Refutation, refute
@@ -169,7 +169,6 @@ def prove_convergence(
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
-    figures = eigenvalue_text(abscissa, cells)
     doubtful = (abscissa > -1e-3 * np.linalg.norm(M, axis=(1, 2))).any()
     refutation = refute(M, np.zeros((M.shape[1], 0)), solver=solver) if doubtful else None
     if refutation is None or not refutation.eigenvalues:
@@ -179,24 +178,29 @@ def prove_convergence(
         refutation = refutation or refute(M, np.zeros((M.shape[1], 0)), solver=solver)
     if refutation is None:
         raise Undecided(
-            Problem(
-                message=f"{claim} is undecided: found neither a common P nor a proof that none exists; {figures}",
+            Problem.of_many(
+                lambda most: (
+                    f"{claim} is undecided: found neither a common P nor a proof that none exists; "
+                    + eigenvalue_text(abscissa, cells, most)
+                ),
                 subject=subject,
                 hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
             )
         )
-    if refutation.eigenvalues:
-        names = ", ".join(f"'{cells[i]}'" for i in refutation.eigenvalues)
-        message = f"{claim} is infeasible: {names} not stable; {figures}"
-    else:
-        message = (
-            f"{claim} is infeasible: {conflict_text(refutation, cells)}, no common P exists for them, "
-            f"though each is stable by itself; {figures}"
-        )
+    proof = refutation
+    if not proof.eigenvalues:
         hint = "they differ too much for one quadratic Lyapunov function: bring them closer, or damp them more"
+
+    def tell(most: int | None) -> str:
+        names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
+        conflict = "" if names else conflict_text(proof, cells, most)
+        reason = f"{names} not stable" if names else f"{conflict}, no common P exists for them, though each is stable"
+        alone = "" if names else " by itself"
+        return f"{claim} is infeasible: {reason}{alone}; {eigenvalue_text(abscissa, cells, most)}"
+
     raise Infeasible(
-        Problem(message=message, subject=subject, hint=hint),
-        evidence=Impossibility(of=of, rate=0.0, refutation=refutation),
+        Problem.of_many(tell, subject=subject, hint=hint),
+        evidence=Impossibility(of=of, rate=0.0, refutation=proof),
     )
 
 
@@ -215,23 +219,25 @@ class Impossibility:
     refutation: Refutation
 
 
-def conflict_text(refutation: Refutation, cells: Sequence[str]) -> str:
-    """Name the cells in conflict.
+def conflict_text(refutation: Refutation, cells: Sequence[str], most: int | None = None) -> str:
+    """Name the cells in conflict, or at most so many of them.
 
     Example:
         >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
         "cells 'gap' and 'upper' conflict"
     """
     names = [f"'{cells[i]}'" for i in refutation.Z]
+    if most is not None and len(names) > most + 1:
+        return f"cells {listed(names, most)} conflict"
     return f"cells {', '.join(names[:-1])} and {names[-1]} conflict"
 
 
-def eigenvalue_text(abscissa: Array, cells: Sequence[str]) -> str:
-    """Say the largest real part of the eigenvalues of each cell.
+def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:
+    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many.
 
     Example:
         >>> eigenvalue_text(np.array([1.752]), ["gap"])
         "largest real part of the eigenvalues: +1.752 in cell 'gap'"
     """
-    parts = [f"{value:+.4g} in cell '{name}'" for name, value in zip(cells, abscissa, strict=True)]
-    return "largest real part of the eigenvalues: " + ", ".join(parts)
+    parts = [f"{number_text(abscissa[i], '+.4g')} in cell '{cells[i]}'" for i in np.argsort(-abscissa, kind="stable")]
+    return "largest real part of the eigenvalues: " + listed(parts, most)

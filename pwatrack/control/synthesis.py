@@ -10,7 +10,7 @@ from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapun
 from pwatrack.arrays import Array, complex_text, readonly
 from pwatrack.control.convergence import Impossibility, best_certificate, conflict_text, prove_convergence
 from pwatrack.control.goal import DEFAULT, Goal
-from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided
+from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_feedback
@@ -426,17 +426,22 @@ def _refusal(task: Task, rate: float, refutation: Refutation | None, margin: flo
         return Undecided(Problem(message=message, subject=subject, hint=hint))
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
-        modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in refutation.eigenvalues.items()]
-        message = f"{task.claim}{goal} is infeasible: no gain moves the eigenvalue " + ", ".join(modes)
+        worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
+        modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in worst]
         hint = f"another actuator, or another measured output, must reach this mode{slower}"
     else:
-        message = (
-            f"{task.claim}{goal} is infeasible: {conflict_text(refutation, task.cells)}, no gain with a common P "
+        hint = f"another actuator or another measured output may help, cells that differ less{slower}"
+
+    def tell(most: int | None) -> str:
+        if refutation.eigenvalues:
+            return f"{task.claim}{goal} is infeasible: no gain moves the eigenvalue {listed(modes, most)}"
+        return (
+            f"{task.claim}{goal} is infeasible: {conflict_text(refutation, task.cells, most)}, no gain with a common P "
             f"exists for them, though each {'reaches that rate' if rate else 'can be stabilised'} by itself"
         )
-        hint = f"another actuator or another measured output may help, cells that differ less{slower}"
+
     return Infeasible(
-        Problem(message=message, subject=subject, hint=hint),
+        Problem.of_many(tell, subject=subject, hint=hint),
         evidence=Impossibility(of=task.of, rate=rate, refutation=refutation),
     )
 

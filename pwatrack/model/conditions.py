@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
@@ -67,7 +67,10 @@ class Conditions:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names."""
         said = []
         if self.parameters is not None:
-            said.append("plant with " + ", ".join(f"{name} = {value:g}" for name, value in self.parameters.items()))
+            said.append(
+                "plant with "
+                + ", ".join(f"{name} = {number_text(value, 'g')}" for name, value in self.parameters.items())
+            )
         if self.limits is not None:
             said += [
                 f"{name} limited to {_range(low, high)}"
@@ -92,8 +95,8 @@ class Conditions:
 
 def _range(low: float, high: float) -> str:
     if np.isfinite([low, high]).all():
-        return f"[{low:g}, {high:g}]"
-    return f"{low:g} and above" if np.isfinite(low) else f"{high:g} and below"
+        return f"[{number_text(low, 'g')}, {number_text(high, 'g')}]"
+    return f"{number_text(low, 'g')} and above" if np.isfinite(low) else f"{number_text(high, 'g')} and below"
 
 
 NOMINAL = Conditions()

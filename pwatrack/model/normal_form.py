@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwatrack.arrays import Array, balancing, readonly
+from pwatrack.arrays import Array, balancing, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, above, stack
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.continuity import Repair
@@ -203,7 +203,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
                 Problem(
                     message=f"not of form (11): row C A^{len(rows)} differs between cells '{one}' and '{other}' "
                     f"before the input enters: entry '{plant.states[column]}' is "
-                    f"{following[0, column]:.6g} and {following[cell, column]:.6g}",
+                    f"{number_text(following[0, column], '.6g')} and {number_text(following[cell, column], '.6g')}",
                     subject=("system", "C"),
                     hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
                 )

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, stack
 from pwatrack.errors import OutsideTheory, Problem
-from pwatrack.model.cells import Partition
+from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
+from pwatrack.model.offset import continuous_offset
 from pwatrack.rational import beside, on_entries
 
 ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one of the data's own rounding
@@ -193,7 +194,8 @@ class PWASystem:
         try:
             cells, repair = repaired(self.partition, joined, tolerance)
         except Discontinuous as error:
-            raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in error.jumps)) from None
+            worst_first = sorted(error.jumps, key=lambda jump: -jump.relative)
+            raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in worst_first)) from None
         if repair is None:
             return self
         A, b = (
@@ -221,13 +223,28 @@ class PWASystem:
             row = np.argmax(np.abs(jump.b))
             figure = f"b jumps by {abs(jump.b[row]):.6g} (row '{self.states[row]}')"
         one, other = self.cell_names[facet.i], self.cell_names[facet.j]
+        proposal = self._missing_offset(facet)
         return Problem(
             message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: {figure}, "
             f"{jump.relative:.1e} of that equation's terms there; the field must be continuous (eq. (1))",
             subject=("system", "cells", facet.i, "A" if in_A else "b"),
-            hint="correct the cell; for data rounded in print, 'tolerance: {continuity: …}' accepts a larger jump "
+            hint=proposal
+            or "correct the cell; for data rounded in print, 'tolerance: {continuity: …}' accepts a larger jump "
             f"(in force: {tolerance:g})",
         )
+
+    def _missing_offset(self, facet: Facet) -> str:
+        """Propose a b for a cell without one, of the two at a facet: for the one that is not around the origin."""
+        H, h = self.partition.H[facet.k], float(self.partition.h[facet.k])
+        i, j = facet.i, facet.j
+        if self.partition.signs[i, facet.k] * h > 0:  # the origin is on the side of cell i
+            i, j = j, i
+        for cell, other in ((i, j), (j, i)):
+            b = continuous_offset(self.A[cell], self.A[other], self.b[other], H, h)
+            if b is not None and not self.b[cell].any():
+                entries = ", ".join(number_text(value, ".9g") for value in b)
+                return f"b: [{entries}] in cell '{self.cell_names[cell]}' would make it continuous there"
+        return ""
 
 
 def _joined(A: BallMatrix, b: BallMatrix) -> BallMatrix:

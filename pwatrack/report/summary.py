@@ -9,13 +9,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pwatrack.arrays import Array, complex_text
+from pwatrack.arrays import Array, complex_text, number_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Goal
 from pwatrack.control.guarantees import Contraction
+from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.pipeline import Result
@@ -29,8 +30,8 @@ _FEW = 5  # of more than that
 _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
 
 
-def print_plant(console: Console, name: str, report: Applicability) -> None:
-    """Say what the plant is and which theorems apply; of many cells and facets the first ones."""
+def print_plant(console: Console, name: str, report: Applicability, reference: str = "") -> None:
+    """Say what the plant is, which theorems apply, what is known of the reference; of many cells the first ones."""
     plant, form = report.plant, report.form
     facets = plant.partition.facets
     counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
@@ -45,6 +46,8 @@ def print_plant(console: Console, name: str, report: Applicability) -> None:
         )
     for theorem, answer in report.theorems().items():
         table.add_row(theorem, answer)
+    if reference:
+        table.add_row("reference", reference)
     _remark_rows(table, plant.remarks)
     console.print(table)
 
@@ -68,8 +71,8 @@ def _facet_text(plant: PWASystem, facet: Facet) -> str:
     return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
-def plant_json(name: str, report: Applicability) -> dict[str, Any]:
-    """Return what `print_plant` says, for machines."""
+def plant_json(name: str, report: Applicability, reference: str = "") -> dict[str, Any]:
+    """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
     plant, form = report.plant, report.form
     planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
     values = report.zero_dynamics if report.zero_dynamics is not None else ()
@@ -95,8 +98,18 @@ def plant_json(name: str, report: Applicability) -> dict[str, Any]:
             for cell, row in zip(plant.cell_names, values, strict=False)
         },
         "theorems": report.theorems(),
+        "reference": reference or None,
         "remarks": list(plant.remarks),
     }
+
+
+def check_json(
+    name: str, report: Applicability | None, reference: str, refusal: PwatrackError | None
+) -> dict[str, Any]:
+    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
+    plant = {} if report is None else plant_json(name, report, reference)
+    problems = () if refusal is None else refusal.problems
+    return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
 
 def print_design(console: Console, spec: Spec, controller: Controller) -> None:
@@ -222,12 +235,12 @@ def _down(value: float) -> str:
         >>> _down(0.0826799), _up(1.4001)
         ('0.08267', '1.41')
     """
-    return f"{float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)):.4g}"
+    return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
 
 
 def _up(value: float) -> str:
     """Return a number in three digits, not smaller."""
-    return f"{float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)):.3g}"
+    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
 def print_result(console: Console, result: Result) -> None:
@@ -305,8 +318,8 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
 
 
 def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
-    first, second = entry
-    return f"{first:.4g} ≤ {name} ≤ {second:.4g}" if kind == "box" else f"{name} = {first:.4g} ± {second:.4g}"
+    low, high = (number_text(value, ".4g") for value in entry)
+    return f"{low} ≤ {name} ≤ {high}" if kind == "box" else f"{name} = {low} ± {high}"
 
 
 def print_files(console: Console, folder: Path) -> None:
@@ -332,5 +345,5 @@ def _titled(title: str | None) -> Table:
 
 
 def _matrix(X: Array) -> str:
-    rows = [" ".join(f"{v:.5g}" for v in row) for row in X]
+    rows = [" ".join(number_text(v) for v in row) for row in X]
     return "[" + "; ".join(rows) + "]"

@@ -5,14 +5,43 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
+from rich.text import Text
 
-from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.errors import ExitCode, Problem, PwatrackError
+
+_MOST_LINES = 10  # of a refusal
+_MOST_FAULTS = 20  # of a file: its writer wants to see them all
+_LONGEST = 2_000  # characters of one message
+
+
+def visible(text: str) -> str:
+    r"""Return a text whose control and invisible characters are written out: a terminal obeys them otherwise.
+
+    Example:
+        >>> visible("gap\x1b[2J\u202e"), visible("z1 − z2\n")
+        ('gap\\x1b[2J\\u202e', 'z1 − z2\n')
+    """
+    return "".join(
+        c.encode("unicode_escape").decode()
+        if c not in "\t\n" and unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp")
+        else c
+        for c in text
+    )
+
+
+class _Console(Console):
+    """A console on which only its own styles reach the terminal, and no control character of a text."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return the text as it may be printed."""
+        return super().render_str(visible(text), **options)
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -20,7 +49,7 @@ def console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="replace")
-    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    return _Console(stderr=stderr, highlight=False, markup=False, emoji=False)
 
 
 @contextmanager
@@ -34,7 +63,7 @@ def refusals() -> Iterator[None]:
     try:
         yield
     except PwatrackError as error:
-        _end(error.code, *(f"error: {problem}" for problem in error.problems), *getattr(error, "__notes__", ()))
+        _end(error.code, *refusal_lines(error), *getattr(error, "__notes__", ()))
     except KeyboardInterrupt:
         _end(128 + signal.SIGINT)
     except Exception as error:
@@ -60,3 +89,31 @@ def _end(code: int, *messages: str) -> NoReturn:
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     raise SystemExit(int(code)) from None
+
+
+def refusal_lines(error: PwatrackError) -> list[str]:
+    """Return what a terminal shows of a refusal: about ten lines; `error` itself has the whole text.
+
+    Example:
+        >>> from pwatrack.errors import OutsideTheory
+        >>> refusal_lines(OutsideTheory(*(f"cell {k} is wrong" for k in range(48)), hint="mend it"))[-3:]
+        ['error: cell 8 is wrong', '  hint: mend it', "error: … and 39 more; 'check --json' lists them"]
+    """
+    shown = error.problems[:_MOST_FAULTS]
+    if error.code is not ExitCode.INVALID:
+        while len(shown) > 1 and len(_hints_last(shown)) > _MOST_LINES:
+            shown = shown[:-1]
+    hidden = len(error.problems) - len(shown)
+    return _hints_last(shown) + ([f"error: … and {hidden:,} more; 'check --json' lists them"] if hidden else [])
+
+
+def _hints_last(problems: Sequence[Problem]) -> list[str]:
+    """Return the messages of problems, with each hint once, below the last of those in a row that have it."""
+    lines = []
+    for k, problem in enumerate(problems):
+        message = (problem.short or problem.message).replace("\n", "\\n")  # no text of a file looks like a line of ours
+        message = message if len(message) <= _LONGEST else f"{message[:_LONGEST]} …"
+        lines.append(f"error: {problem.where}{message}")
+        if problem.hint and (k + 1 == len(problems) or problems[k + 1].hint != problem.hint):
+            lines.append(f"  hint: {problem.hint}")
+    return lines

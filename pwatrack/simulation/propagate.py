@@ -268,7 +268,7 @@ class Walk:
                 Problem(
                     message=f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
                     subject=None,
-                    hint="the proofs are about the loop without the conditions under 'simulation'",
+                    hint="the proofs are about a bounded x_d, and no limits, sampling, noise or other parameters",
                 )
             )
 

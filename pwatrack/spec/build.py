@@ -1,19 +1,19 @@
 """Checked sections -> the plant (1) and the reference, as the model knows them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.goal import Goal
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.course import Course
-from pwatrack.model.nonlinearity import Nonlinearity, generate_cells
+from pwatrack.model.nonlinearity import Nonlinearity, generate_cells, remarks
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import (
     InputReference,
@@ -29,10 +29,12 @@ from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.schema import (
     CourseSection,
+    DeadZoneSection,
     EllipsoidSection,
     GoalSection,
     ReferenceSection,
     SimulationSection,
+    SpringSection,
     StartRegionsSection,
     SystemSection,
 )
@@ -77,14 +79,19 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
     _refuse_other_B(system)
     A: Any
     b: Any
+    odd: list[str] = []
     if system.cells is None:
-        partition, A, b = _from_nonlinearities(system)
+        elements = _elements(system)
+        partition, A, b = generate_cells(system.A, system.b or [Real.of(0)] * len(system.states), elements)
+        for section, element in zip(system.nonlinearities or [], elements, strict=True):
+            restoring = isinstance(section, SpringSection | DeadZoneSection)
+            odd += remarks(_doubles(system.A or []), system.states, element, restoring=restoring)
     else:
         cells = system.cells
         partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
         A = [cell.A for cell in cells]
         b = [cell.b or [0] * len(system.states) for cell in cells]
-    return PWASystem.create(
+    plant = PWASystem.create(
         partition=partition,
         A=A,
         b=b,
@@ -95,6 +102,7 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         outputs=system.outputs,
         tolerance=tolerance,
     )
+    return replace(plant, remarks=(*plant.remarks, *odd))
 
 
 def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder: Path, horizon: float) -> Reference:
@@ -217,7 +225,7 @@ def _from_signs(system: SystemSection) -> Partition:
     )
 
 
-def _from_nonlinearities(system: SystemSection) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
+def _elements(system: SystemSection) -> list[Nonlinearity]:
     n = len(system.states)
     elements, problems = [], []
     for k, section in enumerate(system.nonlinearities or []):
@@ -241,7 +249,7 @@ def _from_nonlinearities(system: SystemSection) -> tuple[Partition, list[BallMat
         )
     if problems:
         raise InvalidSpec(*problems)
-    return generate_cells(system.A, [Real.of(0)] * n if system.b is None else system.b, elements)
+    return elements
 
 
 def _doubles(rows: Sequence[Sequence[Real]]) -> Array:

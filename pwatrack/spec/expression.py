@@ -1,10 +1,11 @@
 """Arithmetic in a spec: numbers, linear forms, inequalities, signals; read with `ast`, never run as code."""
 
 import ast
-import difflib
 import math
 import operator
+import re
 import warnings
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -15,6 +16,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real, enclosed
+from pwatrack.spec.wording import guess, misread, shown
 
 _OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "sqrt")
 FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in (*_OF_ONE, "atan2", "log")} | {
@@ -26,6 +28,7 @@ CONSTANTS = {"pi": math.pi}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
 _LONGEST = 500
+_PLAIN = re.compile(r"-?(0|[1-9][0-9]{0,14})(\.[0-9]{1,15})?")
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -43,6 +46,20 @@ class ExpressionError(ValueError):
 
 class BrokenParameter(ExpressionError):
     """The expression uses a parameter that is in error itself, which is said elsewhere."""
+
+
+class UnknownName(ExpressionError):
+    """The expression has a name that is not known; `guess` finds one that may be meant, which takes a while."""
+
+    def __init__(self, name: str, known: Mapping[str, Any]) -> None:
+        super().__init__(f"unknown name '{name}'")
+        self.name = name
+        self._known = known
+
+    @property
+    def guess(self) -> str:
+        """`"; did you mean 'x'?"`, or nothing."""
+        return guess(self.name, self._known)
 
 
 Parameters = Mapping[str, Real | float | None]  # None: in error
@@ -120,7 +137,9 @@ def real(text: str, parameters: Parameters) -> Real:
         >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
         Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
     """
-    value: Real = _evaluate(text, _exact(parameters))
+    if _PLAIN.fullmatch(text):  # most entries of most files
+        return Real(Fraction(text))
+    value: Real = _evaluate(text, _names(parameters))
     return value
 
 
@@ -148,7 +167,7 @@ def linear_form(text: str, states: Sequence[str], parameters: Parameters) -> Lin
         >>> form.row.tolist(), form.constant
         ([-2.0, 2.0], 5.0)
     """
-    value = _evaluate(text, _exact(parameters) | _units(states))
+    value = _evaluate(text, _names(_units(states), parameters))
     return value if isinstance(value, LinearForm) else LinearForm((_ZERO,) * len(states), value)
 
 
@@ -163,9 +182,11 @@ def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> li
         [[1.0, 1.0], [-1.0, 2.0]]
     """
     tree = _parse(text)
+    if isinstance(tree, ast.BoolOp):
+        raise ExpressionError(f"{shown(text)}: each inequality is an entry of its own in the list; all of them hold")
     if not isinstance(tree, ast.Compare):
         raise ExpressionError(f"'{text}' is not an inequality such as 'z2 - z1 >= 0.05'")
-    reader = _Reader(text, _exact(parameters) | _units(states))
+    reader = _Reader(text, _names(_units(states), parameters))
     sides = [reader.read(node) for node in (tree.left, *tree.comparators)]
     forms = []
     for left, right, comparison in zip(sides[:-1], sides[1:], tree.ops, strict=True):
@@ -192,8 +213,7 @@ def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
         >>> round(formula("a*sin(2*t)**2", {"a": 3.0})(0.25), 6)
         0.689547
     """
-    known = {name: None if value is None else float(value) for name, value in parameters.items()}
-    reader = _Reader(text, {**CONSTANTS, **known, TIME: ExponentialPolynomial.time()}, exact=False)
+    reader = _Reader(text, _names({TIME: ExponentialPolynomial.time()}, parameters), exact=False)
     value = reader.read(_parse(text))
     return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)
 
@@ -201,8 +221,9 @@ def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
 _ZERO, _ONE = Real.of(0), Real.of(1)
 
 
-def _exact(parameters: Parameters) -> dict[str, Any]:
-    return {name: None if value is None else Real.of(value) for name, value in parameters.items()}
+def _names(*kinds: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return all names that an expression may use, without a copy: there may be very many parameters."""
+    return ChainMap(*(dict(kind) if not isinstance(kind, dict) else kind for kind in kinds), CONSTANTS)
 
 
 def _units(states: Sequence[str]) -> dict[str, LinearForm]:
@@ -242,12 +263,16 @@ _EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x
 def _parse(text: str) -> ast.expr:
     if len(text) > _LONGEST:
         raise ExpressionError(f"expression of {len(text)} characters, at most {_LONGEST} are read")
+    if not text.strip():
+        raise ExpressionError("nothing is given: a number or an expression is expected")
+    if reason := misread(text):
+        raise ExpressionError(f"{shown(text)} is not a number or an expression: {reason}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the compiler's remarks on odd literals, which are refused below
             return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ExpressionError(f"'{text}' is not a number or an expression") from None
+        raise ExpressionError(f"{shown(text)} is not a number or an expression") from None
 
 
 _ALLOWED = {
@@ -331,16 +356,21 @@ class _Reader:
         if self.exact and name == "pi":
             return _pi()
         if name not in self.names:
-            close = difflib.get_close_matches(name, self.names, n=1)
-            guess = f"; did you mean '{close[0]}'?" if close else ""
-            raise ExpressionError(f"unknown name '{name}'{guess}")
+            raise UnknownName(name, self.names)
         if self.names[name] is None:
             raise BrokenParameter(f"parameter '{name}' is in error")
-        return self.names[name]
+        value = self.names[name]
+        if isinstance(value, Real | float):
+            return Real.of(value) if self.exact else float(value)
+        return value
 
     def _called(self, node: ast.AST, name: str, arguments: list[Any]) -> Any:
+        if name in self.names:
+            raise ExpressionError(f"'{name}' is no function: write {name}*(…) for a product")
         if name not in FUNCTIONS:
-            raise ExpressionError(f"unknown function '{name}'; known are {', '.join(sorted(FUNCTIONS))}")
+            raise ExpressionError(
+                f"unknown function '{name}'; known are {', '.join(sorted(FUNCTIONS))}{guess(name, FUNCTIONS)}"
+            )
         if all(isinstance(argument, Real | float) for argument in arguments):
             return self.combine(node, (_EXACT_FUNCTIONS if self.exact else FUNCTIONS)[name], *arguments)
         method = getattr(arguments[0], name, None) if len(arguments) == 1 else None

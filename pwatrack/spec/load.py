@@ -2,6 +2,8 @@
 
 import hashlib
 import re
+import stat
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,21 +22,24 @@ from pwatrack.model.reference import Reference
 from pwatrack.real import Real
 from pwatrack.simulation.region import Region
 from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference, build_regions
-from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, real
+from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, UnknownName, real
 from pwatrack.spec.problems import (
+    MOST,
     condition_problems,
     goal_problems,
     name_problems,
     plant_problems,
     reference_problems,
-    region_problems,
     sampling_problems,
     shape_problems,
+    size_problems,
+    start_problems,
     validation_problems,
 )
 from pwatrack.spec.schema import Context, ExpectSection, SpecFile, SystemSection
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
+_LARGEST_FILE = 4 * 2**20  # bytes
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
 
@@ -137,12 +142,12 @@ class PlantRecipe:
                 changed = {name: float(value) for name in parameters if (value := values[name]) is not None}
                 return build_plant(system, self.tolerance), changed
             except ValidationError as error:
-                problems = [replace(p, message=f"system.{p.message}") for p in validation_problems(error, section)]
+                problems = [p.prefixed("system.") for p in validation_problems(error, section)]
             except PwatrackError as error:
                 problems, refusal = list(error.problems), error
         with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
         said = f"plant with {with_them}: "
-        raise type(refusal)(*(replace(p, message=said + p.message, subject=subject, place=None) for p in problems))
+        raise type(refusal)(*(replace(p.prefixed(said), subject=subject, place=None) for p in problems))
 
 
 def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:
@@ -163,6 +168,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     """
     path = Path(path)
     document, digest = _read(path)
+    if too_much := size_problems(document.data):
+        raise InvalidSpec(*document.problems, *too_much).located(document.places).sorted()
     values, problems = _parameters(document.data.get("parameters", {}), parameters or {})
     context = Context(
         parameters=values,
@@ -173,7 +180,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         *problems,
         *shape_problems(document.data, context),
         *name_problems(document.data, context),
-        *region_problems(document.data, context),
+        *start_problems(document.data, context),
         *sampling_problems(document.data, context),
     ]
     try:
@@ -186,7 +193,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation, initial = file.simulation, file.simulation.initial
-    x0, x_hat0 = _optional(initial.plant), _optional(initial.observer)
+    x0, x_hat0 = (_initial(values, file.system.states) for values in (initial.plant, initial.observer))
     recipe = PlantRecipe(
         document=document, context=context, overrides=parameters or {}, tolerance=file.tolerance.continuity
     )
@@ -215,7 +222,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         sample_time=simulation.sample_time,
         x0=x0,
         x_hat0=x_hat0,
-        eta_hat0=_optional(initial.generator),
+        eta_hat0=None if initial.generator is None else readonly(initial.generator),
         conditions=conditions,
         portraits=tuple((first, second) for first, second in simulation.portraits),
         regions=build_regions(simulation.ensemble.initial, plant.states, {"plant": x0, "observer": x_hat0}),
@@ -230,17 +237,25 @@ def assignments(texts: Sequence[str]) -> dict[str, str]:
     """Return parameters given as NAME=VALUE.
 
     Raises:
-        InvalidSpec: For each text that is not of this form.
+        InvalidSpec: For each text that is not of this form, and each name that is given twice.
 
     Example:
         >>> assignments(["k2=0.3", "omega=2*pi"])
         {'k2': '0.3', 'omega': '2*pi'}
     """
-    parts = [text.partition("=") for text in texts]
-    wrong = [text for text, (name, _, value) in zip(texts, parts, strict=True) if not (name.strip() and value.strip())]
-    if wrong:
-        raise InvalidSpec(*(f"--set {text}: expected NAME=VALUE, for example --set k2=0.3" for text in wrong))
-    return {name.strip(): value.strip() for name, _, value in parts}
+    parts = [tuple(part.strip() for part in text.partition("=")) for text in texts]
+    problems = [
+        f"--set {text}: expected NAME=VALUE, for example --set k2=0.3"
+        for text, (name, _, value) in zip(texts, parts, strict=True)
+        if not (name and value)
+    ]
+    for name, times in Counter(name for name, _, _ in parts).items():
+        if name and times > 1:
+            given = " and ".join(value for other, _, value in parts if other == name)
+            problems.append(f"--set {name} is given {times} times: {given}; each parameter has one value")
+    if problems:
+        raise InvalidSpec(*problems)
+    return {name: value for name, _, value in parts}
 
 
 def expected_exit(path: str | Path) -> int:
@@ -249,24 +264,39 @@ def expected_exit(path: str | Path) -> int:
         document, _ = _read(Path(path))
         return ExpectSection.model_validate(document.data["expect"]).exit
     except PwatrackError:  # not even YAML
-        found = (
-            _EXPECT.search(Path(path).read_text(encoding="utf-8", errors="replace")) if Path(path).is_file() else None
-        )
+        try:
+            found = _EXPECT.search(_content(Path(path)).decode("utf-8", errors="replace"))
+        except InvalidSpec:
+            return 0
         return int(found[1]) if found else 0
     except (KeyError, ValidationError):
         return 0
 
 
 def _read(path: Path) -> tuple[Document, str]:
+    content = _content(path)
     try:
-        content = path.read_bytes()
         return parse_yaml(content.decode("utf-8"), str(path)), hashlib.sha256(content).hexdigest()
-    except OSError as error:
-        raise InvalidSpec(Problem(message=f"cannot read {path}: {error.strerror or error}")) from None
     except UnicodeDecodeError as error:
         before = content[: error.start]
         place = Place(str(path), before.count(b"\n") + 1, error.start - before.rfind(b"\n"))
         raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {content[error.start]:#04x}", place=place)) from None
+
+
+def _content(path: Path) -> bytes:
+    """Return the bytes of a regular file that is not too large: others may never end."""
+    try:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            kind = "is a folder" if stat.S_ISDIR(about.st_mode) else "is no regular file"
+            raise InvalidSpec(Problem(message=f"cannot read {path}: it {kind}"))
+        if about.st_size > _LARGEST_FILE:
+            message = f"cannot read {path}: it has {about.st_size:,} bytes, at most {_LARGEST_FILE:,} are read"
+            raise InvalidSpec(Problem(message=message))
+        with path.open("rb") as file:
+            return file.read(_LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        raise InvalidSpec(Problem(message=f"cannot read {path}: {getattr(error, 'strerror', None) or error}")) from None
 
 
 def _parameters(
@@ -279,7 +309,7 @@ def _parameters(
     texts = dict(section) if isinstance(section, dict) else {}
     for name in overrides:
         if name not in texts:
-            known = ", ".join(texts) or "none"
+            known = ", ".join(list(texts)[:MOST]) + (", …" if len(texts) > MOST else "") or "none"
             message = f"parameter '{name}' is set but not declared; declared: {known}"
             problems.append(Problem(message=message, subject=None))
     for name, text in texts.items():
@@ -294,13 +324,15 @@ def _parameters(
         except BrokenParameter:
             values[name] = None
         except ExpressionError as error:
-            values[name] = None
             foreign = name in outside
-            below = [other for other in texts if other not in values and f"unknown name '{other}'" in str(error)]
             message = f"parameter '{name}': {error}"
-            message += "; it is declared below: a parameter may use those above it" if below and below != [name] else ""
+            if isinstance(error, UnknownName):
+                below = error.name in texts and error.name != name
+                below_text = "; it is declared below: a parameter may use those above it"
+                message += below_text if below else error.guess if len(problems) < MOST else ""
             message += " (set from outside the file)" if foreign else ""
             problems.append(Problem(message=message, subject=None if foreign else ("parameters", name)))
+            values[name] = None
     return values, problems
 
 
@@ -310,8 +342,11 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
     return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()
 
 
-def _optional(values: Any) -> Array | None:
-    return None if values is None else readonly(values)
+def _initial(values: Mapping[str, float] | Sequence[float] | None, states: Sequence[str]) -> Array | None:
+    """Return initial values in the order of the states; those that are not named are 0."""
+    if values is None:
+        return None
+    return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)
 
 
 def _transposed(rows: list[list[float]] | None) -> list[list[float]] | None:

@@ -1,14 +1,14 @@
 """Everything that can be wrong with the tree of a spec, each thing said once, with its path."""
 
-import difflib
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, get_args, get_origin
 
 import numpy as np
 from pydantic import ValidationError
 
 from pwatrack.errors import Problem, Subject
-from pwatrack.spec.expression import BrokenParameter
+from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.schema import (
     Context,
     CostSection,
@@ -18,9 +18,22 @@ from pwatrack.spec.schema import (
     SpecFile,
     SystemSection,
 )
+from pwatrack.spec.wording import guess, shown
 
+MOST = 100  # for so many faults of a file it is guessed what was meant
+
+_LONGEST_PART = 100  # characters of one key in a path
 _MOST_SAMPLES = 10_000_000
 _MOST_TICKS = 2_000_000  # all of them are kept in memory
+
+_LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them
+    ("system", "states"): 100,
+    ("system", "inputs"): 100,
+    ("system", "outputs"): 100,
+    ("system", "cells"): 100_000,
+    ("system", "hyperplanes"): 1_000,
+    ("system", "nonlinearities"): 1_000,
+}
 
 _SHAPES: dict[Subject, tuple[str, ...]] = {
     ("system", "B"): ("states", "inputs"),
@@ -39,6 +52,16 @@ _SHAPES: dict[Subject, tuple[str, ...]] = {
     ("simulation", "initial", "plant"): ("states",),
     ("simulation", "initial", "observer"): ("states",),
 }
+
+
+def size_problems(data: Mapping[str, Any]) -> list[Problem]:
+    """Compare the lists that memory and time grow with to their limits, on the raw tree."""
+    found = ((subject, _at(data, subject), most) for subject, most in _LARGEST.items())
+    return [
+        Problem(message=f"{path_text(subject)}: {len(entries):,} entries, at most {most:,} are read", subject=subject)
+        for subject, entries, most in found
+        if isinstance(entries, list) and len(entries) > most
+    ]
 
 
 def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
@@ -112,12 +135,43 @@ def _at(data: Any, subject: Subject) -> Any:
     return data
 
 
+@cache
+def _sections() -> tuple[tuple[Subject, type[Section]], ...]:
+    """Return every section of a file with its path; `"*"` stands for an entry of a list, or any name."""
+
+    def inside(annotation: Any, path: Subject) -> Iterator[tuple[Subject, type[Section]]]:
+        if isinstance(annotation, type) and issubclass(annotation, Section):
+            yield path, annotation
+            for name, field in annotation.model_fields.items():
+                yield from inside(field.annotation, (*path, name))
+        below = (*path, "*") if get_origin(annotation) in (list, dict, tuple) else path
+        for argument in get_args(annotation):
+            yield from inside(argument, below)
+
+    return tuple(inside(SpecFile, ()))
+
+
 def known_keys() -> list[str]:
     """Return every key that some section has."""
-    sections: list[type[Section]] = [Section]
-    for section in sections:  # grows while it is walked
-        sections += section.__subclasses__()
-    return sorted({name for section in sections for name in section.model_fields})
+    return sorted({name for _, model in _sections() for name in model.model_fields})
+
+
+def _unknown_key(subject: Subject) -> str:
+    """Say where an unknown key belongs, or which one may be meant: one of its section first."""
+    *section, key = (str(part) for part in subject)
+    siblings, places = set[str](), list[str]()
+    for path, model in _sections():
+        here = len(path) == len(section) and all(p in ("*", q) for p, q in zip(path, section, strict=True))
+        if here:
+            siblings |= set(model.model_fields)
+        elif key in model.model_fields and "*" not in path:
+            below = path[: len(section)] == tuple(section)
+            places.append(".".join(str(p) for p in (path[len(section) :] if below else path)) or "the top of the file")
+    if places and key not in siblings:
+        return f"; '{key}' belongs under {' or '.join(places[:3])}"
+    return guess(key, sorted(siblings)) or guess(
+        key, sorted({n for _, model in _sections() for n in model.model_fields})
+    )
 
 
 def path_text(subject: Subject) -> str:
@@ -129,41 +183,67 @@ def path_text(subject: Subject) -> str:
     """
     text = ""
     for part in subject:
-        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else part)
+        name = part if isinstance(part, str) and len(part) <= _LONGEST_PART else f"{str(part)[:_LONGEST_PART]}…"
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{name}" if text else name
     return text or "the file"
 
 
-_EXPECTED = {"list_type": "a list", "dict_type": "a mapping", "model_type": "a mapping", "string_type": "a text"}
+_EXPECTED = {
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "string_type": "a text",
+}
 
 
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
     """Say what pydantic found wrong with a tree, in the words and paths of the file."""
-    problems = []
+    problems: list[Problem] = []
     flat = flat_matrices(data)
     for item in error.errors(include_url=False):
-        cause = item.get("ctx", {}).get("error")
-        if isinstance(cause, BrokenParameter):
+        if isinstance(item.get("ctx", {}).get("error"), BrokenParameter):
             continue
         subject = _in_tree(item["loc"], data, missing=item["type"] == "missing")
         if any(subject[: len(matrix)] == matrix for matrix in flat):
             continue  # said once for the whole matrix
-        where = path_text(subject)
-        if item["type"] == "missing":
-            message, subject = f"{where} is missing", subject[:-1]
-        elif item["type"] == "extra_forbidden":
-            close = difflib.get_close_matches(str(subject[-1]), known_keys(), n=1)
-            message = f"{where}: unknown key" + (f"; did you mean '{close[0]}'?" if close else "")
-        elif item["type"] in _EXPECTED:
-            message = f"{where}: {_EXPECTED[item['type']]} is expected"
-        elif item["type"] == "union_tag_invalid":
-            message = f"{where}: kind '{item['ctx']['tag']}' is none of {item['ctx']['expected_tags']}"
-        elif item["type"] == "union_tag_not_found":
-            message = f"{where}: kind is missing"
-        else:
-            reason = str(cause) if cause else item["msg"][0].lower() + item["msg"][1:]
-            message = f"{where}: {reason}"
-        problems.append(Problem(message=message, subject=subject))
+        message = f"{path_text(subject)}{_fault(item, subject, guessed=len(problems) < MOST)}"
+        problems.append(Problem(message=message, subject=subject[:-1] if item["type"] == "missing" else subject))
     return problems
+
+
+def _fault(item: Any, subject: Subject, *, guessed: bool) -> str:
+    """Return what is wrong with an entry, to be put behind its path; guesses at what was meant take a while."""
+    kind, context = item["type"], item.get("ctx", {})
+    cause = context.get("error")
+    if kind == "missing":
+        return " is missing"
+    if kind == "extra_forbidden":
+        return f": unknown key{_unknown_key(subject) if guessed else ''}"
+    if kind in _EXPECTED:
+        return f": {_EXPECTED[kind]} is expected"
+    if kind == "literal_error":
+        return f": {_found(item['input'])} is not {context['expected']}"
+    if kind == "union_tag_invalid":
+        return f": kind {shown(str(context['tag']))} is none of {context['expected_tags']}"
+    if kind == "union_tag_not_found":
+        return ": kind is missing"
+    if kind == "too_short":
+        return f": at least {context['min_length']} entry is expected"
+    if kind == "too_long":
+        return f": {context['actual_length'] or 'too many'} entries, at most {context['max_length']} are read"
+    if kind == "greater_than_equal":
+        return f": {item['input']} is below {context['ge']}"
+    if kind == "less_than_equal":
+        return f": {item['input']} is above {context['le']}"
+    if isinstance(cause, UnknownName):
+        return f": {cause}{cause.guess if guessed else ''}"
+    return f": {cause or item['msg'][0].lower() + item['msg'][1:]}"
+
+
+def _found(value: Any) -> str:
+    return shown(value) if isinstance(value, str) else "a mapping" if isinstance(value, dict) else "a list"
 
 
 def _in_tree(loc: Sequence[str | int], data: Any, *, missing: bool) -> Subject:
@@ -188,7 +268,7 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
                 problems.append(Problem(message=message, subject=("system", kind)))
             taken[name] = kind
-    signals = [*context.states, *context.inputs, *context.outputs]
+    signals = {name: None for kind in (context.states, context.inputs, context.outputs) for name in kind}
     for name in signals:
         for suffix in ("_hat", "_d", "_ff"):
             if name + suffix in signals:
@@ -198,43 +278,46 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     system = system if isinstance(system, dict) else {}
     units = system.get("units")
     problems += [
-        Problem(message=f"system.units: '{name}' is no state, input or output", subject=("system", "units", name))
-        for name in (units if isinstance(units, dict) and context.states else {})
-        if name not in signals
+        Problem(
+            message=f"system.units: {shown(name)} is no state, input or output{meant}",
+            subject=("system", "units", name),
+        )
+        for name, meant in _unknown(units if isinstance(units, dict) and context.states else (), signals)
     ]
     for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
-        seen: list[str] = []
+        seen = set[str]()
         entries = system.get(section)
         for k, entry in enumerate(entries if isinstance(entries, list) else []):
             name = entry.get("name") if isinstance(entry, dict) else None
             subject: Subject = ("system", section, k, "name")
-            if isinstance(name, str) and not name.strip():
+            if not isinstance(name, str):
+                continue
+            if not name.strip():
                 problems.append(Problem(message=f"this {kind} has an empty name", subject=subject))
-            elif isinstance(name, str) and name in seen:
-                problems.append(Problem(message=f"a second {kind} is named '{name}'", subject=subject))
-            seen.append(str(name))
+            elif name.strip() in seen:
+                problems.append(Problem(message=f"a second {kind} is named {shown(name.strip())}", subject=subject))
+            seen.add(name.strip())
     return problems
 
 
-def region_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check on the raw tree that the start regions of an ensemble name states of the plant, and are not empty."""
+def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that initial states and start regions name states, and that these are not empty."""
     subject: Subject = ("simulation", "ensemble", "initial")
-    regions = _at(data, subject)
-    if not isinstance(regions, dict):
-        return []
-    problems = []
-    if not any(regions.values()):
+    regions, problems = _at(data, subject), list[Problem]()
+    if isinstance(regions, dict) and not any(regions.values()):
         message = f"{path_text(subject)}: nothing is varied"
         problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
     for part in ("plant", "observer"):
-        where = (*subject, part)
-        inside = (*where, "ellipsoid")
-        for at in (where,) if not isinstance(_at(data, inside), dict) else ((*inside, "radii"), (*inside, "center")):
+        inside: Subject = (*subject, part, "ellipsoid")
+        places: list[Subject] = [("simulation", "initial", part)]
+        places += [(*inside, "radii"), (*inside, "center")] if isinstance(_at(data, inside), dict) else [inside[:-1]]
+        for at in places:
             names = _at(data, at)
-            for name in names if isinstance(names, dict) and context.states else ():
-                if name not in context.states:
-                    message = f"{path_text((*at, name))}: '{name}' is no state; states: {', '.join(context.states)}"
-                    problems.append(Problem(message=message, subject=(*at, name)))
+            for name, meant in _unknown(names if isinstance(names, dict) and context.states else (), context.states):
+                message = (
+                    f"{path_text((*at, name))}: {shown(name)} is no state; states: {_listed(context.states)}{meant}"
+                )
+                problems.append(Problem(message=message, subject=(*at, name)))
     return problems
 
 
@@ -287,10 +370,9 @@ def plant_problems(system: SystemSection) -> list[Problem]:
             if wanted == "where" and cell.signs is not None:
                 problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
     for k, element in enumerate(system.nonlinearities or []):
-        for state in element.into:
-            if state not in system.states:
-                subject = ("system", "nonlinearities", k, "into", state)
-                problems.append((f"nonlinearity '{element.name}': '{state}' is no state", subject))
+        for state, meant in _unknown(element.into, system.states):
+            subject = ("system", "nonlinearities", k, "into", state)
+            problems.append((f"nonlinearity '{element.name}': {shown(state)} is no state{meant}", subject))
     return [Problem(message=message, subject=subject) for message, subject in problems]
 
 
@@ -330,13 +412,25 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
     return [
         Problem(
-            message=f"{path_text(('simulation', *where))}: '{name}' is no {kind} ({', '.join(known) or 'none'})",
+            message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",
             subject=("simulation", *where, name),
         )
         for where, names, known, kind in given
-        for name in names
-        if name not in known
+        for name, meant in _unknown(names, known)
     ]
+
+
+def _unknown(names: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names that are not known, the first ones with a guess at what was meant."""
+    wanted, count = set(known), 0
+    for name in names:
+        if name not in wanted:
+            yield name, guess(name, known) if count < MOST else ""
+            count += 1
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:20]) + (", …" if len(names) > 20 else "") or "none"
 
 
 def goal_problems(file: SpecFile) -> list[Problem]:

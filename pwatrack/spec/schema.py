@@ -2,8 +2,10 @@
 
 import keyword
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -34,10 +36,14 @@ from pwatrack.model.pwa import ROUNDING
 from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
 from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number, real
+from pwatrack.spec.wording import odd_character, shown
 
-_LARGEST = 1e60  # products of a few entries stay finite
+_LARGEST = 1e60  # products of a few entries stay finite, and those of the smallest do not vanish
 _LONGEST_NAME = 100
 _COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
+_LONGEST_LABEL = 200  # of a title, or the name of a cell
+_MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
+_MOST_PORTRAITS = 50
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
 
 
@@ -62,17 +68,29 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
     result = number(value, info.context.parameters)
-    if abs(result) > _LARGEST:
-        raise ValueError(f"{result:g} is larger than {_LARGEST:g}")
+    _sized(result)
     return result
+
+
+def _sized(value: float | Fraction) -> None:
+    size = abs(float(value))
+    if size > _LARGEST:
+        raise ValueError(f"{float(value):g} is larger than {_LARGEST:g}")
+    if value != 0 and size < 1 / _LARGEST:
+        raise ValueError(f"{float(value):g} is smaller than {1 / _LARGEST:g} but not 0: write 0, or use other units")
+
+
+def _sized_form(form: LinearForm) -> LinearForm:
+    for value in (*form.coefficients, form.offset):
+        _sized(value.centre)
+    return form
 
 
 def _real(value: Any, info: ValidationInfo[Context]) -> Real:
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
     result = real(value, info.context.parameters)
-    if abs(result.centre) > _LARGEST:
-        raise ValueError(f"{float(result):g} is larger than {_LARGEST:g}")
+    _sized(result.centre)
     return result
 
 
@@ -82,7 +100,7 @@ def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
     form = linear_form(value, info.context.states, info.context.parameters)
     if not form.row.any():
         raise ValueError(f"'{value}' does not depend on any state")
-    return form
+    return _sized_form(form)
 
 
 def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
@@ -163,13 +181,13 @@ def _not_all_zero(values: list[Real]) -> list[Real]:
 def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
     if not isinstance(value, str):
         raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
-    return inequalities(value, info.context.states, info.context.parameters)
+    return [_sized_form(form) for form in inequalities(value, info.context.states, info.context.parameters)]
 
 
 def _name(value: str) -> str:
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", value):
-        shown = value if len(value) <= 40 else value[:40] + "…"
-        raise ValueError(f"'{shown}' is not a name: use letters, digits and _, not starting with a digit")
+        odd = f"; it has the character {odd_character(value)}" if odd_character(value) else ""
+        raise ValueError(f"{shown(value)} is not a name: use letters, digits and _, not starting with a digit{odd}")
     if len(value) > _LONGEST_NAME:
         raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_NAME} are read")
     if value in RESERVED or keyword.iskeyword(value):
@@ -177,10 +195,29 @@ def _name(value: str) -> str:
     return value
 
 
+def _label(value: str) -> str:
+    """Return a title or a cell's name without spaces around it: it is printed, so it is one line of visible text."""
+    value = value.strip()
+    hidden = next((c for c in value if not c.isprintable()), None)
+    if hidden:
+        raise ValueError(f"{odd_character(hidden) or 'a line end'} is in it: a name is one line of visible text")
+    if len(value) > _LONGEST_LABEL:
+        raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_LABEL} are read")
+    return value
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, int):
+        return value
+    if not isinstance(value, str) or not re.fullmatch(r"-?(0|[1-9][0-9]{0,17})", value):
+        raise ValueError("a whole number such as 1 is expected")
+    return int(value)
+
+
 def _names(values: tuple[str, ...]) -> tuple[str, ...]:
     if not values:
         raise ValueError("at least one name is expected")
-    doubles = sorted({v for v in values if values.count(v) > 1})
+    doubles = sorted(name for name, times in Counter(values).items() if times > 1)
     if doubles:
         raise ValueError(f"'{doubles[0]}' stands in the list twice")
     return values
@@ -196,7 +233,11 @@ def _interval(values: list[float]) -> list[float]:
 
 def _region_kind(value: Any) -> str:
     """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
-    return "ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "box"
+    return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
+
+
+def _start_kind(value: Any) -> str:
+    return "by name" if isinstance(value, dict) else "in order"
 
 
 def _listed(value: Any) -> Any:
@@ -208,12 +249,17 @@ Exact = Annotated[Real, PlainValidator(_real)]
 Positive = Annotated[Number, AfterValidator(_positive)]
 NotNegative = Annotated[Number, AfterValidator(_not_negative)]
 Name = Annotated[str, AfterValidator(_name)]
+Label = Annotated[str, AfterValidator(_label)]
+Whole = Annotated[int, BeforeValidator(_whole)]
 Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
 Vector = list[Number]
 Rows = list[list[Number]]
 ExactVector = list[Exact]
 ExactRows = list[list[Exact]]
+Start = Annotated[
+    Annotated[dict[str, Number], Tag("by name")] | Annotated[Vector, Tag("in order")], Discriminator(_start_kind)
+]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
 
 
@@ -226,7 +272,7 @@ class Section(BaseModel):
 class CellSection(Section):
     """One cell: where it is, and A, b there. A cell has no B of its own in class (1)."""
 
-    name: str
+    name: Label
     where: list[Annotated[list[LinearForm], PlainValidator(_inequalities)]] | None = None
     signs: list[Literal["+", "-", "0"]] | None = None
     A: ExactRows
@@ -244,7 +290,7 @@ class HyperplaneSection(Section):
 class ElementSection(Section):
     """What all scalar nonlinearities have: s = of, and d(state)/dt += factor φ(s) for each state in `into`."""
 
-    name: str
+    name: Label
     of: Annotated[LinearForm, PlainValidator(_form)]
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
@@ -327,7 +373,7 @@ class SystemSection(Section):
     states: Names
     inputs: Names
     outputs: Names
-    units: dict[str, str] = {}
+    units: dict[str, Label] = {}
     B: ExactRows
     C: ExactRows
     cells: Annotated[list[CellSection], Field(min_length=1)] | None = None
@@ -420,10 +466,10 @@ class CourseSection(Section):
     """A signal of time: the sum of everything that is given."""
 
     constant: Number = 0.0
-    sine: Annotated[list[SineSection], BeforeValidator(_listed)] = []
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(_listed)] = []
     formula: Time | None = None
     until: Positive | None = None
-    step: Annotated[list[StepSection], BeforeValidator(_listed)] = []
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(_listed)] = []
     trapezoid: TrapezoidSection | None = None
     polyline: PolylineSection | None = None
     table: TableSection | None = None
@@ -444,10 +490,10 @@ class ReferenceSection(Section):
 
 
 class InitialSection(Section):
-    """x(0), x̂(0) and η̂(0); zero where not given."""
+    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name."""
 
-    plant: Vector | None = None
-    observer: Vector | None = None
+    plant: Start | None = None
+    observer: Start | None = None
     generator: list[Number] | None = None
 
 
@@ -468,7 +514,7 @@ class NoiseSection(Section):
 
     std: Annotated[dict[str, NotNegative], Field(min_length=1)]
     sample_time: Positive
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[Whole, Field(ge=0)] = 1
 
 
 class SampledSection(Section):
@@ -492,7 +538,7 @@ class EllipsoidSection(Section):
 
 
 Region = Annotated[
-    Annotated[dict[str, Interval], Tag("box")] | Annotated[EllipsoidSection, Tag("ellipsoid")],
+    Annotated[dict[str, Interval], Tag("a box")] | Annotated[EllipsoidSection, Tag("an ellipsoid")],
     Discriminator(_region_kind),
 ]
 
@@ -523,7 +569,10 @@ class SimulationSection(Section):
     disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
     noise: NoiseSection | None = None
     controller: SampledSection | None = None
-    portraits: list[Annotated[list[Annotated[LinearForm, PlainValidator(_form)]], AfterValidator(_pair)]] = []
+    portraits: Annotated[
+        list[Annotated[list[Annotated[LinearForm, PlainValidator(_form)]], AfterValidator(_pair)]],
+        Field(max_length=_MOST_PORTRAITS),
+    ] = []
     ensemble: EnsembleSection = EnsembleSection()
 
 
@@ -542,13 +591,13 @@ class ToleranceSection(Section):
 class ExpectSection(Section):
     """How a run of this spec should end."""
 
-    exit: Annotated[int, Field(ge=0, le=6), AfterValidator(_no_crash)]
+    exit: Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
 
 
 class SpecFile(Section):
     """A whole spec file."""
 
-    name: str
+    name: Label
     description: str = ""
     parameters: dict[Name, Any] = {}
     system: SystemSection

@@ -63,8 +63,13 @@ def parse_yaml(text: str, file: str) -> Document:
         mark = error.problem_mark or error.context_mark
         place = Place(file, mark.line + 1, mark.column + 1) if mark else Place(file, 1, 1)
         reason = ", ".join(part for part in (error.context, error.problem) if part)
-        tab = "'\\t'" in reason
-        hint = "that is a tab: YAML wants spaces at the start of a line" if tab else ""
+        lines = text.replace("\ufeff", "").splitlines()
+        first = lines[place.line - 1][place.column - 1 :][:1] if place.line <= len(lines) else ""
+        hint = ""
+        if first == "\t" or "'\\t'" in reason:
+            hint = "that is a tab: YAML wants spaces at the start of a line"
+        elif first and first in "@`%":
+            hint = f"a plain value does not begin with {first}: put the value in quotes"
         raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=place, hint=hint)) from None
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
