@@ -1,5 +1,6 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -139,6 +140,7 @@ def _gain(task: Task, goal: Goal) -> tuple[Array, Certificate]:
     return goal.given, certificate
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
 def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certificate]:
     """Return the gain K = Y P⁻¹ of (8) that meets a goal, with the proof of its best rate.
 
@@ -478,8 +480,13 @@ def _state_weights(A: Array, B: Array) -> Iterator[Array]:
     eye = np.eye(len(A))
     yield from (weight * eye for weight in _STATE_WEIGHTS)
     damping = 2.0 * max(float(np.abs(np.linalg.eigvals(A)).max()), 1e-2)
-    gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
-    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it is only a weight
+            gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
+        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    except (np.linalg.LinAlgError, ValueError):  # an entry is not finite
+        return
     if values[-1] > 0:
         inverse = (vectors / np.maximum(values, 1e-12 * values[-1])) @ vectors.T
         yield from (weight * damping * (inverse + inverse.T) / 2 for weight in _STATE_WEIGHTS)
@@ -491,7 +498,9 @@ def _riccati_coordinates(A: Array, B: Array, Q: Array, R: Array | None = None) -
     There the optimal P of (8) is near I, which is where a solver is most exact.
     """
     try:
-        X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]) if R is None else R)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # coordinates that are not exact are still coordinates
+            X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]) if R is None else R)
         W = cholesky((X + X.T) / 2)
         return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError):
