@@ -148,7 +148,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
             K, certificate = stabilising_gain(task, asked)
             assert certificate.rate >= asked.least_rate
             assert norm(K) <= asked.bound
-        assert programs.call_count <= 150
+        assert programs.call_count <= 100
 
 
 def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:

@@ -252,7 +252,7 @@ class Search:
             return best
         slow, fast = best[1].rate, 8 * self.scaling.speed
         if np.isinf(bound):
-            if slow >= fast or self._within(fast) is not None:
+            if slow >= fast or self._within(fast, bound) is not None:
                 raise _no_largest_rate(self.task, max(slow, fast))
         else:
             traces = np.trace(self.task.A, axis1=1, axis2=2)
@@ -266,32 +266,34 @@ class Search:
                 fast = trial
             else:
                 best, slow = found, max(found[1].rate, trial)
+        small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
+        best = small or best
         return self._proved(best[0], 0.0, best[1].P)
 
-    def _within(self, rate: float, bound: float = np.inf) -> tuple[Array, Certificate] | None:
-        """Return a gain that reaches a rate and keeps a bound, the smallest one that is found where there is none.
+    def _within(self, rate: float, bound: float | None = None) -> tuple[Array, Certificate] | None:
+        """Return the smallest gain that is found for a rate; with a bound, soon, the first that keeps it.
 
-        A candidate counts only if its own P proves it: so each trial is at most a few programs, and a search
-        that makes many of them ends soon.
+        A candidate counts only if its own P proves it: so each call solves a few programs, and a search
+        that makes many of them ends.
         """
         found = self._proved(np.zeros((self.B.shape[1], len(self.mean))), rate)
         if found is not None:
             return found
         eye = np.eye(len(self.mean))
-        for faster in _FASTER:
+        for faster in _FASTER if bound is None else _FASTER[:1]:
             trial = rate * (1 + faster) / self.scaling.speed
             W, W_inverse = _riccati_coordinates(self.mean + trial * eye, self.B, eye)
-            for _ in range(_RECENTRED):
+            for _ in range(_RECENTRED if bound is None else _RECENTRED - 1):
                 found, last = self._smallest(trial, W, W_inverse, rate, bound)
                 if found is not None:
-                    return found if _norm(found[0]) <= bound else None
+                    return found if bound is None or _norm(found[0]) <= bound else None
                 if last is None:
                     break
                 W, W_inverse = _recentred(W, W_inverse, last.P)
         return None
 
     def _smallest(
-        self, trial: float, W: Array, W_inverse: Array, rate: float, bound: float
+        self, trial: float, W: Array, W_inverse: Array, rate: float, bound: float | None
     ) -> tuple[tuple[Array, Certificate] | None, Candidate | None]:
         """Minimise the norm of the gain at a trial rate, in scaled time and z = W x, until it keeps a bound.
 
@@ -307,7 +309,7 @@ class Search:
             if certificate is None or not _reaches(certificate, rate):
                 break
             best = K, certificate
-            if _norm(K) <= bound < np.inf:
+            if bound is not None and _norm(K) <= bound:
                 break
         return best, last
 
