@@ -74,7 +74,8 @@ def excess(A: Array, B: Array) -> float:
     K, certificate = stabilising_gain(task)
     small = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
     known = [K] if small is None else [K, small[0]]
-    return float(np.linalg.norm(K, 2) / max(min(np.linalg.norm(k, 2) for k in known), 1e-12))
+    norms = [float(np.linalg.norm(k, 2)) for k in known]
+    return norms[0] / max(min(norms), 1e-12)
 
 
 def verdict(A: Array, B: Array) -> str:

@@ -1,14 +1,18 @@
 """What an engineer asks of the gains: decay rate, size, cost; and the proof when it cannot be had."""
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
+from io import StringIO
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
 from benchmarks.corpus import feasible
@@ -19,10 +23,13 @@ from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import Goal
 from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, Task, controller_task, observer_task, stabilising_gain, synthesize
-from pwatrack.errors import Infeasible, InvalidSpec, Undecided
+from pwatrack.errors import Infeasible, InvalidSpec, PwatrackError, Undecided
 from pwatrack.lmi import audit as auditor
+from pwatrack.lmi import picos_model
 from pwatrack.lmi.infeasibility import refute
+from pwatrack.lmi.presolve import Scaling
 from pwatrack.report.certificate import refusal_certificate
+from pwatrack.report.summary import print_design
 from tests.plants import random_plant
 
 seeds = st.integers(0, 10_000)
@@ -67,12 +74,6 @@ def test_the_smallest_gain_of_a_double_integrator_is_nearly_the_one_in_closed_fo
     assert np.hypot(rate**2, 2 * rate) <= norm(K) <= 1.15 * np.hypot(rate**2, 2 * rate)
 
 
-def test_a_rate_is_reached_with_a_gain_of_modest_size(plant: PWASystem) -> None:
-    K, certificate = stabilising_gain(controller_task(plant), Goal(rate=0.1))
-    assert certificate.rate >= 0.1
-    assert norm(K) < 10 * 0.85
-
-
 def test_a_bound_on_the_gain_is_kept_and_used(plant: PWASystem) -> None:
     K, certificate = stabilising_gain(controller_task(plant), Goal(gain=2.0))
     assert 1.5 < norm(K) <= 2.0
@@ -99,6 +100,87 @@ def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
     poles = np.linalg.eigvals(task.A[0] + task.B @ K)
     assert certificate.rate <= -poles.real.max() + 1e-9
     assert certificate.rate > 0.7
+
+
+@pytest.mark.parametrize("bound", [0.1, 5.0, 50.0, 1e6])
+def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: float) -> None:
+    """ẋ = −x + u, |K| ≤ κ: the rate is 1 + κ, and no more."""
+    task = Task(A=np.array([[[-1.0]]]), B=np.eye(1), cells=["all"])
+    K, certificate = stabilising_gain(task, Goal(rate="largest", gain=bound))
+    assert norm(K) <= bound
+    assert 0.99 * (1 + bound) <= certificate.rate <= 1 + bound
+
+
+@pytest.mark.parametrize("bound", [0.5, 5.0, 50.0, 1e4])
+def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_form(bound: float) -> None:
+    """The least norm of a rate α is that of (α², 2α), see above: α² = √(4 + κ²) − 2."""
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    K, certificate = stabilising_gain(task, Goal(gain=bound))
+    fastest = np.sqrt(np.sqrt(4 + bound**2) - 2)
+    assert norm(K) <= bound
+    assert 0.8 * fastest <= certificate.rate <= fastest
+
+
+@given(
+    seed=seeds,
+    n=st.integers(1, 3),
+    cells=st.integers(1, 3),
+    goal=st.sampled_from(["rate", "smallest", "bound", "largest", "both"]),
+    rate=st.floats(-3, 3),
+    bound=st.one_of(st.floats(-2, 4), st.just(60.0)),
+)
+@settings(deadline=None, max_examples=12)
+def test_every_search_of_a_small_plant_ends_after_few_programs(
+    seed: int, n: int, cells: int, goal: str, rate: float, bound: float
+) -> None:
+    random = np.random.default_rng(seed)
+    A = random.normal(size=(1, n, n)) + 0.3 * random.normal(size=(cells, n, n))
+    asked = {
+        "rate": Goal(rate=10.0**rate),
+        "smallest": Goal(rate=10.0**rate, gain="smallest"),
+        "bound": Goal(gain=10.0**bound),
+        "largest": Goal(rate="largest"),
+        "both": Goal(rate=10.0**rate, gain=10.0**bound),
+    }[goal]
+    task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)])
+    with patch.object(picos_model, "_run", wraps=picos_model._run) as programs:
+        with suppress(PwatrackError):
+            K, certificate = stabilising_gain(task, asked)
+            assert certificate.rate >= asked.least_rate
+            assert norm(K) <= asked.bound
+        assert programs.call_count <= 100
+
+
+def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:
+    goal = Goal(rate=1, gain=5)
+    assert (goal.least_rate, goal.bound) == (1.0, 5.0)
+    task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"])
+    assert stabilising_gain(task, Goal(rate=3, gain="smallest"))[1].rate >= 3
+    assert norm(stabilising_gain(task, Goal(gain=5))[0]) <= 5
+    for wrong in (0, -1.0, np.nan, np.inf, True, "fast", "smallest"):
+        with pytest.raises(InvalidSpec, match="rate is a positive number or 'largest'"):
+            Goal(rate=wrong)  # type: ignore[arg-type]
+    for wrong in (0.0, -5, np.inf, "largest"):
+        with pytest.raises(InvalidSpec, match="gain is a positive number or 'smallest'"):
+            Goal(rate=1.0, gain=wrong)  # type: ignore[arg-type]
+    with pytest.raises(InvalidSpec, match="both weights"):
+        Goal(Q=np.eye(1))
+
+
+@pytest.mark.parametrize("size", [0.0, 5e-324, 1e-308, 1e300])
+def test_entries_of_any_size_end_in_a_verdict(size: float) -> None:
+    """Warnings are errors here."""
+    for A, B in (
+        ([[-1.0]], [[size]]),
+        ([[size]], [[1.0]]),
+        ([[-size]], [[size]]),
+        ([[0.0, size], [-1.0, -1.0]], [[0.0], [1.0]]),
+        ([[0.0, 1.0], [0.0, 0.0]], [[0.0], [size]]),
+    ):
+        task = Task(A=np.array([A]), B=np.array(B), cells=["all"])
+        with suppress(PwatrackError):
+            _, certificate = stabilising_gain(task, Goal(gain=5.0) if len(A) == 1 else Goal())
+            assert certificate.rate > 0
 
 
 @pytest.mark.parametrize("rate", [0.2501, 0.3, 1.0])
@@ -206,26 +288,101 @@ def test_in_one_dimension_the_bound_is_that_of_the_exact_stationary_density() ->
         assert high > 1.01 * low or W * square / X[0, 0] ** 2 > 0.99 * noise_level(X, L, Q, R)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_the_default_gain_is_at_most_ten_times_the_smallest_of_its_rate(seed: int) -> None:
-    plant = random_plant(seed, n=3 + seed % 4, k=2, r=1 + seed % 2, strength=0.1)
+def balanced_cost(task: Task, K: Array) -> float:
+    """Return a bound of the sum of ∫(eᵀe + uᵀu) dt from all unit errors, in balanced units."""
+    scaling = Scaling.of(task.A, task.B)
+    n, m = task.B.shape
+    scaled = Task(A=scaling.system(task.A), B=scaling.input(task.B), cells=task.cells)
+    return float(np.trace(cost_bound(scaled, K / scaling.e[:, None] * scaling.d, np.eye(n), np.eye(m))))
+
+
+@given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
+@settings(deadline=None, max_examples=15)
+def test_with_one_cell_the_default_gain_is_lqr_in_balanced_units(seed: int, n: int, m: int) -> None:
+    random = np.random.default_rng(seed)
+    d = 2.0 ** random.integers(-5, 6, size=n)
+    A, B = random.normal(size=(n, n)) * d[:, None] / d, random.normal(size=(n, m)) * d[:, None]
+    scaling = Scaling.of(A[None], B)
+    scaled = scaling.input(B)
+    X = solve_continuous_are(scaling.system(A[None])[0], scaled, np.eye(n), np.eye(m))
+    assume(np.linalg.norm(X, 2) < 100)  # else nearly unreachable
+    K, _ = stabilising_gain(Task(A=A[None], B=B, cells=["all"]))
+    K_lqr = scaling.gain(-scaled.T @ X)
+    np.testing.assert_allclose(K * d, K_lqr * d, rtol=0, atol=1e-4 * np.abs(K_lqr * d).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_smaller_gain_costs_less_than_the_default_one(seed: int) -> None:
+    plant = random_plant(seed, n=3 + seed % 3, k=2, r=1 + seed % 2, strength=0.1)
     for task in (controller_task(plant), observer_task(plant)):
         K, certificate = stabilising_gain(task)
-        smallest = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
+        smallest = Search(task).smallest_gain(certificate.rate * 0.9)
         assert smallest is not None
-        assert norm(K) <= 10 * norm(smallest[0]) + 1e-6  # at most; the rate is that of K to 0.3 %
+        assert balanced_cost(task, K) <= 1.001 * balanced_cost(task, smallest[0])
 
 
-@pytest.mark.parametrize(("n", "m", "cells", "margin"), [(12, 2, 16, 1e-4), (20, 3, 8, 1e-3), (22, 4, 6, 1e-5)])
-def test_so_it_is_for_large_plants_and_small_margins(n: int, m: int, cells: int, margin: float) -> None:
-    """There the gain of the largest margin is hundreds of times as large as need be."""
-    A, B = feasible(1, n, m, cells, margin)
+@given(seed=seeds, n=st.integers(1, 4), slow=st.floats(-9, -1), cells=st.integers(1, 3))
+@settings(deadline=None, max_examples=15)
+def test_a_slow_mode_that_no_gain_moves_makes_no_gain_zero(seed: int, n: int, slow: float, cells: int) -> None:
+    """Such a mode limits the rate, so that a gain of 0 is as fast as any; the other modes still want one."""
+    random = np.random.default_rng(seed)
+    A = np.zeros((cells, n + 1, n + 1))
+    A[:, 0, 0] = -(10.0**slow)
+    A[:, 1:, 1:] = random.normal(size=(n, n)) - (np.sqrt(n) + 1) * np.eye(n) + 0.1 * random.normal(size=(cells, n, n))
+    B = np.vstack([[[0.0]], random.normal(size=(n, 1))])
     task = Task(A=A, B=B, cells=[str(i) for i in range(cells)])
     K, certificate = stabilising_gain(task)
-    smallest = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
-    assert smallest is not None
-    assert smallest[1].rate > 0.99 * certificate.rate
-    assert norm(K) <= 8 * norm(smallest[0])
+    assert certificate.rate <= 10.0**slow
+    scaling = Scaling.of(A, B)
+    assert norm(K / scaling.e[:, None] * scaling.d) > 0.05
+
+
+HALL = """
+name: Heated hall
+parameters: {tv: 30, Cr: 5.0e4, Ca: 4.0e5, Ur: 400, Ua: 300}
+system:
+  states: [p, Tr, Ta]
+  inputs: [u]
+  outputs: [y]
+  A: [[-1/tv, 0, 0], [0, -Ur/Cr, Ur/Cr], [0, Ur/Ca, -(Ur+Ua)/Ca]]
+  B: [[1/tv], [0], [0]]
+  C: [[0, 0, 1]]
+  nonlinearities:
+    - {name: valve, kind: saturation, of: p, lower: 0, upper: 1, slope: 1.2e4, into: {Tr: 1/Cr}}
+design: {tracking: state}
+reference: {setpoint: {y: 5}}
+simulation: {duration: 14400, sample_time: 10}
+"""
+
+
+def said(text: str, tmp_path: Path) -> str:
+    """Return what is said of a design, as one line."""
+    path = tmp_path / "spec.yaml"
+    path.write_text(text)
+    spec = load_spec(path)
+    printed = StringIO()
+    print_design(Console(width=200, file=printed), spec, design(spec))
+    return " ".join(printed.getvalue().split())
+
+
+def test_a_valve_that_can_heat_a_hall_is_used(tmp_path: Path) -> None:
+    text = said(HALL, tmp_path)
+    assert "K = [0 0 0]" not in text
+    assert "no gain" not in text
+
+
+def test_no_gain_is_said_only_where_the_input_does_nothing_or_nothing_is_seen(tmp_path: Path) -> None:
+    head = "name: idle\nsystem: {states: [x, v], inputs: [u], outputs: [y], A: [[-1, 0.5], [0, -2]], "
+    tail = (
+        "}\ndesign: {tracking: state}\nreference: {input: ['sin(t)'], start: periodic}\n"
+        "simulation: {duration: 1, sample_time: 0.1}\n"
+    )
+    text = said(head + "B: [[0], [0]], C: [[1, 0]]" + tail, tmp_path)
+    assert "K = [0 0], ‖K‖ = 0, no gain: the input does nothing" in text
+    assert text.count("no gain") == 1
+    text = said(head + "B: [[1], [0]], C: [[0, 0]]" + tail, tmp_path)
+    assert "Lᵀ = [0 0], ‖L‖ = 0, no gain: the output shows nothing" in text
+    assert text.count("no gain") == 1
 
 
 def test_the_front_rises_and_holds_the_chosen_point(plant: PWASystem) -> None:
@@ -235,8 +392,7 @@ def test_the_front_rises_and_holds_the_chosen_point(plant: PWASystem) -> None:
     assert (np.diff(front.rates) > 0).all()
     assert (np.diff(front.norms) > -1e-6).all()
     assert front.rates[-1] < 0.25 < front.limit
-    at_chosen = np.interp(certificate.rate, front.rates, front.norms)
-    assert at_chosen <= front.chosen[1] <= 10 * at_chosen
+    assert np.interp(certificate.rate, front.rates, front.norms) <= front.chosen[1]
 
 
 @pytest.mark.parametrize(

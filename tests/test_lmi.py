@@ -18,7 +18,7 @@ from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, structured
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
-from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback
+from pwatrack.lmi.inequality import lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.presolve import Scaling, distinct
 from pwatrack.lmi.program import (
@@ -28,6 +28,8 @@ from pwatrack.lmi.program import (
     largest_margin,
     least_condition,
     least_cost,
+    least_trace,
+    least_violation,
     smaller_gain,
     smallest_gain,
 )
@@ -188,6 +190,76 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
     assert following is not None
     assert norm(following) <= norm(theirs) * (1 + 1e-3) + 1e-3
     assert norm(theirs) <= norm(last) * (1 + 1e-3) + 1e-3
+
+
+BUILDERS: dict[str, Callable[[Array, Array], Program]] = {
+    "largest_margin": lambda A, B: largest_margin(state_feedback(A, B)),
+    "largest_margin, bounded": lambda A, B: largest_margin(state_feedback(A, B), 5.0),
+    "least_violation": lambda A, B: least_violation(state_feedback(A, B)),
+    "least_condition": lambda A, _: least_condition(lyapunov(A), np.eye(A.shape[1]), np.eye(A.shape[1])),
+    "least_trace": lambda A, _: least_trace(weighted(A, np.eye(A.shape[1]))),
+    "least_cost": lambda A, B: least_cost(
+        quadratic_cost(A, B, np.eye(len(B)), np.eye(B.shape[1])), np.eye(len(B)), np.eye(len(B))
+    ),
+    "bounded_gain": lambda A, B: bounded_gain(state_feedback(A, B), np.eye(len(B)), np.eye(B.shape[1]), 2.0),
+    "smallest_gain": lambda A, B: smallest_gain(state_feedback(A, B), np.eye(len(B)), np.eye(B.shape[1]), inside(B)),
+    "smaller_gain": lambda A, B: smaller_gain(state_feedback(A, B), np.eye(len(B)), np.eye(B.shape[1]), inside(B)),
+}
+
+
+def inside(B: Array) -> Candidate:
+    """Return P and Y for which A = −2 I satisfies every inequality."""
+    return Candidate(P=np.eye(len(B)), Y=np.zeros((B.shape[1], len(B))))
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+@given(
+    n=st.integers(1, 3),
+    m=st.integers(0, 2),
+    cells=st.integers(1, 2),
+    still=st.booleans(),
+    idle=st.booleans(),
+    seed=seeds,
+)
+@settings(deadline=None, max_examples=5)
+def test_every_solver_takes_every_program_however_little_is_in_it(
+    build: str, n: int, m: int, cells: int, still: bool, idle: bool, seed: int
+) -> None:
+    """Without inputs, with B = 0, one state, one cell, A = 0: all give a P and Y of the right shape, or nothing."""
+    random = np.random.default_rng(seed)
+    A = np.zeros((cells, n, n)) if still else random.normal(size=(cells, n, n)) / (4 * n) - 2 * np.eye(n)
+    B = np.zeros((n, m)) if idle else random.normal(size=(n, m))
+    program = BUILDERS[build](A, B)
+    answers = {
+        "clarabel": picos_model.solve(program),
+        "cvxopt": picos_model.solve(program, "cvxopt"),
+        "structured": structured.solve(program),
+    }
+    for solver, found in answers.items():
+        if found is not None:
+            assert found.P.shape == (n, n)
+            assert found.Y.shape == (program.m, n)
+        elif solver == "structured":
+            assert program.start is None or still
+        else:  # where inputs reach all states the least violation is without bound, and P may be so where A = 0
+            assert still or (build == "least_violation" and not idle)
+
+
+@given(seed=seeds, n=st.integers(2, 4), m=st.integers(0, 1), cells=st.integers(1, 3))
+@settings(deadline=None, max_examples=8)
+def test_the_least_violation_has_the_trace_that_is_asked_in_both_solvers(seed: int, n: int, m: int, cells: int) -> None:
+    random = np.random.default_rng(seed)
+    inequality = state_feedback(random.normal(size=(cells, n, n)) + np.eye(n), random.normal(size=(n, m)))
+    program = replace(least_violation(inequality), gap=1e-6)
+    values = []
+    answers = [picos_model.solve(program), structured.solve(program)]
+    if not m:  # CVXOPT gives up where Y is large
+        answers.append(picos_model.solve(program, "cvxopt"))
+    for found in answers:
+        assert found is not None
+        assert np.trace(found.P) == pytest.approx(1.0, abs=1e-6)
+        values.append(float(np.linalg.eigvalsh(inequality.evaluate(found.P, found.Y)).max()))
+    np.testing.assert_allclose(values, values[0], rtol=1e-2, atol=1e-3)
 
 
 def test_a_nan_in_the_data_is_not_called_solved() -> None:

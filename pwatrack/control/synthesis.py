@@ -1,8 +1,8 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
@@ -30,12 +30,12 @@ from pwatrack.model.pwa import PWASystem
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
-_COSTLY = 30_000  # cells times states cubed: with more, the largest margin is found much sooner than the least cost
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
 _BOUNDS_OF_GAIN = (1.0, 30.0)  # of a start for the smallest gain, relative to an LQR gain
 _CLOSER = 3  # times the bound of the norm is drawn closer; the first brings most, so that large plants have only that
-_MODEST = 8.0  # times the smallest gain of nearly the same rate that a gain may have
-_NEARLY = 0.9  # of a rate: the smallest gain of a little less may be a fraction, and is found sooner
+_FASTER = (2e-3, 5e-4)  # than asked, as a share, so that a margin is left for the exact proof
+_RATES = 16  # at most so many rates are tried for the fastest one
+_ENDED = 2e-3  # relative distance of the rates that are known to be in and out of reach at which that search ends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +140,7 @@ def _gain(task: Task, goal: Goal) -> tuple[Array, Certificate]:
     return goal.given, certificate
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
 def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certificate]:
     """Return the gain K = Y P⁻¹ of (8) that meets a goal, with the proof of its best rate.
 
@@ -148,9 +149,8 @@ def stabilising_gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Certifica
     and time scaled so that A and B have size 1. There the weights on states and
     inputs are one, so no weight has to be chosen. (States that do not act on
     each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.) If a gain of less than an eighth of its norm reaches nine tenths of its
-    rate, one at most eight times as large as the smallest is taken. Where the problem is too large, or gives no
-    proof, all this is said of the gain of the largest margin.
+    weights are one in the units given.) Such a gain is 0 only where the input does nothing. Where the solver
+    finds no proof for it, lighter weights on the states are tried, and then the gain of the largest margin.
 
     Args:
         task: The inequality.
@@ -199,28 +199,27 @@ class Search:
         self.B = self.scaling.input(task.B)
         self.mean = self.A.mean(axis=0)
         self.best_margin = -np.inf  # found for (8), where A and P have size 1
+        self._refuted = dict[float, Refutation | None]()
 
-    @cache  # noqa: B019 - a search lives as long as its one question
     def refuted(self, rate: float) -> Refutation | None:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
-        return refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
+        if rate not in self._refuted:
+            self._refuted[rate] = refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
+        return self._refuted[rate]
 
-    @cache  # noqa: B019 - as above
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
-        """Minimise the cost with unit weights where that is quick and gives a proof, else maximise the margin."""
+        """Minimise the cost with unit weights; where that gives no proof, return the gain of the largest margin."""
         margin = self._largest_margin(rate)
         if margin is None and self.refuted(rate) is not None:
             return None
-        shift = rate * (1 + 1e-3) / self.scaling.speed * np.eye(len(self.mean))
-        quick = len(self.A) * len(self.mean) ** 3 <= _COSTLY
-        for Q in _state_weights(self.mean + shift, self.B) if quick or margin is None else ():
+        shift = rate * (1 + _FASTER[0]) / self.scaling.speed * np.eye(len(self.mean))
+        for Q in _state_weights(self.mean + shift, self.B):
             found = self._cost_gain(shift, Q, np.eye(self.B.shape[1]), np.eye(len(Q)), rate)
             if found is not None:
-                return self._gentler(*found, rate)
+                return found
             if margin is not None:
                 break  # a lighter weight would only help where the solver is at its limits
-        found = None if margin is None else self._proved(margin[0], rate, margin[1].P)
-        return None if found is None else self._gentler(*found, rate)
+        return None if margin is None else self._proved(margin[0], rate, margin[1].P)
 
     def least_cost(self, Q: Array, R: Array) -> tuple[Array, Certificate] | None:
         """Minimise tr P⁻¹, a bound on the cost from any unit vector."""
@@ -234,18 +233,14 @@ class Search:
 
     def smallest_gain(self, rate: float) -> tuple[Array, Certificate] | None:
         """Minimise a bound on the norm of the gain, in the units given."""
-        nothing = self._proved(np.zeros((self.B.shape[1], len(self.mean))), rate)
-        if nothing is not None:
-            return nothing
-        d, e = self.scaling.d, self.scaling.e
-        for more in (2e-3, 5e-4):  # a little faster than asked, so that a margin is left for the exact proof
-            found = self._smallest(rate * (1 + more) / self.scaling.speed, d, e, rate)
-            if found is not None:
-                return found
-        return None
+        found = self._within(rate)
+        return None if found is None else self._proved(found[0], rate, found[1].P)
 
     def largest_rate(self, bound: float) -> tuple[Array, Certificate] | None:
-        """Bisect the rate for the fastest decay that a gain within the bound gives.
+        """Bisect the rate, in its logarithm, for the fastest decay that a gain within the bound gives.
+
+        All eigenvalues of A_i + B K are left of minus the rate, so n times the rate is at most −tr(A_i + B K), and
+        |tr(B K)| ≤ ‖K‖ ‖B‖⁎, the sum of the singular values of B.
 
         Raises:
             InvalidSpec: If there is no bound, and no largest rate.
@@ -255,56 +250,70 @@ class Search:
             best = self.smallest_gain(0.0)
         if best is None or _norm(best[0]) > bound:
             return best
-        slow, fast, ceiling = best[1].rate, np.inf, 8 * self.scaling.speed
-        while fast - slow > 1e-3 * slow:
-            trial = min(2 * slow, ceiling) if np.isinf(fast) else (slow + fast) / 2
-            found = self.smallest_gain(trial)
-            if found is None or _norm(found[0]) > bound:
+        slow, fast = best[1].rate, 8 * self.scaling.speed
+        if np.isinf(bound):
+            if slow >= fast or self._within(fast, bound) is not None:
+                raise _no_largest_rate(self.task, max(slow, fast))
+        else:
+            traces = np.trace(self.task.A, axis1=1, axis2=2)
+            fast = float(bound * np.linalg.norm(self.task.B, "nuc") - traces.max()) / len(self.mean)
+        for _ in range(_RATES):
+            if not fast > slow * (1 + _ENDED):
+                break
+            trial = float(np.sqrt(slow) * np.sqrt(fast))
+            found = self._within(trial, bound)
+            if found is None:
                 fast = trial
-                continue
-            best, slow = found, max(found[1].rate, trial)
-            if np.isinf(bound) and slow >= ceiling:
-                raise _no_largest_rate(self.task, slow)
-        return best
+            else:
+                best, slow = found, max(found[1].rate, trial)
+        small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
+        best = small or best
+        return self._proved(best[0], 0.0, best[1].P)
 
-    def _gentler(self, K: Array, certificate: Certificate, rate: float) -> tuple[Array, Certificate]:
-        """Return the gain, or a modest one of nearly the same rate where the smallest one is much smaller."""
-        rate = max(_NEARLY * certificate.rate, rate)
-        ones = np.ones(len(self.mean)), np.ones(self.B.shape[1])
-        trial, below = rate * (1 + 5e-4) / self.scaling.speed, self._size(K) / _MODEST
-        small = self._smallest(trial, *ones, rate, below=below, modest=_MODEST)
-        if small is None:
-            return K, certificate
-        nothing = self._proved(np.zeros_like(K), rate)
-        return small if nothing is None else nothing
+    def _within(self, rate: float, bound: float | None = None) -> tuple[Array, Certificate] | None:
+        """Return the smallest gain that is found for a rate; with a bound, soon, the first that keeps it.
 
-    def _size(self, K: Array) -> float:
-        return _norm(K / self.scaling.e[:, None] * self.scaling.d)
-
-    def _smallest(
-        self, trial: float, d: Array, e: Array, rate: float, *, below: float = np.inf, modest: float = 1.0
-    ) -> tuple[Array, Certificate] | None:
-        """Minimise the norm of E⁻¹ K D at a trial rate, in scaled time.
-
-        The first answer is taken that is at most `modest` times as large as the last one, and none if the last is not
-        below `below`. The first ones have the better P, the last ones the smaller gains.
+        A candidate counts only if its own P proves it: so each call solves a few programs, and a search
+        that makes many of them ends.
         """
-        W, W_inverse = _riccati_coordinates(self.mean + trial * np.eye(len(d)), self.B, np.eye(len(d)))
-        for _ in range(_RECENTRED):
-            inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
-            candidates = self._least_norms(inequality, W / d, np.diag(e))
-            sizes = [_norm(e[:, None] * np.linalg.solve(c.P, c.Y.T).T @ (W / d)) for c in candidates]
-            if not sizes or sizes[-1] > below:
-                return None
-            first = next(k for k, size in enumerate(sizes) if size <= modest * sizes[-1])
-            for candidate in (*candidates[first:], *reversed(candidates[:first])):
-                found = self._candidate(candidate, W, W_inverse, rate)
+        found = self._proved(np.zeros((self.B.shape[1], len(self.mean))), rate)
+        if found is not None:
+            return found
+        eye = np.eye(len(self.mean))
+        for faster in _FASTER if bound is None else _FASTER[:1]:
+            trial = rate * (1 + faster) / self.scaling.speed
+            W, W_inverse = _riccati_coordinates(self.mean + trial * eye, self.B, eye)
+            for _ in range(_RECENTRED if bound is None else _RECENTRED - 1):
+                found, last = self._smallest(trial, W, W_inverse, rate, bound)
                 if found is not None:
-                    return found
-            W, W_inverse = _recentred(W, W_inverse, candidates[0].P)
+                    return found if bound is None or _norm(found[0]) <= bound else None
+                if last is None:
+                    break
+                W, W_inverse = _recentred(W, W_inverse, last.P)
         return None
 
-    def _least_norms(self, inequality: Inequality, metric_root: Array, input_root: Array) -> list[Candidate]:
+    def _smallest(
+        self, trial: float, W: Array, W_inverse: Array, rate: float, bound: float | None
+    ) -> tuple[tuple[Array, Certificate] | None, Candidate | None]:
+        """Minimise the norm of the gain at a trial rate, in scaled time and z = W x, until it keeps a bound.
+
+        Returns:
+            The smallest gain that its own P proves, and the candidate that was looked at last.
+        """
+        best, last = None, None
+        inequality = state_feedback(W @ self.A @ W_inverse, W @ self.B, trial)
+        for last in self._least_norms(inequality, W / self.scaling.d, np.diag(self.scaling.e)):
+            K = _short(self._gain_of(last, W))
+            P = self.scaling.matrix(W_inverse @ last.P @ W_inverse.T)
+            certificate = prove(self.task.A + self.task.B @ K, P) if np.isfinite(K).all() else None
+            if certificate is None or not _reaches(certificate, rate):
+                break
+            best = K, certificate
+            if bound is not None and _norm(K) <= bound:
+                break
+        return best, last
+
+    def _least_norms(self, inequality: Inequality, metric_root: Array, input_root: Array) -> Iterator[Candidate]:
         """Minimise first a bound of the norm, then the closer bounds that each answer allows; the last is the best."""
         large, start = inequality.n >= LARGE, None
         if large:
@@ -312,13 +321,13 @@ class Search:
             bounds = [bounded_gain(inequality, metric_root, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
             start = self._inside(inequality, *bounds)
         last = solve(smallest_gain(inequality, metric_root, input_root, start), self.task.solver)
-        found = list[Candidate]()
-        while last is not None and _definite(last.P):
-            found.append(last)
-            if len(found) > (1 if large else _CLOSER):
-                break
+        for closer in range(_CLOSER + 1):
+            if last is None or not _definite(last.P):
+                return
+            yield last
+            if closer == (1 if large else _CLOSER):
+                return
             last = solve(smaller_gain(inequality, metric_root, input_root, last), self.task.solver)
-        return found
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
         """Maximise the margin; the proof is the first that comes, its rate not the best one."""
@@ -395,7 +404,7 @@ class Search:
         """Prove a gain as it will be printed, if it reaches the rate; P may help."""
         K = _short(K)
         closed = self.task.A + self.task.B @ K
-        if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < 0:
+        if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
         certificate = best_certificate(closed, start=P, solver=self.task.solver)
         return (K, certificate) if certificate is not None and _reaches(certificate, rate) else None
@@ -478,8 +487,13 @@ def _state_weights(A: Array, B: Array) -> Iterator[Array]:
     eye = np.eye(len(A))
     yield from (weight * eye for weight in _STATE_WEIGHTS)
     damping = 2.0 * max(float(np.abs(np.linalg.eigvals(A)).max()), 1e-2)
-    gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
-    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it is only a weight
+            gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
+        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    except (np.linalg.LinAlgError, ValueError):  # an entry is not finite
+        return
     if values[-1] > 0:
         inverse = (vectors / np.maximum(values, 1e-12 * values[-1])) @ vectors.T
         yield from (weight * damping * (inverse + inverse.T) / 2 for weight in _STATE_WEIGHTS)
@@ -491,7 +505,9 @@ def _riccati_coordinates(A: Array, B: Array, Q: Array, R: Array | None = None) -
     There the optimal P of (8) is near I, which is where a solver is most exact.
     """
     try:
-        X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]) if R is None else R)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # coordinates that are not exact are still coordinates
+            X = solve_continuous_are(A, B, Q, np.eye(B.shape[1]) if R is None else R)
         W = cholesky((X + X.T) / 2)
         return W, np.asarray(np.linalg.inv(W), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError):
@@ -520,5 +536,5 @@ def _norm(K: Array) -> float:
 
 
 def _short(K: Array) -> Array:
-    """Return the gain with nine significant digits: what is printed is what is proved and used."""
-    return np.array([[float(f"{v:.8e}") for v in row] for row in K])
+    """Return the gain with nine significant digits, none of them −0: what is printed is what is proved and used."""
+    return np.array([[float(f"{v:.8e}") + 0.0 for v in row] for row in K]).reshape(K.shape)

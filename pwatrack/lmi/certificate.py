@@ -55,6 +55,8 @@ def prove(M: Array, P: Array) -> Certificate | None:
     if not _definite(scaled_P, np.abs(scaled_P)):
         return None
     left = symmetric_part(scaled_M @ scaled_P)
+    if not np.isfinite(left).all():
+        return None
     rate = min(-float(eigh(side, scaled_P, eigvals_only=True)[-1]) / 2 for side in left)
     size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
     for shrunk in (rate * (1 - 1e-9), rate * (1 - 1e-6), rate * (1 - 1e-3)):

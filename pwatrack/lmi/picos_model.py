@@ -25,7 +25,9 @@ def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
     problem, P, Y = _problem(program)
     t = picos.RealVariable("t")
     for constraint in program.constraints:
-        problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t)])
+        problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t) if not side.constant])
+    if program.trace is not None:
+        problem.add_constraint(picos.trace(P) == program.trace)
     traced = P if program.cost is None else program.cost * P
     problem.set_objective("min", program.price * t if program.price else picos.trace(traced))
     if program.weight is not None:  # tr V P⁻¹ Vᵀ ≤ tr W
@@ -95,12 +97,13 @@ def _problem(unknowns: Program | Inequality) -> tuple[Any, Any, Any]:
 
 
 def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any = None) -> list[Any]:
+    """Return the left-hand sides; those in which no unknown is left are constants."""
     sides = []
     for i, (L, R, M, N, constant) in enumerate(
         zip(inequality.L, inequality.R, inequality.M, inequality.N, inequality.constant, strict=True)
     ):
-        halves = ([L * P * R] if L.any() else []) + ([M * Y * N] if M.any() else [])
-        side = picos.sum([half + half.T for half in halves]) + constant if halves else constant
+        halves = ([L * P * R] if L.any() else []) + ([M * Y * N] if Y is not None and M.any() else [])
+        side = picos.sum([picos.Constant(constant), *(half + half.T for half in halves)])
         sides.append(side if inequality.T is None else side + t * inequality.T[i])
     return sides
 
@@ -123,4 +126,5 @@ def _run(problem: Any, solver: Solver) -> bool:
 
 
 def _value(variable: Any, shape: tuple[int, int]) -> Array:
-    return np.array(variable.value, dtype=np.float64).reshape(shape)
+    """Return what a variable has become; 0 where it stands in no constraint, as Y does where B = 0."""
+    return np.array(variable.value, dtype=np.float64).reshape(shape) if variable.valued else np.zeros(shape)

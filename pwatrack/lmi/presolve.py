@@ -6,6 +6,8 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray, balancing
 
+_MOST = 250.0  # of an exponent of a scale: products of a few of them are finite, and so are their inverses
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
@@ -24,7 +26,7 @@ class Scaling:
     @classmethod
     def of(cls, A: Array, B: Array) -> "Scaling":
         """Return the scaling that balances A (l, n, n) and gives A and the columns of B (n, m) size 1."""
-        d = balancing(A)
+        d = np.clip(balancing(A), 2.0**-_MOST, 2.0**_MOST)
         speed = _power_of_two(np.linalg.norm(A / d[:, None] * d, 2, axis=(1, 2)).max(initial=0.0))
         columns = np.linalg.norm(B / d[:, None] / speed, axis=0)
         return cls(d=d, e=np.array([1 / _power_of_two(c) for c in columns]), speed=speed)
@@ -88,4 +90,4 @@ def centre(P: Array) -> tuple[Array, Array]:
 
 
 def _power_of_two(value: float) -> float:
-    return float(2.0 ** np.round(np.log2(value))) if value > 0 else 1.0
+    return float(2.0 ** np.clip(np.round(np.log2(value)), -_MOST, _MOST)) if value > 0 else 1.0

@@ -35,7 +35,7 @@ class Program:
         cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
         start: P, Y, t that satisfy all of them strictly, where that is known.
         gap: Share of the objective that may be missed; P, Y and the multipliers are further inside where it is larger.
-        fixed_trace: Whether the trace of P is to stay what it is at the start.
+        trace: What the trace of P must be, where that is asked; the start has it.
         even: Whether a barrier method is to give each constraint the weight of the first, which has the most cells.
     """
 
@@ -45,7 +45,7 @@ class Program:
     cost: Array | None = None
     start: tuple[Array, Array, float] | None = None
     gap: float = 1e-4
-    fixed_trace: bool = False
+    trace: float | None = None
     even: bool = False
 
     @property
@@ -94,7 +94,7 @@ def least_violation(inequality: Inequality) -> Program:
         price=1.0,
         start=(P, Y, 2 * above + 1e-6),
         gap=0.3,
-        fixed_trace=True,
+        trace=1.0,
     )
 
 

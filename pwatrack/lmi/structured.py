@@ -64,7 +64,7 @@ def _solve(program: Program, P: Array, Y: Array, t: float) -> Candidate | None:
     last = np.inf
     for _ in range(_MOST):
         gradient, hessian = space.derivatives(v, factors, weight)
-        step = _newton(hessian, gradient, space.trace if program.fixed_trace else None)
+        step = _newton(hessian, gradient, None if program.trace is None else space.trace)
         decrement = -float(gradient @ step)
         if not decrement > 0:
             break

@@ -112,6 +112,9 @@ def check_json(
     return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
 
+_NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
+
+
 def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     """Say what was proved and the gains."""
     table = _titled(spec.name)
@@ -128,7 +131,9 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.observer),
     ):
         table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rate(proved)}")
-        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {_origin(goal)}"
+        acts = bool((spec.plant.B if letter == "K" else spec.plant.C).any())
+        origin = _origin(goal) if acts or goal.given is not None else _NO_GAIN[letter[0]]
+        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
             table.add_row("", _cost_text(claim.split()[1], spec, controller))

@@ -391,7 +391,7 @@ class CostSection(Section):
 
 
 class GoalSection(Section):
-    """What a gain is to achieve; with nothing said, a gentle gain is found."""
+    """What a gain is to achieve; with nothing said, an LQR or Kalman gain is found."""
 
     rate: Annotated[float | Literal["largest"] | None, PlainValidator(_positive_or("largest"))] = None
     gain: Annotated[float | Literal["smallest"] | None, PlainValidator(_positive_or("smallest"))] = None
