@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, number_text
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import Infeasible, Problem, Subject, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.inequality import Solver, lyapunov
@@ -15,6 +16,7 @@ from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
 from pwatrack.lmi.program import largest_margin, least_condition
 from pwatrack.lmi.solve import solve
+from pwatrack.rational import decimals
 
 _STEPS = 14  # at most so many rates are tried
 _CONVERGED = 1e-4  # relative distance to the next rate to try at which the search ends
@@ -142,6 +144,7 @@ def prove_convergence(
     *,
     claim: str,
     cells: Sequence[str],
+    exact: Sequence[BallMatrix] | None = None,
     of: str = "plant",
     subject: Subject = (),
     solver: Solver = "clarabel",
@@ -153,6 +156,7 @@ def prove_convergence(
         M: (l, n, n).
         claim: What is to be proved, for messages: `"(17)"`.
         cells: Names of the l cells.
+        exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
         of: What it is a property of, for the evidence: see `Impossibility`.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
@@ -171,12 +175,13 @@ def prove_convergence(
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     doubtful = (abscissa > -1e-3 * np.linalg.norm(M, axis=(1, 2))).any()
-    refutation = refute(M, np.zeros((M.shape[1], 0)), solver=solver) if doubtful else None
+    numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(np.zeros((M.shape[1], 0))))
+    refutation = refute(M, np.zeros((M.shape[1], 0)), solver=solver, exact=numbers) if doubtful else None
     if refutation is None or not refutation.eigenvalues:
         best = best_certificate(M, solver=solver)
         if best is not None:
             return best
-        refutation = refutation or refute(M, np.zeros((M.shape[1], 0)), solver=solver)
+        refutation = refutation or refute(M, np.zeros((M.shape[1], 0)), solver=solver, exact=numbers)
     if refutation is None:
         raise Undecided(
             Problem.of_many(

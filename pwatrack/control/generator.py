@@ -56,6 +56,7 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     certificate = prove_convergence(
         np.swapaxes(A_eta, 1, 2),
+        exact=[A_i.transpose() for A_i in form.exact.A_eta],
         claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
         of="generator",

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, complex_text, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.convergence import Impossibility, best_certificate, conflict_text, prove_convergence
 from pwatrack.control.goal import DEFAULT, Goal
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Subject, Undecided, listed
@@ -27,6 +28,7 @@ from pwatrack.lmi.program import (
 )
 from pwatrack.lmi.solve import LARGE, solve
 from pwatrack.model.pwa import PWASystem
+from pwatrack.rational import Rational
 
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
@@ -89,6 +91,7 @@ class Task:
     Attributes:
         A: (l, n, n).
         B: (n, m).
+        exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
         of: "controller" or "observer".
         claim: For messages: `"(8)"`.
         cells: Names of the l cells.
@@ -98,6 +101,7 @@ class Task:
 
     A: Array
     B: Array
+    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
     of: str = "controller"
     claim: str = "(8)"
     cells: Sequence[str]
@@ -107,7 +111,14 @@ class Task:
 
 def controller_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
     """Return the inequality (8)."""
-    return Task(A=plant.A, B=plant.B, cells=plant.cell_names, subject=("system", "B"), solver=solver)
+    return Task(
+        A=plant.A,
+        B=plant.B,
+        exact=(plant.exact.A, plant.exact.B),
+        cells=plant.cell_names,
+        subject=("system", "B"),
+        solver=solver,
+    )
 
 
 def observer_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
@@ -115,6 +126,7 @@ def observer_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
     return Task(
         A=np.swapaxes(plant.A, 1, 2),
         B=plant.C.T,
+        exact=([A_i.transpose() for A_i in plant.exact.A], plant.exact.C.transpose()),
         of="observer",
         claim="(9)",
         cells=plant.cell_names,
@@ -123,13 +135,19 @@ def observer_task(plant: PWASystem, solver: Solver = "clarabel") -> Task:
     )
 
 
+def _centres(task: Task) -> tuple[list[Rational], Rational] | None:
+    return None if task.exact is None else ([A_i.centre for A_i in task.exact[0]], task.exact[1].centre)
+
+
 def _gain(task: Task, goal: Goal) -> tuple[Array, Certificate]:
     """Return a gain for (8), found or given, with its proof; (9) is (8) transposed."""
     if goal.given is None:
         return stabilising_gain(task, goal)
     letter = "K" if task.of == "controller" else "L"
+    A, B = task.exact or ([BallMatrix.of(A_i) for A_i in task.A], BallMatrix.of(task.B))
     certificate = prove_convergence(
         task.A + task.B @ goal.given,
+        exact=[A_i + B @ BallMatrix.of(goal.given) for A_i in A],
         claim=f"{task.claim} for the given gain {letter}",
         cells=task.cells,
         of=task.of,
@@ -204,7 +222,9 @@ class Search:
     def refuted(self, rate: float) -> Refutation | None:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
         if rate not in self._refuted:
-            self._refuted[rate] = refute(self.task.A, self.task.B, rate=rate, solver=self.task.solver)
+            self._refuted[rate] = refute(
+                self.task.A, self.task.B, rate=rate, solver=self.task.solver, exact=_centres(self.task)
+            )
         return self._refuted[rate]
 
     def balanced(self, rate: float) -> tuple[Array, Certificate] | None:
