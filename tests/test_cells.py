@@ -1,16 +1,20 @@
 """Which cells exist, meet, overlap and cover: exactly, whatever the sizes of the numbers."""
 
+import json
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import combinations, pairwise
 from math import comb
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
 
 from pwatrack import Partition
+from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec, OutsideTheory
 from pwatrack.model.nonlinearity import Nonlinearity, dead_zone, generate_cells, spring
 from pwatrack.model.polyhedron import Row, borders, interior_point, opposite, primitive, value
@@ -355,3 +359,55 @@ def test_more_cells_than_can_be_worked_with_are_refused_at_once() -> None:
     ]
     with pytest.raises(InvalidSpec, match="60 hyperplanes make more than 20,000 cells"):
         generate_cells(-np.eye(60), np.zeros(60), elements)
+
+
+SPEC = """
+name: cells
+parameters: {a: 0.3, b: 0.1}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities:
+%s
+reference: {output: "0.1*sin(t)"}
+simulation: {duration: 1, sample_time: 0.1}
+"""
+
+
+def run(tmp_path: Path, elements: str, command: str, *options: str) -> Result:
+    (tmp_path / "spec.yaml").write_text(SPEC % elements)
+    return CliRunner().invoke(app, [command, str(tmp_path / "spec.yaml"), *options])
+
+
+def test_differences_that_vanish_on_paper_vanish_beside_large_offsets(tmp_path: Path) -> None:
+    stop = "    - {name: valve, kind: stop, of: z, lower: a - 3*b, upper: 2e4, upper_slope: -300, into: {v: -1}}"
+    checked = json.loads(run(tmp_path, stop, "check", "--json").stdout)
+    assert checked["cells"] == ["valve below", "valve inside", "valve above"]
+    assert checked["facets"][0]["hyperplane"] == "z = 0"
+
+
+def test_a_border_that_no_decimal_hits_is_proved_and_verified_as_it_is(tmp_path: Path) -> None:
+    spring = "    - {name: s, kind: spring, of: z/7 + v/3, start: 1/3, slope: 1/11, into: {v: -1}}"
+    done = run(tmp_path, spring, "design", "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0, done.output
+    certificate = json.loads((tmp_path / "out" / "certificate.json").read_text())
+    assert certificate["plant"]["H"] == [["1/7", "1/3"]]
+    assert certificate["plant"]["h"] == ["-1/3"]
+    assert CliRunner().invoke(app, ["verify", str(tmp_path / "out")]).exit_code == 0
+
+
+def test_check_shows_the_first_of_many_cells_and_json_has_all(tmp_path: Path) -> None:
+    marks = list(range(24))
+    slopes = [k % 3 for k in range(25)]
+    wavy = f"    - {{name: w, kind: piecewise_linear, of: z, breakpoints: {marks}, slopes: {slopes}, into: {{v: -1}}}}"
+    text = run(tmp_path, wavy, "check").stdout
+    assert "25 cells; continuous across all 24" in " ".join(text.split())
+    assert "… and 20 more cells (--json lists all)" in text
+    assert "… and 19 more facets (--json lists all)" in text
+    checked = json.loads(run(tmp_path, wavy, "check", "--json").stdout)
+    assert len(checked["cells"]) == len(checked["zero_dynamics"]) == 25
+    assert len(checked["facets"]) == 24
