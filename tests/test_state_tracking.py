@@ -221,6 +221,14 @@ def test_equation_3_holds_exactly_where_each_state_follows_from_the_others(
         assert realised(plant, trajectory, horizon=horizon).until is None
 
 
+def test_frequencies_that_differ_by_rounding_are_one() -> None:
+    w = 0.1 + 0.2
+    plant = plant_of([[0, 0, 0], [0, 0, w], [0, -w, 0]], [0, 0, 0], [[1], [1], [0]], [[1, 0, 0]])
+    for size in ("1", "1e6"):  # u_ff is 0 but for rounding, which is large beside the 0 of the first equation
+        trajectory = state_trajectory(plant, exosystem(signals("0", f"{size}*sin(0.3*t)", f"{size}*cos({w!r}*t)")))
+        assert realised(plant, trajectory, horizon=100.0).until is None
+
+
 @pytest.mark.parametrize(("amplitude", "refused"), [(0.9, False), (1.0, False), (1 + 1e-9, True), (1.5, True)])
 def test_equation_3_is_asked_for_in_the_cells_that_are_visited(amplitude: float, refused: bool) -> None:
     p = formula(f"{amplitude!r}*sin(t)", {})
@@ -351,17 +359,18 @@ def test_a_set_point_on_the_border_of_every_cell_that_has_one_is_found() -> None
 
 
 def test_a_set_point_in_the_corner_of_a_cell_is_found() -> None:
-    # dp/dt = q + min(0, q − p + 0.3) + min(0, q + p − 0.3): the first cell, q ≥ |p − 0.3|, rests at its corner only
+    # dp/dt = q + min(0, q − p + c) + min(0, q + 0.7 (p − c)), c = 0.3: the first cell rests at its corner only
+    c, d = 0.3, 0.21
     plant = PWASystem.create(
         partition=Partition.create(
-            H=[[-1, 1], [1, 1]], h=[0.3, -0.3], signs=[[1, 1], [-1, 1], [1, -1], [-1, -1]], names=list("abcd")
+            H=[[-1, 1], [0.7, 1]], h=[c, -d], signs=[[1, 1], [-1, 1], [1, -1], [-1, -1]], names=list("abcd")
         ),
-        A=[[[0, 1], [0, 0]], [[-1, 2], [0, 0]], [[1, 2], [0, 0]], [[0, 3], [0, 0]]],
-        b=[[0, 0], [0.3, 0], [-0.3, 0], [0, 0]],
+        A=[[[0, 1], [0, 0]], [[-1, 2], [0, 0]], [[0.7, 2], [0, 0]], [[-0.3, 3], [0, 0]]],
+        b=[[0, 0], [c, 0], [-d, 0], [0.09, 0]],
         B=[[0], [0]],
         C=[[0, 0]],
     )
-    assert set_point(plant, np.array([0.0])).x_d[:, 0].tolist() == [0.3, 0.0]
+    np.testing.assert_allclose(set_point(plant, np.array([0.0])).x_d[:, 0], [c, 0.0], atol=1e-12)
 
 
 def response(plant: PWASystem, text: str, start: list[float], horizon: float, end: float | None = None) -> bool:
@@ -410,8 +419,30 @@ def test_a_response_of_which_nothing_is_proved_or_seen_is_said_not_to_be_proved_
     assert not response(plant_of(A, [0, 0], [[0], [1]], [[1, 0]]), text, start, horizon, end)
 
 
-def test_the_response_of_a_convergent_plant_is_bounded() -> None:
-    assert response(plant_of([[0, 1], [-1, -1]], [0, 0], [[0], [1]], [[1, 0]]), "100*sin(t)", [9, 9], 0.1)
+@pytest.mark.parametrize("horizon", [0.1, 0.8, 30.0])
+def test_the_response_of_a_convergent_plant_is_bounded_though_it_changes_cells_for_ever(horizon: float) -> None:
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1]], h=[0], signs=[[-1], [1]], names=["left", "right"]),
+        A=[[[-1]], [[-2]]],
+        b=[[0], [0]],
+        B=[[1]],
+        C=[[1]],
+    )
+    assert response(plant, "100*sin(t)", [9], horizon)
+
+
+def test_a_response_that_is_still_on_its_way_out_of_a_stable_cell_is_not_proved_bounded() -> None:
+    # p'' = −p − 0.2 p' + 30 max(0, p − 1) + u: a swing towards the slope, still in the well after 0.5 s
+    plant = PWASystem.create(
+        partition=Partition.create(H=[[1, 0]], h=[-1], signs=[[-1], [1]], names=["well", "slope"]),
+        A=[[[0, 1], [-1, -0.2]], [[0, 1], [29, -0.2]]],
+        b=[[0, 0], [0, -30]],
+        B=[[0], [1]],
+        C=[[1, 0]],
+    )
+    assert response(plant, "0.1*sin(3*t)", [0, 0.3], 0.5)
+    with pytest.raises(CheckFailed, match="x_d grows without bound"):
+        response(plant, "0.1*sin(3*t)", [0, 1.5], 0.5)
 
 
 @pytest.mark.parametrize(

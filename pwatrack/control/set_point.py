@@ -71,12 +71,7 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
         units = _units(E)
         z = _moved(found, _least(found, units))
         if not _inside(sides, offsets, z):
-            s, tight = _deepest(found, units, sides, offsets)
-            z = _moved(found, s)
-            if not _inside(sides, offsets, z) and tight:  # the cell is met on its border only
-                on = stacked([decimals(H[tight]), equations[0]]), stacked([-decimals(h[tight]), equations[1]])
-                border = _solved(*on)
-                z = z if border is None else _moved(border, _least(border, units))
+            z = _moved(found, _deepest(found, units, sides, offsets))
     if not _inside(sides, offsets, z):
         if free:
             return f"those of cell '{name}' lie outside it"
@@ -149,8 +144,8 @@ def _least(found: _Solutions, d: Array) -> Array:
     return np.asarray(np.linalg.lstsq(directions / size, -start, rcond=None)[0] / size)
 
 
-def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> tuple[Array, list[int]]:
-    """Return s where z is deepest inside a cell, in units d, and which inequalities are 0 there if it is not inside."""
+def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> Array:
+    """Return s where z is deepest inside a cell, in units d, up to the size of the solution; 0 if none is found."""
     start = floats(found.start)[:, 0] / d
     directions = floats(found.directions) / d[:, None]
     size = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
@@ -167,11 +162,7 @@ def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> 
         method="highs",
         options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
     )
-    if solution.x is None:
-        return np.zeros(len(size)), []
-    depth = slopes @ solution.x[:-1] + value / unit
-    tight = np.flatnonzero(depth < 1e-8).tolist() if solution.x[-1] > -1e-8 else []
-    return np.asarray(solution.x[:-1] * unit / size), tight
+    return np.zeros(len(size)) if solution.x is None else np.asarray(solution.x[:-1] * unit / size)
 
 
 def _moved(found: _Solutions, s: Array) -> Rational:

@@ -136,7 +136,7 @@ class _Sizes:
         at = np.append(self.points[facet.k], 1.0)
         terms = np.abs(self.F[[facet.i, facet.j]]).max(axis=0) @ at
         rows = np.abs(change) @ at
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.max(np.where(rows > 0, rows / terms, 0.0), initial=0.0))
 
 
