@@ -1,6 +1,7 @@
 """The command line: parse, call, print."""
 
 import json
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -115,10 +116,13 @@ def batch(
     timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
 ) -> None:
     """Design and simulate every spec of a folder, each in a process of its own."""
+    if isnan(timeout):
+        raise typer.BadParameter("it is no number", param_hint="--timeout")
     with refusals():
         from pwatrack.batch.run import run_batch
-        from pwatrack.report.batch import print_batch, write_junit
+        from pwatrack.report.batch import print_batch, print_left_out, write_junit
 
+        print_left_out(folder)
         outcomes = run_batch(folder, out, jobs=jobs, timeout=timeout)
         print_batch(outcomes)
         if junit:
@@ -149,6 +153,7 @@ def _run(
     **options: Any,
 ) -> None:
     with refusals():
+        from pwatrack.batch.run import run_name
         from pwatrack.report.session import run
 
-        run(path, out or Path("runs") / path.stem, parameters or [], solver, **options)
+        run(path, out or Path("runs") / run_name(path), parameters or [], solver, **options)

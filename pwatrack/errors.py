@@ -18,6 +18,22 @@ class ExitCode(IntEnum):
     UNDECIDED = 5
     CHECK_FAILED = 6
 
+    @property
+    def verdict(self) -> str:
+        """The verdict of a run that ends with this code before anything is simulated."""
+        return _VERDICTS[self]
+
+
+_VERDICTS = {
+    ExitCode.DONE: "proved",
+    ExitCode.BUG: "crashed",
+    ExitCode.INVALID: "invalid spec",
+    ExitCode.OUTSIDE_THEORY: "outside the theory",
+    ExitCode.INFEASIBLE: "infeasible",
+    ExitCode.UNDECIDED: "undecided",
+    ExitCode.CHECK_FAILED: "check failed",
+}
+
 
 @dataclass(frozen=True)
 class Place:

@@ -28,6 +28,7 @@ from pwatrack.model.reference import (
     exosystem,
 )
 from pwatrack.model.signal import Signal
+from pwatrack.outcome import Outcome, Watch
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import realised
@@ -52,6 +53,7 @@ class Result:
         response: Its signals; of a run with more than a few hundred thousand samples only every so many-th, and
             in events only what these show.
         figures: What was measured over all samples.
+        outcome: How the run ended, said by all samples.
         start: z(0).
         steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
             or None if it has none.
@@ -62,6 +64,7 @@ class Result:
     loop: ClosedLoop
     response: Response
     figures: "Figures"
+    outcome: Outcome
     start: Array
     steady_state: SteadyState | None
 
@@ -70,7 +73,7 @@ class Result:
         """What was noticed and changes no verdict."""
         S = self.controller.trajectory.exosystem.S
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
-        remarks = list(self.spec.plant.remarks)
+        remarks = list(dict.fromkeys(self.spec.plant.remarks + self.loop.plant.remarks))
         if fastest * self.spec.sample_time > 2 * np.pi / 10:
             remarks.append(
                 f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
@@ -82,8 +85,6 @@ class Result:
                 f"is no multiple of the sample time, {self.spec.sample_time:g} s"
             )
         remarks += _unresolved(self.response.trace)
-        if not self.loop.conditions.nominal:
-            remarks.append("the proofs are about the loop without these conditions: no bound is drawn")
         return tuple(remarks)
 
     @property
@@ -224,13 +225,14 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and _starts_periodic(spec):
             start[loop.at.eta_hat] = steady_state.z[0, :p]
-        response, figures = _run(spec, loop, start)
+        response, figures, outcome = _run(spec, loop, start)
         return Result(
             spec=spec,
             controller=controller,
             loop=loop,
             response=response,
             figures=figures,
+            outcome=outcome,
             start=start,
             steady_state=steady_state,
         )
@@ -254,9 +256,11 @@ def _walk(spec: Spec, loop: ClosedLoop, start: Array) -> Iterator[Trace]:
     )
 
 
-def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures]:
-    """Return the signals, thinned where they are too many to keep, and the figures of all."""
+def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome]:
+    """Return the signals, thinned where they are too many to keep; the figures of all, and how it ended."""
     samples = sample_count(spec.duration, spec.sample_time)
+    free = isinstance(spec.reference, InputReference) and spec.reference.start is not None
+    watch = Watch(loop, samples, bounded=not free, units=spec.units)
     step, kept = -(-samples // _MOST_KEPT), list[Trace]()
 
     def blocks() -> Iterator[Response]:
@@ -264,10 +268,12 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures]
         for trace in _walk(spec, loop, start):
             kept.append(trace if step == 1 else trace.every(step, number))
             number += len(trace.t)
-            yield loop.response(trace)
+            response = loop.response(trace)
+            watch.see(response)
+            yield response
 
     figures = Figures.of(blocks(), samples)
-    return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures
+    return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures, watch.outcome()
 
 
 def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:

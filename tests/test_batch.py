@@ -14,6 +14,7 @@ from pwatrack.batch.run import _call as call_process
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.batch import write_junit
+from pwatrack.report.run_folder import read_index
 from pwatrack.spec.load import expected_exit
 
 Stand = Callable[..., Path]
@@ -93,7 +94,8 @@ def test_every_spec_ends_the_same_however_many_run_at_a_time(mixed: Path, tmp_pa
     assert "sample_tim" in outcomes[3].messages
     assert ":" in outcomes[5].messages
     made = {path.parent.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("run.json")}
-    assert made == {Path("good"), Path("below/good")}
+    assert made == {Path("good"), Path("below/good"), Path("jump"), Path("jump_unexpected")}
+    assert read_index(tmp_path / "out" / "jump") is not None
 
 
 def test_the_command_line_prints_every_spec_and_ends_with_the_largest_code(mixed: Path, tmp_path: Path) -> None:
@@ -139,7 +141,7 @@ def test_a_spec_that_runs_out_of_time_stops_no_other(stand: Stand, tmp_path: Pat
         ({"exit5": "", "exit4": expecting(4)}, 5),
         ({"exit0": expecting(4)}, 6),
         ({"exit3": expecting(4)}, 3),
-        ({"exit1": expecting(1)}, 0),
+        ({"exit1": expecting(1)}, 1),
         ({"killed": "", "exit0": ""}, 1),
         ({"killed": expecting(1)}, 1),
         ({"exit2": "a: ["}, 2),
@@ -240,7 +242,7 @@ def test_a_run_that_is_told_to_stop_leaves_nothing_behind(specs: Path, tmp_path:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "long.yaml"), "--out", str(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        while process.poll() is None and not list(out.glob(".trace.csv.*")):
+        while process.poll() is None and not list(out.glob(".*/trace.csv")):
             time.sleep(0.02)
         process.terminate()
     assert process.returncode == 143

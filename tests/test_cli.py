@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from typer.testing import Result as Run
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.cli import app
+from pwatrack.report.run_folder import read_index
 
 STIFF = ("--set", "k2=0.7", "--set", "k3=0.7")
 
@@ -37,6 +39,12 @@ def shortened(source: Path, target: Path, *replacements: tuple[str, str]) -> Pat
         text = text.replace(old, new)
     target.write_text(text, encoding="utf-8")
     return target
+
+
+def index_of(folder: Path) -> dict[str, Any]:
+    index = read_index(folder)
+    assert index is not None
+    return index
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
@@ -153,7 +161,11 @@ def test_a_discontinuous_field_ends_with_3_and_its_place(specs: Path, tmp_path: 
     message = refused(call(command, specs / "refused" / "printed_A1.yaml", *out), 3)
     assert re.match(r"error: .*printed_A1\.yaml:\d+:\d+: ", message)
     assert "'gap'" in message
-    assert not (tmp_path / "out").exists()
+    if command != "check":
+        index = index_of(tmp_path / "out")
+        assert (index["verdict"], index["exit"], index["simulation"]) == ("outside the theory", 3, None)
+        assert f"error: {index['reasons'][0]['place']}: {index['reasons'][0]['message']}" in message
+        assert contents(tmp_path / "out").keys() == {"run.json"}
 
 
 @pytest.mark.parametrize("name", ["printed_gains.yaml", "stiff_springs.yaml"])
@@ -163,7 +175,8 @@ def test_what_is_proved_infeasible_ends_with_4_and_its_place(
 ) -> None:
     message = refused(call(command, specs / "refused" / name, "--out", tmp_path / "out"), 4)
     assert re.match(rf"error: .*{name}:\d+:\d+: ", message)
-    assert contents(tmp_path / "out").keys() == {"refusal.json"}
+    assert contents(tmp_path / "out").keys() == {"refusal.json", "run.json"}
+    assert (index_of(tmp_path / "out")["verdict"], index_of(tmp_path / "out")["exit"]) == ("infeasible", 4)
     assert call("verify", tmp_path / "out").exit_code == 0
 
 
@@ -233,17 +246,33 @@ def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatc
     assert (spec.parent / "runs" / "plant" / "gains.json").is_file()
 
 
-def test_a_refusal_leaves_the_results_of_an_earlier_run_as_they_were(spec: Path, tmp_path: Path) -> None:
+def test_a_folder_tells_the_last_run_alone_whatever_came_of_it(spec: Path, specs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for arguments, code, verdict in (
+        (("simulate", spec), 0, "proved"),
+        (("design", spec, *STIFF), 4, "infeasible"),
+        (("design", spec), 0, "proved"),
+        (("simulate", specs / "refused" / "printed_A1.yaml"), 3, "outside the theory"),
+    ):
+        run = call(*arguments, "--out", out)
+        assert (run.exit_code, index_of(out)["verdict"]) == (code, verdict), run.output
+        assert set(contents(out)) == {*index_of(out)["files"], "run.json"}
+        assert ("refusal.json" in contents(out)) == (code == 4)
+        assert ("gains.json" in contents(out)) == (code == 0)
+
+
+def test_an_invalid_spec_changes_no_earlier_result_and_says_so(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
     before = contents(out)
-    refused(call("design", spec, "--out", out, *STIFF), 4)
-    refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
-    assert contents(out).pop("refusal.json")
-    assert {name: content for name, content in contents(out).items() if name != "refusal.json"} == before
-    assert call("verify", out / "refusal.json", "--spec", spec).exit_code == 0
-    assert call("design", spec, "--out", out).exit_code == 0
-    assert "refusal.json" not in contents(out)
+    message = refused(call("simulate", spec, "--out", out, "--set", "q=1"), 2)
+    assert "the earlier results" in message
+    assert contents(out) == before
+
+
+def test_a_refusal_whose_folder_cannot_be_written_is_still_that_refusal(spec: Path) -> None:
+    message = refused(call("design", spec, "--out", spec, *STIFF), 4)
+    assert "cannot write results" in message
 
 
 def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
@@ -269,7 +298,7 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
     assert (out / "sub").is_dir()
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{", "3", '{"files": 3}', "\udcff"])
+@pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, "3", '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
     out.mkdir()

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,7 +29,8 @@ class Outcome:
         spec: The file.
         exit: Exit code of its process; negative if a signal ended it, None if it ran out of time.
         expected: Exit code that the spec expects.
-        figures: From its run.json, empty if there is none.
+        figures: From its run.json, empty if this run left none.
+        notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
         messages: What it said on stderr.
         seconds: How long it took.
     """
@@ -37,6 +39,7 @@ class Outcome:
     exit: int | None
     expected: int
     figures: Mapping[str, float]
+    notes: tuple[str, ...]
     messages: str
     seconds: float
 
@@ -61,18 +64,9 @@ class Outcome:
         """The exit code in words."""
         if self.exit is None:
             return "out of time"
-        return _VERDICTS.get(self.exit, f"killed by signal {-self.exit}" if self.exit < 0 else "crashed")
-
-
-_VERDICTS = {
-    0: "proved",
-    1: "crashed",
-    2: "invalid spec",
-    3: "outside the theory",
-    4: "proved infeasible",
-    5: "undecided",
-    6: "check failed",
-}
+        if self.exit < 0:
+            return f"killed by signal {-self.exit}"
+        return ExitCode(self.exit).verdict if self.exit in list(ExitCode) else "crashed"
 
 
 def find_specs(folder: Path) -> list[Path]:
@@ -83,10 +77,29 @@ def find_specs(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InvalidSpec(f"{folder} is no folder", hint="for one spec there is 'pwatrack simulate'")
-    found = sorted(p for p in folder.rglob("*") if p.suffix in (".yaml", ".yml") and p.is_file())
+    found = sorted(path for path in _named_like_specs(folder) if path.is_file())
     if not found:
         raise InvalidSpec(f"no .yaml file in {folder}", hint="name a folder that holds specs")
     return found
+
+
+def left_out(folder: Path) -> list[tuple[Path, str]]:
+    """Return what is named like a spec below a folder and is none, in order, with the reason."""
+    return [
+        (path, "no file of this name is where the link leads" if path.is_symlink() and not path.exists() else "no file")
+        for path in sorted(_named_like_specs(folder))
+        if not path.is_file() and not path.is_dir()
+    ]
+
+
+def run_name(spec: Path) -> str:
+    """Return the name of a spec's run folder: that of the file without its ending, unless only dots are left.
+
+    Example:
+        >>> run_name(Path("specs/cart.yaml")), run_name(Path("..yaml"))
+        ('cart', '..yaml')
+    """
+    return spec.stem if spec.stem.strip(".") else spec.name
 
 
 def run_batch(folder: Path, out: Path, *, jobs: int = 1, timeout: float = 600.0) -> list[Outcome]:
@@ -109,9 +122,9 @@ def run_batch(folder: Path, out: Path, *, jobs: int = 1, timeout: float = 600.0)
         task = progress.add_task("specs", total=len(specs))
 
         def one(spec: Path) -> Outcome:
-            name = spec.relative_to(folder)
-            alone = sum(other.with_suffix("") == spec.with_suffix("") for other in specs) == 1
-            outcome = _run(spec, out / (name.with_suffix("") if alone else name), timeout)
+            alone = sum(other.with_name(run_name(other)) == spec.with_name(run_name(spec)) for other in specs) == 1
+            folder_of = spec.relative_to(folder).with_name(run_name(spec) if alone else spec.name)
+            outcome = _run(spec, out / folder_of, timeout)
             progress.advance(task)
             return outcome
 
@@ -123,11 +136,13 @@ def _run(spec: Path, out: Path, timeout: float) -> Outcome:
     start = time.perf_counter()
     command = [sys.executable, "-m", "pwatrack", "simulate", "--out", str(out), "--", str(spec)]
     code, messages = _call(command, timeout)
+    index = _index(out, code)
     return Outcome(
         spec=spec,
         exit=code,
         expected=expected_exit(spec),
-        figures=_figures(out) if code == 0 else {},
+        figures=_figures(index),
+        notes=_notes(index),
         messages=messages,
         seconds=time.perf_counter() - start,
     )
@@ -143,7 +158,7 @@ def _call(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
         env={**os.environ, **one_thread},
     )
     try:
-        _, messages = process.communicate(timeout=timeout)
+        _, messages = process.communicate(timeout=timeout if timeout < threading.TIMEOUT_MAX else None)
     except subprocess.TimeoutExpired:
         process.terminate()  # it removes what it has half-written
         try:
@@ -155,9 +170,30 @@ def _call(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
     return process.returncode, messages.decode("utf-8", "replace").strip()
 
 
-def _figures(out: Path) -> dict[str, float]:
+def _named_like_specs(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.suffix.lower() in (".yaml", ".yml")]
+
+
+def _index(out: Path, code: int | None) -> dict[str, Any]:
+    """Return the run.json of a run that ended with this code; nothing if what is there is of another run."""
     try:
         content: Any = json.loads((out / "run.json").read_text(encoding="utf-8"))
-        return dict(content["figures"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, RecursionError):
         return {}
+    return content if isinstance(content, dict) and code is not None and content.get("exit") == code else {}
+
+
+def _figures(index: Mapping[str, Any]) -> dict[str, float]:
+    figures = index.get("figures")
+    return {
+        name: value
+        for name, value in (figures.items() if isinstance(figures, dict) else ())
+        if isinstance(value, float | int) and not isinstance(value, bool)
+    }
+
+
+def _notes(index: Mapping[str, Any]) -> tuple[str, ...]:
+    simulation, remarks = index.get("simulation"), index.get("remarks")
+    ended = isinstance(simulation, dict) and simulation.get("outcome") != "tracks"
+    said = [simulation.get("said")] if isinstance(simulation, dict) and ended else []
+    return tuple(note for note in said + (remarks if isinstance(remarks, list) else []) if isinstance(note, str))

@@ -7,8 +7,8 @@ from pathlib import Path
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
 from rich.table import Table
 
-from pwatrack.batch.run import Outcome
-from pwatrack.report.run_folder import run_folder
+from pwatrack.batch.run import Outcome, left_out
+from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import console
 
 _COLUMNS = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_tracking_error": "final error"}
@@ -30,11 +30,20 @@ def print_batch(outcomes: Sequence[Outcome]) -> None:
     if not screen.is_terminal:
         screen.width = 140  # a CI log: names stay whole
     screen.print(table)
+    for outcome in outcomes:
+        for note in outcome.notes:
+            screen.print(f"{outcome.spec}: {note}", soft_wrap=True)
     failed = [outcome for outcome in outcomes if not outcome.passed]
     screen.print(f"{len(outcomes) - len(failed)} passed, {len(failed)} failed")
     for outcome in failed:
         ending = f"{outcome.verdict}, exit {outcome.exit}, expected {outcome.expected}"
         errors.print(f"{outcome.spec}: {ending}\n{outcome.messages}", soft_wrap=True)
+
+
+def print_left_out(folder: Path) -> None:
+    """Say on stderr which specs are not run, and why."""
+    for path, reason in left_out(folder):
+        console(stderr=True).print(f"{path}: left out: {reason}", soft_wrap=True)
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -54,5 +63,5 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
         suite.add_testcase(case)
     report = JUnitXml()
     report.add_testsuite(suite)
-    with run_folder(path.parent) as folder:
-        report.write(str(folder.place(path.name)), pretty=True)
+    with written_at_once(path) as temporary:
+        report.write(str(temporary), pretty=True)

@@ -1,6 +1,7 @@
 """Result -> files: JSON, CSV and, through `plots`, PNG."""
 
 import csv
+import hashlib
 import platform
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,9 +18,10 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
 from pwatrack.control.pareto import Front
+from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.pipeline import Result
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
-from pwatrack.report.run_folder import INDEX, REFUSAL, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.region import Box, Region
@@ -36,6 +38,7 @@ def write_design(
     folder: str | Path,
     *,
     fronts: Sequence[Front] = (),
+    broken: PwatrackError | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> Path:
     """Write gains.json, certificate.json, generator.json and run.json, and for fronts pareto.csv and pareto.png.
@@ -43,8 +46,9 @@ def write_design(
     Args:
         spec: What was asked.
         controller: What `design(spec)` returned.
-        folder: Made if it does not exist; files of an earlier run in it are replaced.
+        folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
         fronts: What `pareto` returned for controller and observer.
+        broken: Why a simulation of it broke off, if it did.
         seconds: Time spent, by step, for run.json.
 
     Returns:
@@ -57,7 +61,12 @@ def write_design(
         _design_files(run, spec, controller)
         if fronts:
             _fronts(run, spec, fronts)
-        _index(run, spec, seconds, _gain_figures(controller), {"bounds": bound_content(spec, controller)})
+        more = {"figures": _gain_figures(controller), "bounds": bound_content(spec, controller)}
+        index = _index(spec, seconds) | more | {"remarks": list(spec.plant.remarks)}
+        if broken is not None:
+            said = "; ".join(problem.message for problem in broken.problems)
+            index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
+        run.commit(index)
     return Path(folder)
 
 
@@ -89,12 +98,17 @@ def write_result(
             for name, figure in pictures.items():
                 figure.savefig(run.place(name), format="png", dpi=150)
         figures = _gain_figures(result.controller) | measures(result)
-        more: dict[str, Any] = {"conditions": result.loop.conditions.texts(result.spec.plant)}
-        more["bounds"] = bound_content(result.spec, result.controller)
+        more: dict[str, Any] = {
+            "figures": figures,
+            "bounds": bound_content(result.spec, result.controller),
+            "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
+            "conditions": result.loop.conditions.texts(result.spec.plant),
+            "remarks": list(result.remarks),
+        }
         if many:
             _ensemble(run, many)
             more["ensemble"] = ensemble_measures(many)
-        _index(run, result.spec, seconds, figures, more)
+        run.commit(_index(result.spec, seconds) | {"exit": int(result.outcome.code)} | more)
     return Path(folder)
 
 
@@ -238,23 +252,52 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
         run.json("generator.json", generator_content(generator.form, generator.shift))
 
 
-def write_refusal(spec: Spec, evidence: Impossibility, folder: str | Path) -> Path:
-    """Write refusal.json: the proof that what was asked is impossible, in the format of certificate.json.
+def write_refusal(
+    refusal: PwatrackError,
+    folder: str | Path,
+    *,
+    path: Path,
+    parameters: Mapping[str, float | str],
+    spec: Spec | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> bool:
+    """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
 
     Args:
-        spec: What was asked.
-        evidence: That of the `Infeasible` that `design(spec)` raised.
-        folder: Made if it does not exist; what an earlier run left in it stays.
+        refusal: What was raised.
+        folder: As for `write_design`.
+        path: The spec file.
+        parameters: What was set from outside the file.
+        spec: Its content, if it could be read.
+        seconds: As for `write_design`.
 
     Returns:
-        The file.
+        Whether there is a proof.
 
     Raises:
-        InvalidSpec: If the folder cannot be written.
+        InvalidSpec: If the folder cannot be written; nothing is changed then.
     """
+    reasons = [
+        {"message": p.message, "hint": p.hint, "place": None if p.place is None else str(p.place)}
+        for p in refusal.problems
+    ]
+    index: dict[str, Any] = {
+        "name": path.stem,
+        "spec": str(path),
+        "spec_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
+        "parameters": dict(parameters),
+        "seconds": dict(seconds or {}),
+        "versions": _versions(),
+    }
+    if spec is not None:
+        index = _index(spec, seconds) | {"remarks": list(spec.plant.remarks)}
     with run_folder(folder) as run:
-        run.json(REFUSAL, refusal_certificate(spec, evidence))
-    return Path(folder) / REFUSAL
+        proof = refusal.evidence if spec is not None and isinstance(refusal.evidence, Impossibility) else None
+        if spec is not None and proof is not None:
+            run.json(REFUSAL, refusal_certificate(spec, proof))
+        ending = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code), "reasons": reasons}
+        run.commit(index | ending)
+    return proof is not None
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
@@ -341,30 +384,23 @@ def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
             writer.writerow([number, *map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers])
 
 
-def _index(
-    run: RunFolder,
-    spec: Spec,
-    seconds: Mapping[str, float] | None,
-    figures: Mapping[str, float],
-    more: Mapping[str, Any] | None = None,
-) -> None:
-    run.json(
-        INDEX,
-        {
-            "name": spec.name,
-            "spec": str(spec.path),
-            "spec_sha256": spec.sha256,
-            "parameters": dict(spec.parameters),
-            "verdict": "proved",
-            "solver": spec.solver,
-            "figures": dict(figures),
-            **(more or {}),
-            "seconds": dict(seconds or {}),
-            "versions": {
-                "pwatrack": __version__,
-                "python": platform.python_version(),
-                **{name: version(name) for name in ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")},
-            },
-            "files": run.names,
-        },
-    )
+def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
+    """Return what the index says of any run that was proved."""
+    return {
+        "name": spec.name,
+        "spec": str(spec.path),
+        "spec_sha256": spec.sha256,
+        "parameters": dict(spec.parameters),
+        "verdict": "proved",
+        "simulation": None,
+        "exit": int(ExitCode.DONE),
+        "solver": spec.solver,
+        "seconds": dict(seconds or {}),
+        "versions": _versions(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    libraries = ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")
+    own = {"pwatrack": __version__, "python": platform.python_version()}
+    return own | {name: version(name) for name in libraries}

@@ -1,35 +1,63 @@
-"""A folder of results that is never torn: every file under a temporary name first, all moved at the end."""
+"""A folder of results that tells one run: at every instant all of it, or nothing that could pass for a run.
+
+All files are written in a hidden folder inside, and moved when the last of them is there. While they are moved the
+index says `incomplete` and names what is on its way, so that a run that is killed just then leaves nothing that the
+next one cannot clear away.
+"""
 
 import errno
+import fcntl
+import hashlib
 import json
+import os
+import re
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+import shutil
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from pwatrack.errors import InvalidSpec, Problem
 
-INDEX = "run.json"  # names the files of the run; written last
-REFUSAL = "refusal.json"  # the proof of a refusal; stays beside an earlier run, until a run succeeds
+INDEX = "run.json"  # says how the run ended and names its files; written last
+REFUSAL = "refusal.json"  # the proof of a refusal
+INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
+
+_FORMAT = "pwatrack run 1"
+_NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
+    r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
+    r"(tracking_error|observer_error|outputs|input|cells|internal_states|steady_state|ensemble|pareto)\.png|"
+    r"portrait_[1-9]\d*\.png"
+)
+_PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index
+_STAGE = ".pwatrack-"
+_GOING, _COMING = (
+    "going.json",
+    "coming.json",
+)  # the index while files of the earlier run go and those of the new one come
 
 
 class RunFolder:
     """Files on their way into a folder; use it through `run_folder`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stage: Path) -> None:
         self.path = path
-        self._waiting: dict[str, Path] = {}
-
-    @property
-    def names(self) -> list[str]:
-        """Files added so far."""
-        return list(self._waiting)
+        self._stage = stage
+        self._names: list[str] = []
 
     def place(self, name: str) -> Path:
-        """Return a temporary path to write the file `name` to."""
-        temporary = self._waiting[name] = self.path / f".{name}.{secrets.token_hex(4)}"  # known before it is there
-        temporary.touch(exist_ok=False)
-        return temporary
+        """Return the path to write the file `name` to for now.
+
+        Raises:
+            ValueError: If runs have no file of this name.
+        """
+        if not _NAMES.fullmatch(name):
+            raise ValueError(f"{name} is none of the files of a run")
+        self._names.append(name)
+        return self._stage / name
 
     def text(self, name: str, content: str) -> None:
         """Add a text file."""
@@ -37,59 +65,189 @@ class RunFolder:
 
     def json(self, name: str, content: object) -> None:
         """Add a JSON file; floats keep every bit."""
-        self.text(name, json.dumps(content, indent=2, allow_nan=False) + "\n")
+        self.text(name, _json(content))
 
-    def commit(self) -> None:
-        """Move all files to their names, the index last, and drop what only an earlier run had."""
-        for name in self._waiting:
-            if (self.path / name).is_dir():
-                raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
-        stale = {REFUSAL, *_indexed(self.path)} - set(self._waiting) if INDEX in self._waiting else set()
-        for name in sorted(self._waiting, key=lambda name: name == INDEX):
-            self._waiting.pop(name).replace(self.path / name)
-        for name in stale:
-            if (self.path / name).is_file():
-                (self.path / name).unlink()
+    def commit(self, index: Mapping[str, object]) -> None:
+        """Take the place of the earlier run: its files go, those added here come, and the index last.
 
-    def discard(self) -> None:
-        """Remove what was written so far; files of earlier runs stay."""
-        for temporary in self._waiting.values():
-            temporary.unlink(missing_ok=True)
+        A file of the user's under one of these names, and one that was changed since a run wrote it, is kept: `name~`.
+        """
+        new = {name: _record(self._stage / name) for name in self._names}
+        with _alone(self.path):
+            for name in (*new, INDEX):
+                if (self.path / name).is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
+            known = _index(self.path).get("files", {})
+            there = [file.name for file in self.path.iterdir() if _NAMES.fullmatch(file.name) and not file.is_dir()]
+            old = {name: known[name] for name in there if name in known and _is(self.path / name, known[name])}
+            self._write_index({**index, "files": new}, INDEX)
+            self._write_index({"verdict": INCOMPLETE, "files": old}, _GOING)
+            self._write_index({"verdict": INCOMPLETE, "files": new}, _COMING)
+            with _uninterrupted():
+                if not _index(self.path):
+                    _keep(self.path / INDEX)
+                (self._stage / _GOING).replace(self.path / INDEX)
+                for name in sorted(there, key=lambda name: name not in _PROOFS):
+                    if name in old:
+                        (self.path / name).unlink()
+                    else:
+                        _keep(self.path / name)
+                (self._stage / _COMING).replace(self.path / INDEX)
+                for name in sorted(new, key=lambda name: name in _PROOFS):
+                    (self._stage / name).replace(self.path / name)
+                (self._stage / INDEX).replace(self.path / INDEX)
+
+    def _write_index(self, content: Mapping[str, object], name: str) -> None:
+        (self._stage / name).write_text(_json({"format": _FORMAT, **content}), encoding="utf-8")
 
 
 @contextmanager
 def run_folder(path: str | Path) -> Iterator[RunFolder]:
-    """Open a run folder; its files appear all together when the block ends, or not at all.
+    """Open a run folder; the block ends with `commit`, or leaves the folder as it was.
 
     Raises:
         InvalidSpec: If the folder cannot be written.
 
     Example:
         >>> with run_folder("/tmp/pwatrack-example") as run:
-        ...     run.json("run.json", {"files": []})
+        ...     run.json("gains.json", {"K": [[1.0]]})
+        ...     run.commit({"verdict": "proved"})
+        >>> index = read_index("/tmp/pwatrack-example")
+        >>> index["verdict"], list(index["files"])
+        ('proved', ['gains.json'])
     """
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        run = RunFolder(path)
+        stage = path / f"{_STAGE}{secrets.token_hex(8)}"
+        with _alone(path):  # or another run would take the stage for one that nobody owns
+            _sweep(path)
+            stage.mkdir()
+            owner = _locked(stage)
         try:
-            yield run
-            run.commit()
+            yield RunFolder(path, stage)
         finally:
-            run.discard()
+            shutil.rmtree(stage, ignore_errors=True)
+            os.close(owner)
     except OSError as error:
-        raise InvalidSpec(
-            Problem(
-                message=f"cannot write results to {path}: {error.strerror or error}",
-                hint="choose another --out",
-            )
-        ) from None
+        raise _unwritable(f"results to {path}", error, "choose another --out") from None
 
 
-def _indexed(path: Path) -> list[str]:
-    """Return the files that the index of an earlier run names, as far as they are plain names."""
+@contextmanager
+def written_at_once(path: Path) -> Iterator[Path]:
+    """Return a path to write to, which takes the place of `path` when the block ends.
+
+    Raises:
+        InvalidSpec: If it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}")
     try:
-        names = json.loads((path / INDEX).read_text(encoding="utf-8"))["files"]
-        return [name for name in names if isinstance(name, str) and Path(name).name == name]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise _unwritable(str(path), error, "choose another path") from None
+
+
+def read_index(path: str | Path) -> dict[str, Any] | None:
+    """Return the index of the run that a folder tells; None if it tells none, or that of another program."""
+    index = _index(Path(path))
+    return index if index.get("verdict") != INCOMPLETE and index else None
+
+
+def kept_files(path: Path) -> list[str]:
+    """Return the files that a run found under one of its names and kept, since no run had left them so."""
+    names = sorted(file.name for file in path.glob("*~*"))
+    return [name for name in names if name.startswith(f"{INDEX}~") or _NAMES.fullmatch(name.partition("~")[0])]
+
+
+def _index(path: Path) -> dict[str, Any]:
+    """Return the index in a folder if it is one of ours, else nothing."""
+    try:
+        index = json.loads((path / INDEX).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    ours = isinstance(index, dict) and index.get("format") == _FORMAT and isinstance(index.get("files"), dict)
+    return index if ours else {}
+
+
+def _record(file: Path) -> dict[str, object]:
+    with file.open("rb") as content:
+        return {"bytes": file.stat().st_size, "sha256": hashlib.file_digest(content, "sha256").hexdigest()}
+
+
+def _is(file: Path, known: object) -> bool:
+    """Whether a file is still as a run wrote it."""
+    return file.is_file() and not file.is_symlink() and _record(file) == known
+
+
+def _keep(file: Path) -> None:
+    """Move a file out of the way that is not ours to remove, if there is one."""
+    if os.path.lexists(file):
+        kept, number = file.with_name(f"{file.name}~"), 1
+        while os.path.lexists(kept):
+            number += 1
+            kept = file.with_name(f"{file.name}~{number}")
+        file.rename(kept)
+
+
+def _sweep(path: Path) -> None:
+    """Remove the stages of runs that were killed: nobody holds their lock."""
+    for stage in path.glob(f"{_STAGE}*"):
+        with suppress(OSError):  # it has gone, or its owner is at work, or nobody can tell
+            owner = os.open(stage, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(owner, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(stage)
+            finally:
+                os.close(owner)
+
+
+def _locked(folder: Path) -> int:
+    """Return a lock on a folder that ends with the process, however that ends; close it to give it back."""
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    return lock
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other runs from changing a folder for the moment."""
+    lock = _locked(folder)
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Put off what interrupts the program until the block ends. Signals come to the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    ours = {number: handler for number, handler in handlers.items() if handler is not None}
+    try:
+        for number in ours:
+            signal.signal(number, lambda number, _: came.append(number))
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        for missed in came:
+            signal.raise_signal(missed)
+
+
+def _unwritable(what: str, error: OSError, hint: str) -> InvalidSpec:
+    return InvalidSpec(Problem(message=f"cannot write {what}: {error.strerror or error}", hint=hint))
+
+
+def _json(content: object) -> str:
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"

@@ -10,12 +10,12 @@ from rich.status import Status
 
 from pwatrack import pipeline
 from pwatrack.control.controller import Controller
-from pwatrack.control.convergence import Impossibility
 from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.synthesis import controller_task, observer_task
-from pwatrack.errors import Infeasible
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.report import files, summary
+from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
 from pwatrack.spec.load import Spec, assignments, load_spec
 from pwatrack.variation import Over, ensemble
@@ -45,37 +45,71 @@ def run(
         members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
 
     Raises:
-        PwatrackError: Whatever loading, design, simulation or writing refuses.
+        PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
+        CheckFailed: After all is written and printed, if the loop grows without bound or contradicts its proof.
     """
     screen, seconds = console(), dict[str, float]()
+    spec, controller, many = None, None, None
     with console(stderr=True).status("Reading the spec") as status:
-        with _timed(seconds, "load"):
-            spec = load_spec(path, assignments(parameters))
-            spec = replace(spec, solver=solver) if solver else spec
-        status.update("Solving the matrix inequalities")
-        with _timed(seconds, "design"), _evidence_kept(spec, folder):
-            controller = pipeline.design(spec)
-        if not simulated:
-            status.update("Finding the smallest gains at other rates")
-            with _timed(seconds, "pareto"):
-                found = _fronts(spec, controller) if fronts else []
-            files.write_design(spec, controller, folder, fronts=found, seconds=seconds)
-        else:
-            status.update("Simulating the closed loop")
-            with _timed(seconds, "simulate"):
-                result = pipeline.simulate(spec, controller)
-            many = None
-            if members:
-                with _timed(seconds, "ensemble"):
-                    many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
-            status.update("Writing traces and plots")
+        try:
+            with _timed(seconds, "load"):
+                spec = load_spec(path, assignments(parameters))
+                spec = replace(spec, solver=solver) if solver else spec
+            status.update("Solving the matrix inequalities")
+            with _timed(seconds, "design"):
+                controller = pipeline.design(spec)
+            if simulated:
+                status.update("Simulating the closed loop")
+                with _timed(seconds, "simulate"):
+                    result = pipeline.simulate(spec, controller)
+                if members:
+                    with _timed(seconds, "ensemble"):
+                        many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
+            else:
+                status.update("Finding the smallest gains at other rates")
+                with _timed(seconds, "pareto"):
+                    found = _fronts(spec, controller) if fronts else []
+        except PwatrackError as refusal:
+            _keep(refusal, folder, path, assignments(parameters), spec, controller, seconds)
+            raise
+        status.update("Writing the files")
+        if simulated:
             files.write_result(result, folder, many=many, seconds=seconds)
-    summary.print_design(screen, spec, controller)
+        else:
+            files.write_design(spec, controller, folder, fronts=found, seconds=seconds)
     if simulated:
         summary.print_result(screen, result)
-        if many:
-            summary.print_ensemble(screen, many)
+    else:
+        summary.print_design(screen, spec, controller)
+    if many:
+        summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
+    if simulated and result.outcome.code != ExitCode.DONE:
+        raise CheckFailed(Problem(message=f"{path}: {result.outcome.text}", subject=None))
+
+
+def _keep(
+    refusal: PwatrackError,
+    folder: Path,
+    path: Path,
+    parameters: dict[str, str],
+    spec: Spec | None,
+    controller: Controller | None,
+    seconds: dict[str, float],
+) -> None:
+    """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
+    if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
+        if read_index(folder) is not None:
+            refusal.add_note(f"  the earlier results in {folder!s} are as they were")
+        return
+    try:
+        if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
+            files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
+            refusal.add_note(f"  the design is proved all the same: {folder!s}")
+        elif files.write_refusal(refusal, folder, path=path, parameters=parameters, spec=spec, seconds=seconds):
+            refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
+    except InvalidSpec as unwritable:
+        refusal.add_note(f"  {unwritable}")
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:
@@ -101,15 +135,3 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[step] = round(time.perf_counter() - start, 4)
-
-
-@contextmanager
-def _evidence_kept(spec: Spec, folder: Path) -> Iterator[None]:
-    """Write the proof of a refusal before it goes on its way, and note where."""
-    try:
-        yield
-    except Infeasible as error:
-        if isinstance(error.evidence, Impossibility):
-            where = files.write_refusal(spec, error.evidence, folder)
-            error.add_note(f"  proof: {where!s}; 'pwatrack verify' checks it")
-        raise

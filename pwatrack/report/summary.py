@@ -20,6 +20,7 @@ from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.pipeline import Result
 from pwatrack.report.files import channel_text, declared, ensemble_measures, error_unit, measures, signal_text
+from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.spec.load import Spec
 from pwatrack.variation import EnsembleResult
 
@@ -44,8 +45,7 @@ def print_plant(console: Console, name: str, report: Applicability) -> None:
         )
     for theorem, answer in report.theorems().items():
         table.add_row(theorem, answer)
-    for remark in plant.remarks:
-        table.add_row("remark", remark)
+    _remark_rows(table, plant.remarks)
     console.print(table)
 
 
@@ -101,8 +101,14 @@ def plant_json(name: str, report: Applicability) -> dict[str, Any]:
 
 def print_design(console: Console, spec: Spec, controller: Controller) -> None:
     """Say what was proved and the gains."""
-    design, generator = controller.design, controller.generator
     table = _titled(spec.name)
+    _proved_rows(table, spec, controller)
+    _remark_rows(table, spec.plant.remarks)
+    console.print(table)
+
+
+def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
+    design, generator = controller.design, controller.generator
     promised = controller.guarantees
     for claim, proved, letter, gain, goal in (
         ("(8) controller", promised.controller, "K", design.K, spec.controller),
@@ -123,7 +129,6 @@ def print_design(console: Console, spec: Spec, controller: Controller) -> None:
         _generator_rows(table, generator, promised.generator)
     _promise_rows(table, controller)
     _bound_rows(table, spec, controller)
-    console.print(table)
 
 
 def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
@@ -226,22 +231,14 @@ def _up(value: float) -> str:
 
 
 def print_result(console: Console, result: Result) -> None:
-    """Say how the simulation went."""
+    """Say how the simulation went, first of all; then what was proved, and of which loop; then the figures."""
     figures = measures(result)
-    unit = f" {error_unit(result)}".rstrip()
-    kind = "|y − y_d|" if result.controller.generator is not None else "‖x − x_d‖"
-    table = _titled(None)
-    table.add_row(
-        "simulated",
-        f"{result.end:g} s, mode changes: {figures['mode_changes']}, joint modes: {figures['joint_modes']}",
-    )
-    for text in result.loop.conditions.texts(result.spec.plant):
-        table.add_row("conditions", text)
-    table.add_row(
-        "tracking error",
-        f"{kind} at most {figures['final_tracking_error']:.2e}{unit} in the last tenth of the time "
-        f"({figures['largest_tracking_error']:.2e} at worst)",
-    )
+    table = _titled(result.spec.name)
+    table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
+    if conditions := result.loop.conditions.texts(result.spec.plant):
+        table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
+    _proved_rows(table, result.spec, result.controller)
+    table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
     table.add_row(
         "largest input",
@@ -254,9 +251,13 @@ def print_result(console: Console, result: Result) -> None:
             f"of the generator, period {steady.t[-1]:.6g} s: Floquet multipliers {multipliers}; "
             f"after one period it misses itself by {steady.residual:.0e}",
         )
-    for remark in result.remarks:
-        table.add_row("remark", remark)
+    _remark_rows(table, result.remarks)
     console.print(table)
+
+
+def _remark_rows(table: Table, remarks: Sequence[str]) -> None:
+    for remark in remarks:
+        table.add_row("remark", remark)
 
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:
@@ -307,12 +308,11 @@ def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
 
 
 def print_files(console: Console, folder: Path) -> None:
-    """Say where the files are."""
-    console.print(
-        f"Results in {folder!s}/: " + ", ".join(sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))),
-        highlight=False,
-        soft_wrap=True,
-    )
+    """Say where the files of the run are, and which it found under its names and kept."""
+    names = [INDEX, *(read_index(folder) or {"files": {}})["files"]]
+    console.print(f"Results in {folder!s}/: {', '.join(sorted(names))}", highlight=False, soft_wrap=True)
+    if kept := kept_files(folder):
+        console.print(f"Kept, as no run had left them so: {', '.join(kept)}", highlight=False, soft_wrap=True)
 
 
 def _titled(title: str | None) -> Table:

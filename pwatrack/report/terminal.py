@@ -1,10 +1,12 @@
 """The terminal: consoles that print text as it is, and refusals with their exit codes."""
 
 import io
+import os
+import signal
 import sys
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -25,7 +27,8 @@ def refusals() -> Iterator[None]:
     """End the program with the messages and the exit code of a refusal raised inside; no traceback.
 
     Raises:
-        SystemExit: With the code of the refusal, or 1 for an exception that is none.
+        SystemExit: With the code of the refusal, or 1 for an exception that is none; as for a program that SIGINT or
+            SIGPIPE ends, if it is interrupted or nobody reads its output.
     """
     errors = console(stderr=True)
     try:
@@ -36,9 +39,24 @@ def refusals() -> Iterator[None]:
         for note in getattr(error, "__notes__", ()):
             errors.print(note, soft_wrap=True)
         raise SystemExit(int(error.code)) from None
+    except KeyboardInterrupt:
+        raise SystemExit(128 + signal.SIGINT) from None
+    except BrokenPipeError:  # whoever read our output has enough of it
+        _drop_output()
+        raise SystemExit(128 + signal.SIGPIPE) from None
+    except OSError as error:  # those of files are refusals by now
+        _drop_output()
+        errors.print(f"error: cannot print the results: {error.strerror or error}", soft_wrap=True)
+        raise SystemExit(int(ExitCode.INVALID)) from None
     except Exception as error:  # whatever else comes is a bug of ours, said without a traceback
         where = traceback.extract_tb(error.__traceback__)[-1]
         place = f"{Path(where.filename).name}:{where.lineno}"
         errors.print(f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})", soft_wrap=True)
         errors.print("  hint: please report it together with the spec")
         raise SystemExit(int(ExitCode.BUG)) from None
+
+
+def _drop_output() -> None:
+    """Let what still waits to be printed go nowhere."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -35,7 +35,7 @@ from pwatrack.spec.problems import (
 from pwatrack.spec.schema import Context, ExpectSection, SpecFile, SystemSection
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
-_EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([0-6])\b", re.MULTILINE)
+_EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -116,6 +116,12 @@ def _positive(value: float) -> float:
     return value
 
 
+def _no_crash(code: int) -> int:
+    if code == 1:
+        raise ValueError("1 is a crash, which is never as it should be: 0, or 2 to 6")
+    return code
+
+
 def _pair(values: list[LinearForm]) -> list[LinearForm]:
     if len(values) != 2:
         raise ValueError("two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]")
@@ -536,7 +542,7 @@ class ToleranceSection(Section):
 class ExpectSection(Section):
     """How a run of this spec should end."""
 
-    exit: Annotated[int, Field(ge=0, le=6)]
+    exit: Annotated[int, Field(ge=0, le=6), AfterValidator(_no_crash)]
 
 
 class SpecFile(Section):

@@ -1,0 +1,226 @@
+"""How a simulated loop ended: whether it tracks, is off, grows without bound, or contradicts its own proof."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import matrix_balance
+
+from pwatrack.arrays import Array
+from pwatrack.errors import ExitCode
+from pwatrack.simulation.closed_loop import ClosedLoop, Response
+
+Kind = Literal["tracks", "off", "grows", "above its bound"]
+
+_TRACKS = 0.01  # of the size of reference, start and largest error: what is left of an error then is small
+_ROUNDING = 8 * float(
+    np.finfo(np.float64).eps
+)  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
+_RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
+_FADING = 0.9  # what e^(−t/τ) falls by in three tenths of a run of τ / 3: a run that is shorter tells nothing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a simulation ended.
+
+    Attributes:
+        kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
+            its reference, start and largest error. "off": one is. "grows": as `grows` says. "above its bound": the
+            loop is the one that the proofs are about, and an error is larger than they allow.
+        text: In words and figures.
+    """
+
+    kind: Kind
+    text: str
+
+    @property
+    def code(self) -> ExitCode:
+        """What the shell sees."""
+        return ExitCode.DONE if self.kind in ("tracks", "off") else ExitCode.CHECK_FAILED
+
+
+def tenths(samples: int) -> list[int]:
+    """Return the first sample of each tenth of a run and the number of samples; the last tenth has the most.
+
+    Example:
+        >>> tenths(25)
+        [0, 2, 5, 7, 10, 12, 15, 17, 20, 22, 25]
+    """
+    return [samples - -(-samples * (10 - k) // 10) for k in range(11)]
+
+
+def grows(largest: Array, size: float) -> bool:
+    """Say whether a signal grows without bound, as far as a finite trace can tell.
+
+    Its largest value in the last tenth of the time is above that of every tenth before and above `size`; it is at least
+    half more than in the first half of the time, which noise and steady oscillations do not do by chance; and the last
+    three tenths add no less than nine tenths of what the three before them added, so that it does not settle.
+
+    Args:
+        largest: Largest value in each tenth of the time, (10,).
+        size: Of what it may be anyway: reference and start, in the unit of the signal.
+
+    Example: eᵗ grows, and 1 − e⁻ᵗ does not, which is above its start at any time.
+
+        >>> t = np.arange(1.0, 11.0)
+        >>> grows(np.exp(t), 1.0), grows(1 - np.exp(-t), 0.0)
+        (True, False)
+    """
+    last, before = largest[-1], np.maximum.accumulate(largest)
+    rises = last > before[-2] and last >= _RISE * before[4]
+    return bool(last > size and rises and last - before[6] >= _FADING * (before[6] - before[3]))
+
+
+class Watch:
+    """Looks at a run block by block, to say in the end how it went.
+
+    Args:
+        loop: What runs.
+        samples: How many it will see.
+        bounded: Whether the desired trajectory is known to stay bounded.
+        units: Of outputs and states, by name.
+    """
+
+    def __init__(self, loop: ClosedLoop, samples: int, *, bounded: bool, units: Mapping[str, str]) -> None:
+        plant, self._output = loop.controller.plant, loop.controller.generator is not None
+        self._loop, self._bounded, self._units = loop, bounded, units
+        self._names = plant.outputs if self._output else plant.states
+        self._edges, self._number = tenths(samples), 0
+        self._error, self._x_d = np.zeros((10, len(self._names))), np.zeros((10, len(plant.states)))
+        self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
+        self._scale, self._speed = _balanced(loop)
+        self._size = 0.0  # of the largest state so far, balanced
+        self._first: Response | None = None
+        self._end = 0.0  # time of the last sample so far in s
+        self._broken = ""
+
+    def see(self, block: Response) -> None:
+        """Take the next samples into account."""
+        self._first, self._end = self._first or block, float(block.t[-1])
+        number, norm = self._number, np.linalg.norm(block.tracking_error, axis=1)
+        self._number += len(norm)
+        for k, (start, end) in enumerate(pairwise(self._edges)):
+            rows = slice(max(start - number, 0), max(end - number, 0))
+            for kept, values in ((self._error, block.tracking_error), (self._x_d, block.x_d)):
+                kept[k] = np.maximum(kept[k], np.abs(values[rows]).max(axis=0, initial=0.0))
+        self._reference = np.maximum(self._reference, np.abs(block.y_d if self._output else block.x_d).max(axis=0))
+        self._norm = max(self._norm, float(norm.max()))
+        self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
+        largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
+        self._size = max(self._size, float((largest / self._scale).max()))
+        if self._loop.conditions.nominal and not self._broken:
+            self._broken = self._above_its_bound(block, norm)
+
+    def outcome(self) -> Outcome:
+        """Say how the run went, the worst first."""
+        if self._broken:
+            return Outcome(kind="above its bound", text=self._broken)
+        return self._growing_desired() or self._growing_error() or self._settled()
+
+    def _above_its_bound(self, block: Response, norm: Array) -> str:
+        """Say where an error is above what is proved of it and of the rounding of the simulation, or nothing."""
+        assert self._first is not None
+        first, promised = self._first, self._loop.controller.guarantees
+        starts, t = (first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]), block.t
+        bounds = (
+            (self._norm_name, norm, promised.tracking_error(t, *starts, output=self._output), self._rounding(t[-1])),
+            ("‖x̂ − x‖", block.observer_error, promised.observer_error(t, starts[1]), self._rounding_of_x(t[-1])),
+        )
+        for name, error, bound, rounding in bounds:
+            above = np.flatnonzero(error > bound + np.linalg.norm(rounding))
+            if len(above):
+                k = above[0]
+                return (
+                    f"above its own proved bound: {name} is {error[k]:.3g} at t = {t[k]:.9g} s, where at most "
+                    f"{bound[k]:.3g} is proved: what is simulated is not to be believed"
+                )
+        return ""
+
+    def _growing_desired(self) -> Outcome | None:
+        """Say which desired state grows, where the reference is not known to be bounded."""
+        if self._bounded or self._first is None:
+            return None
+        states, rounding = self._loop.controller.plant.states, self._rounding_of_x(self._end)
+        start = np.abs(self._first.x_d[0])
+        for k, name in enumerate(states):
+            if grows(self._x_d[:, k], max(start[k], rounding[k])):
+                size = self._with_unit(self._x_d[9, k], name)
+                return Outcome(
+                    kind="grows", text=f"the desired trajectory grows without bound: {name}_d reaches {size}"
+                )
+        return None
+
+    def _growing_error(self) -> Outcome | None:
+        """Say which error grows. Of a loop as designed, but for disturbances and noise, proofs keep it bounded."""
+        conditions = self._loop.conditions
+        if conditions.plant is None and conditions.limits is None and conditions.sampling is None:
+            return None
+        sizes = np.maximum(self._expected, self._rounding(self._end))
+        for k, name in enumerate(self._names):
+            if grows(self._error[:, k], sizes[k]):
+                last, expected = (self._with_unit(v, name) for v in (self._error[9, k], self._expected[k]))
+                text = (
+                    f"the error grows: |{name} − {name}_d| up to {last} in the last tenth of the time, more than ever "
+                    f"before; reference and start are at most {expected}"
+                )
+                return Outcome(kind="grows", text=text)
+        return None
+
+    def _settled(self) -> Outcome:
+        """Say what is left of the error, and of which entry most."""
+        last, largest = self._error[9], self._error.max(axis=0)
+        allowed = np.maximum(_TRACKS * np.maximum(self._expected, largest), self._rounding(self._end))
+        when = "in the last tenth of the time"
+        if (last <= allowed).all():
+            unit = {self._units.get(name, "") for name in self._names}
+            final, worst = (f"{v:.2e} {unit.copy().pop() if len(unit) == 1 else ''}".rstrip() for v in self._norms)
+            return Outcome(kind="tracks", text=f"tracks: {self._norm_name} at most {final} {when} ({worst} at worst)")
+        k = int(np.argmax(last / allowed))
+        name, expected = self._names[k], self._expected[k]
+        figures = [self._with_unit(v, name) for v in (last[k], largest[k], expected)]
+        share = f", {_share(last[k] / expected)} of reference and start, {figures[2]}" if expected else ""
+        text = f"off: |{name} − {name}_d| up to {figures[0]} {when}{share} ({figures[1]} at worst)"
+        return Outcome(kind="off", text=text)
+
+    @property
+    def _expected(self) -> Array:
+        """The size of reference and start of each entry of the error, in its unit: no error above it is a surprise."""
+        assert self._first is not None
+        actual = self._first.y if self._output else self._first.x
+        start = np.maximum(np.abs(actual[0]), np.abs(self._first.tracking_error[0]))
+        return np.asarray(np.maximum(self._reference, start))
+
+    @property
+    def _norms(self) -> tuple[float, float]:
+        return self._final_norm, self._norm
+
+    @property
+    def _norm_name(self) -> str:
+        return "|y − y_d|" if self._output else "‖x − x_d‖"
+
+    def _rounding_of_x(self, t: float) -> Array:
+        """What the simulation is uncertain by in each state after a time (s), (n,)."""
+        return np.asarray(_ROUNDING * (1 + self._speed * t) * self._size * self._scale)
+
+    def _rounding(self, t: float) -> Array:
+        """Likewise in each entry of the tracking error."""
+        of_x = self._rounding_of_x(t)
+        return np.asarray(np.abs(self._loop.plant.C) @ of_x if self._output else of_x)
+
+    def _with_unit(self, value: float, name: str) -> str:
+        return f"{value:.3g} {self._units.get(name, '')}".rstrip()
+
+
+def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
+    """Return the size of each state in which the loop is balanced, (n,), and the loop's norm in these units in 1/s."""
+    plant, design = loop.controller.plant, loop.controller.design
+    F = np.abs(plant.A).max(axis=0) + np.abs(plant.B) @ np.abs(design.K) + np.abs(design.L) @ np.abs(plant.C)
+    balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
+    return np.asarray(scale), float(np.linalg.norm(balanced, 2))
+
+
+def _share(ratio: float) -> str:
+    return f"{ratio:.3g} times the size" if ratio > 1 else f"{100 * ratio:.3g} %"
