@@ -5,6 +5,7 @@ import signal
 import sys
 
 from pwatrack.cli import app
+from pwatrack.report.terminal import refusals
 
 
 def run() -> None:
@@ -12,7 +13,9 @@ def run() -> None:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # small matrices: threads only cost time, and change the last bit
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nothing half-written is left
-    app(prog_name="pwatrack")
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # whoever reads our output has had enough: no word, as customary
+    with refusals():
+        app(prog_name="pwatrack")
 
 
 if __name__ == "__main__":

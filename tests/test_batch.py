@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.batch import write_junit
 from pwatrack.report.run_folder import read_index
-from pwatrack.spec.load import expected_exit
+from pwatrack.spec.load import expected_exit, load_spec
 
 Stand = Callable[..., Path]
 
@@ -35,8 +36,8 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
     call = batch._call
 
     def stand_in(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
-        (path,) = (part for part in command if part.endswith((".yaml", ".yml")))
-        kind = Path(path).stem.split(" ")[0]
+        (path,) = (part for part in command if part.lower().endswith((".yaml", ".yml")))
+        kind = Path(path).stem.split(" ")[0].lower()
         program = PROGRAMS.get(kind) or f"import sys; sys.exit({kind.removeprefix('exit')})"
         return call([sys.executable, "-S", "-c", program], timeout)
 
@@ -142,6 +143,7 @@ def test_a_spec_that_runs_out_of_time_stops_no_other(stand: Stand, tmp_path: Pat
         ({"exit0": expecting(4)}, 6),
         ({"exit3": expecting(4)}, 3),
         ({"exit1": expecting(1)}, 1),
+        ({"exit2": expecting(1)}, 2),
         ({"killed": "", "exit0": ""}, 1),
         ({"killed": expecting(1)}, 1),
         ({"exit2": "a: ["}, 2),
@@ -265,3 +267,87 @@ def test_what_is_not_even_yaml_may_be_expected(said: str, tmp_path: Path) -> Non
     (tmp_path / "broken.yaml").write_text(f"name: [\n{said}\n", encoding="utf-8")
     assert expected_exit(tmp_path / "broken.yaml") == 2
     assert expected_exit(tmp_path / "absent.yaml") == 0
+
+
+def test_a_crash_is_never_as_it_should_be(tmp_path: Path, specs: Path) -> None:
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    (tmp_path / "crash.yaml").write_text(text + "expect: {exit: 1}\n", encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=r"expect\.exit: 1 is a crash"):
+        load_spec(tmp_path / "crash.yaml")
+    (tmp_path / "crash.yaml").write_text("name: [\nexpect: {exit: 1}\n", encoding="utf-8")
+    assert expected_exit(tmp_path / "crash.yaml") == 0
+
+
+@pytest.mark.parametrize(("timeout", "code"), [("inf", 0), ("1e300", 0), ("nan", 2)])
+def test_any_time_is_a_time_limit(stand: Stand, tmp_path: Path, timeout: str, code: int) -> None:
+    arguments = ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out"), "--timeout", timeout]
+    run = CliRunner().invoke(app, arguments)
+    assert run.exit_code == code, run.output
+    assert "bug" not in run.output
+
+
+ODD = {
+    "text": '{"exit": 0, "figures": {"norm_K": "large", "norm_L": null, "final_tracking_error": true}}',
+    "list": '{"exit": 0, "figures": [1, 2], "remarks": "no list", "simulation": [], "verdict": 3}',
+    "words": '{"exit": 0, "remarks": [1, {}], "simulation": {"outcome": "off", "said": 4}}',
+    "deep": "[" * 100_000,
+    "other": "3",
+    "digits": '{"exit": 0, "figures": {"norm_K": ' + "9" * 5000 + "}}",
+    "large": '{"exit": 0, "figures": {"norm_K": ' + "9" * 400 + "}}",
+    "old": '{"figures": {"norm_K": 1.0}}',
+}
+
+
+@pytest.mark.parametrize("index", ODD.values(), ids=ODD)
+def test_an_index_of_another_kind_gives_no_figures(stand: Stand, tmp_path: Path, index: str) -> None:
+    (tmp_path / "out" / "exit0").mkdir(parents=True)
+    (tmp_path / "out" / "exit0" / "run.json").write_text(index)
+    run = CliRunner().invoke(app, ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    (outcome,) = run_batch(tmp_path / "specs", tmp_path / "out")
+    assert (outcome.figures, outcome.notes) == ({}, ())
+
+
+def test_remarks_and_outcomes_are_noted(stand: Stand, tmp_path: Path) -> None:
+    (tmp_path / "out" / "exit0").mkdir(parents=True)
+    index = '{"exit": 0, "simulation": {"outcome": "off", "said": "off: by 3"}, "remarks": ["a cell is left out"]}'
+    (tmp_path / "out" / "exit0" / "run.json").write_text(index)
+    run = CliRunner().invoke(app, ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out")])
+    assert "exit0.yaml: off: by 3\n" in run.stdout
+    assert "exit0.yaml: a cell is left out\n" in run.stdout
+
+
+def test_what_is_named_like_a_spec_and_is_none_is_said_to_be_left_out(stand: Stand, tmp_path: Path) -> None:
+    folder = stand(exit0="")
+    (folder / "EXIT4.YAML").touch()
+    (folder / "gone.yaml").symlink_to(folder / "nowhere")
+    os.mkfifo(folder / "pipe.yml")
+    (folder / "link.yaml").symlink_to(folder / "pipe.yml")
+    (folder / "folder.yaml").mkdir()
+    assert [path.name for path in find_specs(folder)] == ["EXIT4.YAML", "exit0.yaml"]
+    run = CliRunner().invoke(app, ["batch", str(folder), "--out", str(tmp_path / "out")])
+    assert [line.split("specs/")[1] for line in run.stderr.splitlines() if "left out" in line] == [
+        "gone.yaml: left out: no file of this name is where the link leads",
+        "link.yaml: left out: no file",
+        "pipe.yml: left out: no file",
+    ]
+
+
+def test_specs_whose_names_are_dots_stay_in_folders_of_their_own(
+    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, seen = stand(), list[Path]()
+    for name in ("..yaml", "...yaml", "....yml"):
+        (folder / name).touch()
+
+    def note(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
+        seen.append(Path(command[list(command).index("--out") + 1]))
+        return 0, ""
+
+    monkeypatch.setattr(batch, "_call", note)
+    run_batch(folder, tmp_path / "out")
+    assert {path.resolve().relative_to(tmp_path / "out") for path in seen} == {
+        Path("..yaml"),
+        Path("...yaml"),
+        Path("....yml"),
+    }

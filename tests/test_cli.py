@@ -2,8 +2,10 @@ import csv
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -109,8 +111,8 @@ def test_the_trace_read_back_has_every_bit_of_the_result_of_the_library(
         expected |= {f"{state}_d": response.x_d[:, k]}
     for k in range(response.eta_hat.shape[1]):
         expected[f"eta_hat{k + 1}"] = response.eta_hat[:, k]
-    for name, signal in expected.items():
-        assert read[name].astype(float).tobytes() == np.ascontiguousarray(signal).tobytes(), name
+    for name, values in expected.items():
+        assert read[name].astype(float).tobytes() == np.ascontiguousarray(values).tobytes(), name
     cells = [read[f"cell_{part}"].astype(int) for part in ("plant", "observer", "generator")]
     assert np.array_equal(np.transpose(cells), response.trace.modes)
     assert set(header) == {*expected, "cell_plant", "cell_observer", "cell_generator"}
@@ -456,3 +458,77 @@ def test_what_goes_with_an_ensemble_is_refused_without_one(
     run = call("simulate", spec, *option, "--out", tmp_path / "out")
     assert run.exit_code == 2
     assert "--ensemble" in run.stderr
+
+
+THIN = """
+name: Cart
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  cells:
+    - {name: free, where: ["z <= 0.1"], A: [[0, 1], [-1, -1]]}
+    - {name: nowhere, where: ["z >= 0.1", "z <= 0.1"], A: [[0, 1], [-1, -1]]}
+    - {name: stop, where: ["z >= 0.1"], A: [[0, 1], [-2, -1]], b: [0, 0.1]}
+reference: {output: "0.2*sin(t)"}
+simulation: {duration: 1, sample_time: 0.01}
+"""
+
+
+def test_a_cell_that_is_left_out_is_remarked_by_every_command(tmp_path: Path) -> None:
+    path = tmp_path / "thin.yaml"
+    path.write_text(THIN, encoding="utf-8")
+    remark = "remark cell 'nowhere' has no interior and is left out"
+    out = tmp_path / "out"
+    for arguments in (("check", path), ("design", path, "--out", out), ("simulate", path, "--out", out)):
+        run = call(*arguments)
+        assert run.exit_code == 0, run.output
+        assert remark in " ".join(run.stdout.split())
+        if arguments[0] != "check":
+            assert index_of(out)["remarks"] == [remark.removeprefix("remark ")]
+
+
+def shell(command: str, *arguments: object) -> "subprocess.CompletedProcess[str]":
+    line = [sys.executable, "-m", "pwatrack", *map(str, arguments)]
+    return subprocess.run(
+        ["bash", "-c", command, "bash", *line], capture_output=True, text=True, encoding="utf-8", check=False
+    )
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("check", "specs/two_mass_backlash.yaml")])
+def test_output_that_nobody_takes_is_no_bug(arguments: tuple[str, ...]) -> None:
+    full = shell('"$@" > /dev/full', *arguments)
+    assert (full.returncode, full.stderr) == (2, "error: cannot print: No space left on device\n")
+    assert shell('"$@" > /dev/full 2> /dev/full', *arguments).returncode == 2
+    closed = shell('"$@" >&-', *arguments)
+    assert (closed.returncode, closed.stderr) == (0, "")
+    pipe = shell('"$@" | true; exit ${PIPESTATUS[0]}', *arguments)
+    assert (pipe.returncode, pipe.stderr) == (141, "")
+
+
+def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 3000"))
+    assert call("design", specs / "two_mass_paper_gains.yaml", "--out", out).exit_code == 0
+    before = contents(out)
+    command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "plant.yaml"), "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not list(out.glob(".*/trace.csv")):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate()
+    assert (process.returncode, said) == (130, "")
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("name", ["..yaml", "...yaml"])
+def test_a_spec_whose_name_is_dots_has_a_run_folder_of_its_own(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    spec.rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert call("design", tmp_path / name).exit_code == 0
+    assert set(contents(tmp_path)) == {name, "runs"}
+    assert set(contents(tmp_path / "runs")) == {name}

@@ -18,6 +18,7 @@ from rich.progress import Progress
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.spec.load import expected_exit
 
+_LARGEST = 1e300  # of a figure that is shown
 _GRACE = 5.0  # seconds that a process has to clean up
 
 
@@ -188,7 +189,7 @@ def _figures(index: Mapping[str, Any]) -> dict[str, float]:
     return {
         name: value
         for name, value in (figures.items() if isinstance(figures, dict) else ())
-        if isinstance(value, float | int) and not isinstance(value, bool)
+        if isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
     }
 
 

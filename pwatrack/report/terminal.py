@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NoReturn
 
 from rich.console import Console
 
@@ -27,36 +28,35 @@ def refusals() -> Iterator[None]:
     """End the program with the messages and the exit code of a refusal raised inside; no traceback.
 
     Raises:
-        SystemExit: With the code of the refusal, or 1 for an exception that is none; as for a program that SIGINT or
-            SIGPIPE ends, if it is interrupted or nobody reads its output.
+        SystemExit: With the code of the refusal, 2 if stdout takes no more, 130 if the program is interrupted, and 1
+            for any other exception.
     """
-    errors = console(stderr=True)
     try:
         yield
     except PwatrackError as error:
-        for problem in error.problems:
-            errors.print(f"error: {problem}", soft_wrap=True)
-        for note in getattr(error, "__notes__", ()):
-            errors.print(note, soft_wrap=True)
-        raise SystemExit(int(error.code)) from None
+        _end(error.code, *(f"error: {problem}" for problem in error.problems), *getattr(error, "__notes__", ()))
     except KeyboardInterrupt:
-        raise SystemExit(128 + signal.SIGINT) from None
-    except BrokenPipeError:  # whoever read our output has enough of it
-        _drop_output()
-        raise SystemExit(128 + signal.SIGPIPE) from None
-    except OSError as error:  # those of files are refusals by now
-        _drop_output()
-        errors.print(f"error: cannot print the results: {error.strerror or error}", soft_wrap=True)
-        raise SystemExit(int(ExitCode.INVALID)) from None
-    except Exception as error:  # whatever else comes is a bug of ours, said without a traceback
-        where = traceback.extract_tb(error.__traceback__)[-1]
+        _end(128 + signal.SIGINT)
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is None:  # those of files are refusals by now
+            _end(ExitCode.INVALID, f"error: cannot print: {error.strerror or error}")
+        where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
         place = f"{Path(where.filename).name}:{where.lineno}"
-        errors.print(f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})", soft_wrap=True)
-        errors.print("  hint: please report it together with the spec")
-        raise SystemExit(int(ExitCode.BUG)) from None
+        said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})"
+        _end(ExitCode.BUG, said, "  hint: please report it together with the spec")
 
 
-def _drop_output() -> None:
-    """Let what still waits to be printed go nowhere."""
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _end(code: int, *messages: str) -> NoReturn:
+    """End the program with messages on stderr, if it takes them."""
+    for stream, texts in ((sys.stdout, ()), (sys.stderr, messages)):
+        try:
+            if texts:
+                errors = console(stderr=True)
+                for text in texts:
+                    errors.print(text, soft_wrap=True)
+            if stream is not None:
+                stream.flush()
+        except OSError:  # full: what still waits to be printed goes nowhere
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    raise SystemExit(int(code)) from None
