@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import warnings
 
 from pwatrack.cli import app
 from pwatrack.report.terminal import refusals
@@ -14,6 +15,9 @@ def run() -> None:
         os.environ.setdefault(name, "1")  # small matrices: threads only cost time, and change the last bit
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nothing half-written is left
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # whoever reads our output has had enough: no word, as customary
+    warnings.filterwarnings(
+        "ignore", category=RuntimeWarning
+    )  # what overflows on the way fails the check of the result
     with refusals():
         app(prog_name="pwatrack")
 

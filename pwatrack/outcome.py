@@ -19,7 +19,7 @@ _ROUNDING = 8 * float(
     np.finfo(np.float64).eps
 )  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
 _RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
-_FADING = 0.9  # what e^(−t/τ) falls by in three tenths of a run of τ / 3: a run that is shorter tells nothing
+_FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a shorter run tells nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,26 +52,50 @@ def tenths(samples: int) -> list[int]:
     return [samples - -(-samples * (10 - k) // 10) for k in range(11)]
 
 
-def grows(largest: Array, size: float) -> bool:
+def grows(high: Array, low: Array, size: float) -> bool:
     """Say whether a signal grows without bound, as far as a finite trace can tell.
 
-    Its largest value in the last tenth of the time is above that of every tenth before and above `size`; it is at least
-    half more than in the first half of the time, which noise and steady oscillations do not do by chance; and the last
-    three tenths add no less than nine tenths of what the three before them added, so that it does not settle.
+    Its largest size in the last tenth of the time is above that in every tenth before and above `size`; it is at least
+    half more than in the first half, which noise and steady oscillations do not do by chance; and on the side where it
+    is largest, the last three tenths add no less than nine tenths of what the three before them added, so that it does
+    not settle.
 
     Args:
-        largest: Largest value in each tenth of the time, (10,).
+        high, low: Largest and smallest value in each tenth of the time, (10,).
         size: Of what it may be anyway: reference and start, in the unit of the signal.
 
     Example: eᵗ grows, and 1 − e⁻ᵗ does not, which is above its start at any time.
 
         >>> t = np.arange(1.0, 11.0)
-        >>> grows(np.exp(t), 1.0), grows(1 - np.exp(-t), 0.0)
+        >>> grows(np.exp(t), np.exp(t - 1), 1.0), grows(1 - np.exp(-t), 1 - np.exp(1 - t), 0.0)
         (True, False)
     """
-    last, before = largest[-1], np.maximum.accumulate(largest)
-    rises = last > before[-2] and last >= _RISE * before[4]
-    return bool(last > size and rises and last - before[6] >= _FADING * (before[6] - before[3]))
+    if not np.isfinite([high, low]).all():
+        return False  # less than ten samples
+    largest = np.maximum.accumulate(np.maximum(high, -low))
+    side = np.maximum.accumulate(high if high[-1] >= -low[-1] else -low)
+    rises = largest[9] > largest[8] and largest[9] >= _RISE * largest[4]
+    return bool(largest[9] > size and rises and side[9] - side[6] >= _FADING * (side[6] - side[3]))
+
+
+class _Envelope:
+    """The largest and smallest values of q signals in each tenth of the time."""
+
+    def __init__(self, q: int) -> None:
+        self.high, self.low = np.full((10, q), -np.inf), np.full((10, q), np.inf)
+
+    def see(self, tenth: int, values: Array) -> None:
+        """Take values in a tenth into account, (K, q)."""
+        self.high[tenth] = np.maximum(self.high[tenth], values.max(axis=0, initial=-np.inf))
+        self.low[tenth] = np.minimum(self.low[tenth], values.min(axis=0, initial=np.inf))
+
+    @property
+    def largest(self) -> Array:
+        """The largest size in each tenth, 0 where there is no sample, (10, q)."""
+        return np.asarray(np.maximum(np.maximum(self.high, -self.low), 0.0))
+
+    def grows(self, k: int, size: float) -> bool:
+        return grows(self.high[:, k], self.low[:, k], size)
 
 
 class Watch:
@@ -89,7 +113,7 @@ class Watch:
         self._loop, self._bounded, self._units = loop, bounded, units
         self._names = plant.outputs if self._output else plant.states
         self._edges, self._number = tenths(samples), 0
-        self._error, self._x_d = np.zeros((10, len(self._names))), np.zeros((10, len(plant.states)))
+        self._tenths = {"error": _Envelope(len(self._names)), "x_d": _Envelope(len(plant.states))}
         self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
         self._scale, self._speed = _balanced(loop)
         self._size = 0.0  # of the largest state so far, balanced
@@ -104,8 +128,8 @@ class Watch:
         self._number += len(norm)
         for k, (start, end) in enumerate(pairwise(self._edges)):
             rows = slice(max(start - number, 0), max(end - number, 0))
-            for kept, values in ((self._error, block.tracking_error), (self._x_d, block.x_d)):
-                kept[k] = np.maximum(kept[k], np.abs(values[rows]).max(axis=0, initial=0.0))
+            self._tenths["error"].see(k, block.tracking_error[rows])
+            self._tenths["x_d"].see(k, block.x_d[rows])
         self._reference = np.maximum(self._reference, np.abs(block.y_d if self._output else block.x_d).max(axis=0))
         self._norm = max(self._norm, float(norm.max()))
         self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
@@ -144,10 +168,10 @@ class Watch:
         if self._bounded or self._first is None:
             return None
         states, rounding = self._loop.controller.plant.states, self._rounding_of_x(self._end)
-        start = np.abs(self._first.x_d[0])
+        start, x_d = np.abs(self._first.x_d[0]), self._tenths["x_d"]
         for k, name in enumerate(states):
-            if grows(self._x_d[:, k], max(start[k], rounding[k])):
-                size = self._with_unit(self._x_d[9, k], name)
+            if x_d.grows(k, max(start[k], rounding[k])):
+                size = self._with_unit(x_d.largest[9, k], name)
                 return Outcome(
                     kind="grows", text=f"the desired trajectory grows without bound: {name}_d reaches {size}"
                 )
@@ -158,10 +182,10 @@ class Watch:
         conditions = self._loop.conditions
         if conditions.plant is None and conditions.limits is None and conditions.sampling is None:
             return None
-        sizes = np.maximum(self._expected, self._rounding(self._end))
+        sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._tenths["error"]
         for k, name in enumerate(self._names):
-            if grows(self._error[:, k], sizes[k]):
-                last, expected = (self._with_unit(v, name) for v in (self._error[9, k], self._expected[k]))
+            if error.grows(k, sizes[k]):
+                last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
                 text = (
                     f"the error grows: |{name} − {name}_d| up to {last} in the last tenth of the time, more than ever "
                     f"before; reference and start are at most {expected}"
@@ -171,7 +195,8 @@ class Watch:
 
     def _settled(self) -> Outcome:
         """Say what is left of the error, and of which entry most."""
-        last, largest = self._error[9], self._error.max(axis=0)
+        error = self._tenths["error"].largest
+        last, largest = error[9], error.max(axis=0)
         allowed = np.maximum(_TRACKS * np.maximum(self._expected, largest), self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():

@@ -532,3 +532,9 @@ def test_a_spec_whose_name_is_dots_has_a_run_folder_of_its_own(
     assert call("design", tmp_path / name).exit_code == 0
     assert set(contents(tmp_path)) == {name, "runs"}
     assert set(contents(tmp_path / "runs")) == {name}
+
+
+def test_what_overflows_on_the_way_is_no_word_on_stderr() -> None:
+    program = "import warnings, pwatrack.__main__ as m; m.app = lambda **_: warnings.warn('x', RuntimeWarning); m.run()"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert run.stderr == b""

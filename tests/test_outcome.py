@@ -50,9 +50,9 @@ def cart(folder: Path, *conditions: str, reference: str = "0.08*sin(t)", duratio
     return path
 
 
-def largest(signal: Array) -> Array:
-    """Return the largest value in each tenth."""
-    return np.array([np.abs(part).max() for part in np.split(signal, tenths(len(signal))[1:-1])])
+def rises(signal: Array, size: float) -> bool:
+    parts = np.split(signal, tenths(len(signal))[1:-1])
+    return grows(np.array([part.max() for part in parts]), np.array([part.min() for part in parts]), size)
 
 
 @given(st.integers(10, 10_000))
@@ -71,7 +71,7 @@ def test_what_grows_exponentially_is_seen_when_it_has_grown(
 ) -> None:
     """x' = εx from its start, and an oscillation of some periods in a tenth of the time that swells likewise."""
     swing = np.cos(frequency * T + phase) if frequency > 100 else 1.0
-    assert grows(largest(size * np.exp(rate * T) * swing), size)
+    assert rises(size * np.exp(rate * T) * swing, size)
 
 
 @given(st.floats(0.0, 300.0), st.floats(0.0, 6.28), st.floats(0.0, 200.0), st.floats(-1.0, 1.0), st.integers(0, 10))
@@ -81,27 +81,27 @@ def test_what_oscillates_decays_or_is_noise_does_not_grow(
     assume(frequency == 0 or frequency > 4 * np.pi)
     noise = np.random.default_rng(seed).normal(size=len(T))
     signal = np.sin(frequency * T + phase) + share * np.exp(-rate * T) + 0.1 * noise
-    assert not grows(largest(signal), 0.0)
-    assert not grows(largest(noise), 0.0)
+    assert not rises(signal, 0.0)
+    assert not rises(noise, 0.0)
 
 
-@given(st.floats(3.0, 1000.0), st.floats(-10.0, 10.0), st.floats(-10.0, 10.0))
+@given(st.floats(0.4, 1000.0), st.floats(-10.0, 10.0), st.floats(-10.0, 10.0))
 def test_what_settles_at_a_value_does_not_grow(rate: float, start: float, end: float) -> None:
-    """Time constants up to a third of the run; what is still less than that settled tells nothing yet."""
-    assert not grows(largest(end + (start - end) * np.exp(-rate * T)), abs(start))
+    """Time constants up to 2.5 times the run; what is even less settled cannot be told from a drift."""
+    assert not rises(end + (start - end) * np.exp(-rate * T), abs(start))
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 300.0))
 def test_what_stays_below_reference_and_start_does_not_grow(rate: float, frequency: float) -> None:
     """An error that follows a reference of growing amplitude at a distance."""
     signal = np.exp(rate * T) * np.cos(frequency * T)
-    assert not grows(largest(0.5 * signal), np.abs(signal).max())
+    assert not rises(0.5 * signal, np.abs(signal).max())
 
 
 def test_what_drifts_grows() -> None:
-    assert grows(largest(T), 0.5)
-    assert grows(largest(T**2), 0.5)
-    assert not grows(largest(T), 2.0)
+    assert rises(T, 0.5)
+    assert rises(T**2, 0.5)
+    assert not rises(T, 2.0)
 
 
 def test_a_nominal_run_tracks_whatever_its_length(tmp_path: Path) -> None:
