@@ -34,7 +34,8 @@ from pwatrack.lmi.exact import Proof, unpacked
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import floats, identity
 
-_MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
+_MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
+_MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 _KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
 _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
@@ -176,7 +177,8 @@ class _Loops:
         if not signals or (g.radius is None and not any(g.centre.entries())):
             return dict.fromkeys(signals, 0.0), ()
         rows = reduce(above, (self.row(loop, signal) for signal in signals))
-        found = ellipsoid(self.M[loop], g, rows, self.inners[loop])
+        tries = 3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2
+        found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
         if found is None:
             return {}, ()
         part = Part(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)

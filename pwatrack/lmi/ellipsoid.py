@@ -31,7 +31,6 @@ from pwatrack.rational import Rational, is_positive_definite, scalar
 
 _BITS = 40  # of the entries of Q, once its diagonal is about 1
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
-_TRIES = 3  # of a
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
@@ -63,7 +62,9 @@ class Inner:
     most: float
 
 
-def ellipsoid(M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]) -> Ellipsoid | None:
+def ellipsoid(
+    M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner], *, tries: int = 3
+) -> Ellipsoid | None:
     """Return an ellipsoid in which all of c z are small at once: the sum of c Q cᵀ, each over its usual size.
 
     Args:
@@ -71,6 +72,7 @@ def ellipsoid(M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners:
         g: (N, 1), not 0.
         forms: The rows c, (s, N).
         inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
+        tries: Of a.
 
     Returns:
         The ellipsoid, or None if none could be proved.
@@ -88,7 +90,7 @@ def ellipsoid(M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners:
     most = max(inner.most for inner in inners)
     weights, best, least = None, None, np.inf
     where, steps = _FIRST, list[tuple[float, float]]()
-    for _ in range(_TRIES):
+    for _ in range(tries):
         a = _short(most / (1 + np.exp(-where)))
         Q, far, slope = _smallest(matrices, column, rows, a, [i for i in inners if i.most > a][-1], weights)
         squares = np.einsum("sj,jk,sk->s", rows, Q, rows)
