@@ -60,11 +60,7 @@ def inside(partition: Partition, i: int, x: Sequence[float]) -> bool:
 
 
 rows_in = st.integers(1, 3).flatmap(
-    lambda n: st.lists(
-        st.tuples(*[entries] * n, entries).filter(lambda row: any(row[:-1])).map(lambda row: primitive(row)),
-        min_size=1,
-        max_size=6,
-    )
+    lambda n: st.lists(st.tuples(*[entries] * n, entries).map(lambda row: primitive(row)), min_size=1, max_size=6)
 )
 
 
@@ -228,6 +224,19 @@ def test_a_cell_that_is_missing_or_too_large_is_found(data: st.DataObject, n: in
     overlapping = partition_of(planes, [*cells[:which], larger, *cells[which + 1 :]])
     with pytest.raises(OutsideTheory, match=f"c{which}.*overlap"):
         overlapping.check()
+
+
+def test_a_border_through_a_corner_alone_is_none() -> None:
+    assert borders([(-1, 0, 0), (0, -1, 0), (-1, -1, 0)], 2) == ((-1, 0, 0), (0, -1, 0))
+
+
+def test_every_pair_that_overlaps_is_named_and_no_other() -> None:
+    signs = [[1, 1], [-1, 1], [-1, -1], [1, -1], [0, 1]]
+    cells = Partition.create(H=[[1, 0], [0, 1]], h=[0, 0], signs=signs, names=["ur", "ul", "ll", "lr", "upper"])
+    with pytest.raises(OutsideTheory) as refusal:
+        cells.check()
+    pairs = [problem.message.split(" overlap")[0] for problem in refusal.value.problems]
+    assert pairs == ["cells 'ur' and 'upper'", "cells 'ul' and 'upper'"]
 
 
 def test_two_partitions_on_top_of_each_other_overlap() -> None:

@@ -421,3 +421,9 @@ def test_an_inequality_holds_exactly_where_its_form_is_not_negative(
     states = {f"z{k + 1}": float(v) for k, v in enumerate(point)}
     held = eval(f"{left} {comparison[0]}= {right}", {"__builtins__": {}}, states)
     assert (float(form.row @ np.array(point, dtype=float)) + form.constant >= 0) == held
+
+
+@pytest.mark.parametrize("text", ["8.6e-05", "1e+07", "2.E-010", "z - 3e-05"])
+def test_an_exponent_may_begin_with_0(text: str) -> None:
+    form = linear_form(text, ["z"], {})
+    assert float(form.offset) == float(text.replace("z", "").replace(" ", ""))

@@ -144,7 +144,7 @@ def _cut(found: dict[int, Point], planes: Sequence[Row], done: Sequence[int], k:
     if len(found) + len(cut) > most:
         raise TooMany
     for region, point in list(found.items()):
-        if region not in cut and value(planes[k], point) > 0:
+        if value(planes[k], point) > 0:
             found[region | 1 << k] = found.pop(region)
     for region, point in cut.items():
         for bit, way in ((0, [-v for v in step]), (1 << k, step)):

@@ -19,7 +19,7 @@ _MEANT = {
     "\u221e": ".inf, where a limit may be infinite",
 }
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_STARTS = re.compile(r"(?<![\w.])(?=\.?\d)", re.ASCII)
+_STARTS = re.compile(r"(?<![\w.])(?<![\d.][eE][+-])(?=\.?\d)", re.ASCII)  # not of an exponent
 _WORD = re.compile(r"[\w.]+", re.ASCII)
 _BESIDE = re.compile(r"([\w.]+|\))\s+([\w.]+|\()|(\))([\w(])|(?<![\w.])(\d[\d.]*)(\()", re.ASCII)
 _ODD = re.compile(r"[^ -~\t\n\r]")
