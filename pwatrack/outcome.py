@@ -104,16 +104,15 @@ class Watch:
     Args:
         loop: What runs.
         samples: How many it will see.
-        bounded: Whether the desired trajectory is known to stay bounded.
         units: Of outputs and states, by name.
     """
 
-    def __init__(self, loop: ClosedLoop, samples: int, *, bounded: bool, units: Mapping[str, str]) -> None:
+    def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str]) -> None:
         plant, self._output = loop.controller.plant, loop.controller.generator is not None
-        self._loop, self._bounded, self._units = loop, bounded, units
+        self._loop, self._units = loop, units
         self._names = plant.outputs if self._output else plant.states
         self._edges, self._number = tenths(samples), 0
-        self._tenths = {"error": _Envelope(len(self._names)), "x_d": _Envelope(len(plant.states))}
+        self._error = _Envelope(len(self._names))
         self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
         self._scale, self._speed = _balanced(loop)
         self._size = 0.0  # of the largest state so far, balanced
@@ -127,9 +126,7 @@ class Watch:
         number, norm = self._number, np.linalg.norm(block.tracking_error, axis=1)
         self._number += len(norm)
         for k, (start, end) in enumerate(pairwise(self._edges)):
-            rows = slice(max(start - number, 0), max(end - number, 0))
-            self._tenths["error"].see(k, block.tracking_error[rows])
-            self._tenths["x_d"].see(k, block.x_d[rows])
+            self._error.see(k, block.tracking_error[max(start - number, 0) : max(end - number, 0)])
         self._reference = np.maximum(self._reference, np.abs(block.y_d if self._output else block.x_d).max(axis=0))
         self._norm = max(self._norm, float(norm.max()))
         self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
@@ -142,7 +139,7 @@ class Watch:
         """Say how the run went, the worst first."""
         if self._broken:
             return Outcome(kind="above its bound", text=self._broken)
-        return self._growing_desired() or self._growing_error() or self._settled()
+        return self._growing() or self._settled()
 
     def _above_its_bound(self, block: Response, norm: Array) -> str:
         """Say where an error is above what is proved of it and of the rounding of the simulation, or nothing."""
@@ -163,26 +160,12 @@ class Watch:
                 )
         return ""
 
-    def _growing_desired(self) -> Outcome | None:
-        """Say which desired state grows, where the reference is not known to be bounded."""
-        if self._bounded or self._first is None:
-            return None
-        states, rounding = self._loop.controller.plant.states, self._rounding_of_x(self._end)
-        start, x_d = np.abs(self._first.x_d[0]), self._tenths["x_d"]
-        for k, name in enumerate(states):
-            if x_d.grows(k, max(start[k], rounding[k])):
-                size = self._with_unit(x_d.largest[9, k], name)
-                return Outcome(
-                    kind="grows", text=f"the desired trajectory grows without bound: {name}_d reaches {size}"
-                )
-        return None
-
-    def _growing_error(self) -> Outcome | None:
+    def _growing(self) -> Outcome | None:
         """Say which error grows. Of a loop as designed, but for disturbances and noise, proofs keep it bounded."""
         conditions = self._loop.conditions
         if conditions.plant is None and conditions.limits is None and conditions.sampling is None:
             return None
-        sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._tenths["error"]
+        sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._error
         for k, name in enumerate(self._names):
             if error.grows(k, sizes[k]):
                 last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
@@ -195,7 +178,7 @@ class Watch:
 
     def _settled(self) -> Outcome:
         """Say what is left of the error, and of which entry most."""
-        error = self._tenths["error"].largest
+        error = self._error.largest
         last, largest = error[9], error.max(axis=0)
         allowed = np.maximum(_TRACKS * np.maximum(self._expected, largest), self._rounding(self._end))
         when = "in the last tenth of the time"

@@ -259,8 +259,7 @@ def _walk(spec: Spec, loop: ClosedLoop, start: Array) -> Iterator[Trace]:
 def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome]:
     """Return the signals, thinned where they are too many to keep; the figures of all, and how it ended."""
     samples = sample_count(spec.duration, spec.sample_time)
-    free = isinstance(spec.reference, InputReference) and spec.reference.start is not None
-    watch = Watch(loop, samples, bounded=not free, units=spec.units)
+    watch = Watch(loop, samples, units=spec.units)
     step, kept = -(-samples // _MOST_KEPT), list[Trace]()
 
     def blocks() -> Iterator[Response]:
