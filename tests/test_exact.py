@@ -137,6 +137,28 @@ def test_no_forgery_passes(run: Path) -> None:
     assert forged(run, K=K) != []
 
 
+@given(seeds, st.sampled_from(["size", "a", "integers", "exponents", "signal"]))
+@settings(deadline=None, max_examples=60)
+def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, where: str) -> None:
+    random = np.random.default_rng(seed)
+    content = json.loads((run / "certificate.json").read_text())
+    entry = content["bounds"][random.integers(len(content["bounds"]))]
+    part = entry["parts"][random.integers(len(entry["parts"]))]
+    looser = False
+    if where == "size":
+        signal = entry["signals"][random.integers(len(entry["signals"]))]
+        factor = 10.0 ** random.uniform(-0.5, 0.5)
+        signal[2], looser = repr(float(signal[2]) * factor), factor > 1
+    elif where == "signal":
+        entry["signals"][0][1] = 3
+    elif where == "a":
+        part["a"] = repr(float(part["a"]) * random.choice([0.3, 3.0]))
+    else:
+        values = part["Q"]["exponents"] if where == "exponents" else part["Q"]["integers"][0]
+        values[0] += int(random.choice([-1, 1]) * (2**37 if where == "integers" else 1))
+    assert (auditor.audit(json.dumps(content))[1] == []) == looser
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -196,6 +218,7 @@ def test_a_spec_of_another_gain_or_goal_is_told_from_the_certificate(run: Path, 
         ("generator.json", lambda c: c.__setitem__("delta", 2.0)),
         ("run.json", lambda c: c["figures"].__setitem__("controller_rate", 5.0)),
         ("run.json", lambda c: c.__setitem__("spec_sha256", "0")),
+        ("run.json", lambda c: c["bounds"][0]["signals"]["y - y_d"].__setitem__("bound", 1e-3)),
     ],
 )
 def test_a_folder_whose_files_do_not_agree_is_refused(run: Path, tmp_path: Path, name: str, change: Any) -> None:
@@ -231,7 +254,7 @@ simulation: {duration: 1, sample_time: 0.1}
     assert content["plant"]["radius"]["A"] is not None
     content["plant"]["radius"]["A"][0] = [["0", "0"], ["10", "0"]]
     faults = auditor.audit(json.dumps(content))[1]
-    assert {f"({k}) {of}: the inequality fails in cell 1" for k, of in ((8, "controller"), (9, "observer"))} == set(
+    assert {f"({k}) {of}: the inequality fails in cell 1" for k, of in ((8, "controller"), (9, "observer"))} <= set(
         faults
     )
 

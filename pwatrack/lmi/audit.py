@@ -10,6 +10,9 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
   balls, it holds for all that is in them.
+- A bound has Q > 0 and -(M Q + Q M^T) - a Q - g g^T / a > 0 for M = [A_i + B K, B K; 0, A_j + L C] and all i, j, or for
+  one of its diagonal blocks: so from z = 0 on, z' = M z + g d stays where z^T Q^-1 z <= sup |d|^2, and |c z| is at
+  most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
 - A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
 - An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
   all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P
@@ -71,6 +74,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
         said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}")
         decided.add("impossible" if "Z" in proof else "" if "X" in proof else of)
+    for entry in content.get("bounds", []):
+        faults += [f"bound of {entry['channel']}: {fault}" for fault in plant.exceeded(entry, K or [], L or [])]
+    if content.get("bounds"):
+        said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
     if "impossible" not in decided:
         wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
         absent = sorted(NAMES[of] for of in wanted - decided)
@@ -156,6 +163,105 @@ class Plant:
         if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found] or matrix(generator["T"]) != T[0]:
             raise Fault("A_eta or T is not that of the plant")
         return found
+
+    def exceeded(self, entry: Any, K: Matrix, L: Matrix) -> list[str]:
+        """Return what is wrong with the bounds of what one disturbance or noise can do to each signal."""
+        found: dict[Any, Fraction] = {}
+        faults = []
+        for part in entry["parts"]:
+            loop, channel = part["loop"], part["channel"]
+            M, g = self.loop(loop, K, L), self.drive(loop, channel, L)
+            Q, powers = packed(part["Q"])
+            rate = number(part["a"])
+            if not definite(Q) or rate <= 0:
+                raise Fault("Q or a is not positive")
+            square, open_ = times(g, flipped(g))
+            for X, R in M:
+                half = product(added(X, identity(len(Q), rate / 2)), Q)
+                left = added(added(half, transposed(half)), [[v / rate for v in row] for row in square])
+                enlarge(left, product(R, sizes(Q)) if R else [], powers)
+                enlarge(left, [[v / rate / 2 for v in row] for row in open_], powers)
+                if not definite(left, sign=-1):
+                    faults.append("an ellipsoid can be left")
+            for kind, k, size in part["signals"]:
+                c = self.row(loop, kind, int(k), K)
+                value, radius = times(times(c, (Q, [])), flipped(c))
+                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2:
+                    faults.append(f"{kind} {k} is not bounded by {size}")
+                found[loop, *channel, kind, k] = number(size)
+        for kind, k, size in entry["signals"]:
+            if self.bound(found, entry["channel"], kind, k) > number(size):
+                faults.append(f"{kind} {k} is not bounded by {size}")
+        return faults
+
+    def bound(self, found: Any, channel: Any, kind: str, k: int) -> Fraction:
+        """Return the bound of a signal that the ellipsoids prove: at once, or that of K Delta first, which drives e."""
+        name, where = channel
+        if kind == "estimate":
+            return self.known(found, "observer", channel, kind, k)
+        if ("joint", name, where, kind, k) in found:
+            return Fraction(found["joint", name, where, kind, k])
+        total = self.known(found, "controller", channel, kind, k)
+        for m in range(len(self.B[0][0])):
+            drive = self.known(found, "observer", channel, "input", m)
+            total += drive * self.known(found, "controller", ["input", m], kind, k) if drive else 0
+            total += drive if (kind, k) == ("input", m) else 0
+        return total
+
+    def known(self, found: Any, loop: str, channel: Any, kind: str, k: int) -> Fraction:
+        """Return the size in one loop; 0 where nothing enters it."""
+        name, where = channel
+        if name == "noise" and loop == "controller":
+            return Fraction(0)
+        if not any(key[:3] == (loop, name, where) for key in found) and self.still(loop, channel):
+            return Fraction(0)
+        return Fraction(found[loop, name, where, kind, k])
+
+    def loop(self, name: str, K: Matrix, L: Matrix) -> list[Ball]:
+        """Return the matrices of e' = (A_i + B K) e + ..., of Delta' = (A_j + L C) Delta + ..., or of both together."""
+        controller, _ = self.problem("controller", K, L, None)
+        observer = [flipped(M) for M in self.problem("observer", K, L, None)[0]]
+        if name != "joint":
+            return {"controller": controller, "observer": observer}[name]
+        BK, n = times(self.B, (K, [])), len(K[0])
+        zero: Matrix = [[Fraction(0)] * n for _ in range(n)]
+        pairs = []
+        for X, R in controller:
+            for Y, S in observer:
+                parts = [[R or zero, BK[1] or zero], [zero, S or zero]]
+                pairs.append((joined([[X, BK[0]], [zero, Y]]), joined(parts) if R or S or BK[1] else []))
+        return [pair for k, pair in enumerate(pairs) if pair not in pairs[:k]]
+
+    def drive(self, loop: str, channel: Any, L: Matrix) -> Ball:
+        """Return the column by which a disturbance, a noise or an input enters a loop."""
+        (kind, k), n = (channel[0], int(channel[1])), len(self.B[0])
+        unit = [[Fraction(int(j == k))] for j in range(n)]
+        column = {"disturbance": unit, "noise": [[row[k]] for row in L] if kind == "noise" else [], "input": []}[kind]
+        zero, radius = [[Fraction(0)] for _ in range(n)], []
+        if kind == "input":
+            if loop != "controller":
+                raise Fault("an input drives the controller's loop only")
+            column, radius = [[row[k]] for row in self.B[0]], [[row[k]] for row in self.B[1]]
+        e = zero if kind == "noise" else column
+        Delta = [[-v for v in row] for row in column]
+        return {"joint": e + Delta, "controller": e, "observer": Delta}[loop], radius
+
+    def row(self, loop: str, kind: str, k: int, K: Matrix) -> Ball:
+        """Return the row that reads a signal off (e, Delta), or off one of both."""
+        n = len(self.B[0])
+        unit, zero = [Fraction(int(j == k)) for j in range(n)], [Fraction(0)] * n
+        e = {"output": self.C[0], "input": K}[kind][k] if kind in ("output", "input") else unit
+        e, Delta = (zero, e) if kind == "estimate" else (e, e if kind == "input" else zero)
+        radius = self.C[1][k] if kind == "output" and self.C[1] else []
+        rows = {"joint": e + Delta, "controller": e, "observer": Delta}
+        radii = {"joint": radius + zero, "controller": radius, "observer": zero}
+        if kind not in ("output", "state", "input", "estimate"):
+            raise Fault(f"no signal is a '{kind}'")
+        return [rows[loop]], [radii[loop]] if radius else []
+
+    def still(self, loop: str, channel: Any) -> bool:
+        """Whether an input does nothing to the loop."""
+        return channel[0] == "input" and loop == "controller" and not any(row[int(channel[1])] for row in self.B[0])
 
     def faults(self) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps."""
@@ -250,13 +356,8 @@ def strictly_feasible(rows: list[list[Fraction]]) -> bool:
 def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     """Return what is wrong with one proof of a design."""
     rate, margin, radius = (number(proof[name]) for name in ("rate", "margin", "radius"))
-    exponents = [int(e) for e in proof["P"]["exponents"]]
-    if any(abs(e) > _LARGEST for e in exponents):
-        raise Fault("an exponent is too large to be read")
-    powers = [Fraction(2) ** e for e in exponents]
-    rows = zip(proof["P"]["integers"], powers, strict=True)
-    P = [[number(v) * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
-    if not P or transposed(P) != P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
+    P, powers = packed(proof["P"])
+    if not P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
         return ["P is not symmetric and positive definite, of the order of the matrices"]
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
     for i, (M, R) in enumerate(matrices):
@@ -268,6 +369,24 @@ def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
     return faults
+
+
+def packed(content: Any) -> tuple[Matrix, list[Fraction]]:
+    """Return the symmetric matrix integers_jk * 2**(exponents_j + exponents_k), and the powers of two."""
+    exponents = [int(e) for e in content["exponents"]]
+    if any(abs(e) > _LARGEST for e in exponents):
+        raise Fault("an exponent is too large to be read")
+    powers = [Fraction(2) ** e for e in exponents]
+    rows = zip(content["integers"], powers, strict=True)
+    P = [[number(v) * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
+    if transposed(P) != P:
+        raise Fault("P or Q is not symmetric")
+    return P, powers
+
+
+def joined(blocks: list[list[Matrix]]) -> Matrix:
+    """Return one matrix made of blocks."""
+    return [[v for block in row for v in block[k]] for row in blocks for k in range(len(row[0]))]
 
 
 def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:

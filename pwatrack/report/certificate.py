@@ -1,11 +1,14 @@
 """What certificate.json, refusal.json and generator.json hold: plant, gains and proofs in exact numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
+
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.control.bounds import Bounds, Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
 from pwatrack.control.generator import tracking_dynamics
@@ -22,8 +25,9 @@ _CLAIM = (
     "M_i = A_i + B K; observer: M_i = (A_i + L C)^T; generator: M_i = A_eta_i^T, the tracking dynamics of this plant; "
     "P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every cell i, "
     "P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0. "
-    "Multipliers Z_i prove that no such P exists for any gain, or for the one that is given. The file can be checked "
-    "with pwatrack verify, or with audit.py of pwatrack alone."
+    "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can make "
+    "of each signal. Multipliers Z_i prove that no such P exists for any gain, or for the one that is given. The file "
+    "can be checked with pwatrack verify, or with audit.py of pwatrack alone."
 )
 
 
@@ -33,7 +37,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     for of, X in controller.costs.items():
         goal: Goal = getattr(spec, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
-    return _content(spec, controller.design.K, controller.design.L, proofs)
+    bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
+    return _content(spec, controller.design.K, controller.design.L, proofs) | {"bounds": bounds}
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -144,6 +149,29 @@ def _proof(proof: Proof) -> dict[str, Any]:
         "radius": _decimal(proof.radius),
         "P": {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)},
     }
+
+
+def _bounds(bounds: Bounds) -> dict[str, Any]:
+    parts = [
+        {
+            "loop": part.loop,
+            "channel": list(part.channel),
+            "a": _decimal(part.ellipsoid.a),
+            "Q": {
+                "integers": [list(row) for row in part.ellipsoid.integers],
+                "exponents": list(part.ellipsoid.exponents),
+            },
+            "signals": _sizes(zip(part.signals, part.ellipsoid.sizes, strict=True)),
+        }
+        for part in bounds.parts
+    ]
+    return {"channel": list(bounds.channel), "signals": _sizes(bounds.sizes.items()), "parts": parts}
+
+
+def _sizes(signals: Iterable[tuple[Form, float]]) -> list[list[Any]]:
+    return [
+        [*signal, _decimal(np.nextafter(size, np.inf))] for signal, size in signals
+    ]  # its decimals are not below it
 
 
 def _decimal(value: float) -> str:

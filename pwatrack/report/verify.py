@@ -125,6 +125,9 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
                 proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
         wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
         wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
+        shown = [signal["bound"] for entry in index.get("bounds", []) for signal in entry["signals"].values()]
+        bounds = [float(number(size)) for entry in content["bounds"] for *_, size in entry["signals"]]
+        wrong += ["bounds"] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
 
 
