@@ -55,7 +55,7 @@ def values(path: Path, times: np.ndarray, r: int = 0) -> np.ndarray:
         ("{polyline: {points: [[], [1, 2]]}}", "points[1]: a point is a pair [t, y]"),
         ("{polyline: {points: [[1, 2, 3]]}}", "points[1]: a point is a pair [t, y]"),
         ("{polyline: {points: [[1, 2], [1, 3]]}}", "points[2]: t = 1 s does not come after 1 s"),
-        ("{polyline: {points: [[0, 0], [1e-300, 1e60]]}}", "points 1 and 2, 1e-300 s apart, is too short beside 4 s"),
+        ("{polyline: {points: [[0, 0], [1e-30, 1e60]]}}", "points 1 and 2, 1e-30 s apart, is too short beside 4 s"),
         ("{step: {size: 1, at: 1, smooth: 1e-15}}", "smooth: 1e-15 s is too short beside 5 s"),
         ("sin(1e300*t)", "'1e300*t' has a coefficient beyond 1e+60"),
         ("exp(-1e308*t)", "'-1e308*t' has a coefficient beyond 1e+60"),

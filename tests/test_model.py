@@ -160,7 +160,7 @@ def test_a_jump_is_measured_by_the_terms_of_its_own_equation() -> None:
 
     repair = plant(4e-10).repair
     assert repair is not None
-    assert 2e-10 < repair.disturbance(np.ones(1))[0] < 5e-10
+    assert 2e-10 < repair.disturbance(np.ones(1), np.ones(1))[0] < 5e-10
     with pytest.raises(OutsideTheory, match=r"b jumps by 0\.0009 .*4\.5e-10 of that equation's terms"):
         plant(9e-4)
 

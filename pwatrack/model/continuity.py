@@ -40,27 +40,34 @@ class Repair:
 
     Attributes:
         A, b: The largest change of each entry over the cells, (n, n) and (n,).
+        B: The change of each entry, (n, m).
         relative: The largest change of a row, of the terms of that row; see `Jump`.
     """
 
     A: Array
     b: Array
+    B: Array
     relative: float
 
     def and_then(self, other: "Repair | None") -> "Repair":
         """Return both repairs as one."""
         if other is None:
             return self
-        return Repair(A=self.A + other.A, b=self.b + other.b, relative=self.relative + other.relative)
+        A, b, B = self.A + other.A, self.b + other.b, self.B + other.B
+        return Repair(A=A, b=b, B=B, relative=self.relative + other.relative)
 
     @property
     def size(self) -> str:
         """How large the change is, in words."""
         return f"at most {self.relative:.1e} of the terms of an equation"
 
-    def disturbance(self, x: Array) -> Array:
-        """Return by how much ẋ may differ between the data given and the repaired ones where |x| is no larger, (n,)."""
-        return np.asarray(self.A @ np.abs(x) + self.b)
+    def disturbance(self, x: Array, u: Array) -> Array:
+        """Return by how much ẋ may differ between the data given and the repaired ones, (n,).
+
+        Args:
+            x, u: As large as the states and inputs are at most, (n,) and (m,).
+        """
+        return np.asarray(self.A @ np.abs(x) + self.b + self.B @ np.abs(u))
 
 
 class Discontinuous(Exception):
@@ -72,7 +79,7 @@ class Discontinuous(Exception):
 
 
 def repaired(
-    partition: Partition, cells: Sequence[BallMatrix], tolerance: float
+    partition: Partition, cells: Sequence[BallMatrix], inputs: int, tolerance: float
 ) -> tuple[list[BallMatrix], Repair | None]:
     """Return F_i = [A_i b_i] of an exactly continuous field, which differ from those given by rounding at most.
 
@@ -82,6 +89,7 @@ def repaired(
     Args:
         partition: The cells.
         cells: F_i, (n, n + 1) each.
+        inputs: How many there are; their matrix stays as it is.
         tolerance: How much a row may change, of its own terms at a facet.
 
     Raises:
@@ -106,7 +114,8 @@ def repaired(
     if relative > tolerance:
         raise Discontinuous(jumps)
     most = np.abs(changes).max(axis=0)
-    repair = Repair(A=readonly(most[:, :-1]), b=readonly(most[:, -1]), relative=relative)
+    B = np.zeros((len(most), inputs))
+    repair = Repair(A=readonly(most[:, :-1]), b=readonly(most[:, -1]), B=B, relative=relative)
     return [BallMatrix(new, cell.radius) for new, cell in zip(closed, cells, strict=True)], repair
 
 
@@ -165,7 +174,8 @@ def _closed(
     tree = _tree(facets, len(F))
     steps = [_step(F[j] - F[i], planes[f.k], pivots[f.k]) for f, i, j in tree]
     whole = _along(tree, steps, F[0], planes, len(F))
-    rest = [f for f in facets if all(f is not edge for edge, _, _ in tree)]
+    used = {id(edge) for edge, _, _ in tree}
+    rest = [f for f in facets if id(f) not in used]
     if all(_across(whole[f.i] - whole[f.j], planes[f.k]) is not None for f in rest):
         return whole
     if len(tree) * len(rest) > _MOST_CYCLES:

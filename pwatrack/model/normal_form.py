@@ -168,7 +168,8 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
     A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
     d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
     share = np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)
-    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), relative=float(share.max()))
+    B = readonly(np.abs(floats(S.centre * missed_B)))
+    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=B, relative=float(share.max()))
     remark = (
         f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
     )

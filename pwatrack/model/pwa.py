@@ -192,7 +192,7 @@ class PWASystem:
         pairs = zip(self.exact.A, self.exact.b, strict=True)
         joined = [_joined(A_i, b_i) for A_i, b_i in pairs]
         try:
-            cells, repair = repaired(self.partition, joined, tolerance)
+            cells, repair = repaired(self.partition, joined, self.B.shape[1], tolerance)
         except Discontinuous as error:
             worst_first = sorted(error.jumps, key=lambda jump: -jump.relative)
             raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in worst_first)) from None

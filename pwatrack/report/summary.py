@@ -269,8 +269,30 @@ def print_result(console: Console, result: Result) -> None:
             f"of the generator, period {steady.t[-1]:.6g} s: Floquet multipliers {multipliers}; "
             f"after one period it misses itself by {steady.residual:.0e}",
         )
+    _repair_rows(table, result)
     _remark_rows(table, result.remarks)
     console.print(table)
+
+
+def _repair_rows(table: Table, result: Result) -> None:
+    """Say what the numbers that were given, where they had to be repaired, could change in this run."""
+    repair, spec = result.controller.plant.repair, result.spec
+    if repair is None:
+        return
+    response, bounds = result.response, result.controller.bounds
+    acting = repair.disturbance(np.abs(response.x).max(axis=0), np.abs(response.u).max(axis=0))
+    on = [(k, *channel_text(spec, ("disturbance", k))) for k in np.flatnonzero(acting).tolist()]
+    table.add_row(
+        "repair",
+        "with states and inputs no larger than here, the plant as it was given differs by at most "
+        + ", ".join(f"{_up(acting[k])} {unit} on {name}".replace("  ", " ") for k, name, unit in on),
+    )
+    for signal in bounds[0].sizes:
+        if signal[0] in ("output", "state") and all(signal in bounds[k].sizes for k, _, _ in on):
+            name, unit = signal_text(spec, signal)
+            total = float(sum(bounds[k].sizes[signal] * acting[k] for k, _, _ in on)) * (1 + 1e-12)
+            size = f"{_up(total)} {unit}".rstrip()
+            table.add_row("", f"which adds at most {size} to |{name.replace('-', '−')}| in the end")
 
 
 def _remark_rows(table: Table, remarks: Sequence[str]) -> None:

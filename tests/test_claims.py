@@ -1,0 +1,102 @@
+"""Nothing is printed that has no entry in docs/claims.md."""
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from pwatrack import design, load_spec, simulate, write_result
+from pwatrack.control.applicability import applicability
+from pwatrack.errors import PwatrackError
+from pwatrack.pipeline import check_reference
+from pwatrack.report import summary
+from pwatrack.report.verify import verify
+
+ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
+Row = tuple[str, str]
+
+EXTRA = {
+    "state": "design: {tracking: state}\nreference: {state: ['0.1*sin(t)', '0.1*cos(t)']}",
+    "setpoint": "design: {tracking: state}\nreference: {setpoint: {y: 0.05}}",
+    "input": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: periodic}",
+    "response": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: [0, 0]}",
+    "cost": "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}\nreference: {output: 0.1*sin(t)}",
+    "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
+}
+
+
+@pytest.fixture(scope="module")
+def entries(specs: Path) -> list[tuple[str, re.Pattern[str]]]:
+    text = (specs.parent / "docs" / "claims.md").read_text(encoding="utf-8").replace("\\|", "¦")
+    found = [(label.strip(), sentence.replace("¦", "|")) for label, sentence in ROWS.findall(text)]
+    return [(label, re.compile(re.escape(sentence).replace("…", ".*"))) for label, sentence in found if label != "code"]
+
+
+def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Row]:
+    """Yield every row of every table that is printed for some plants, and every sentence of verify."""
+    rows: list[Row] = []
+
+    class Recorded(summary.Table):  # type: ignore[misc, name-defined]
+        def add_row(self, *texts: Any, **options: Any) -> None:
+            rows.append((str(texts[0]), str(texts[-1])))
+            super().add_row(*texts, **options)
+
+    monkeypatch.setattr(summary, "Table", Recorded)
+    console = Console(file=io.StringIO(), width=200)
+    for path in plants(specs, tmp_path):
+        spec = load_spec(path)
+        try:
+            reference = check_reference(spec)
+        except PwatrackError as error:
+            reference = str(error)
+        summary.print_plant(console, spec.name, applicability(spec.plant), reference)
+        controller = design(spec)
+        result = simulate(spec, controller)
+        summary.print_design(console, spec, controller)
+        summary.print_result(console, result)
+        for sentence in verify(write_result(result, tmp_path / "run"), path):
+            label, _, rest = sentence.partition(": ")
+            rows.append((label, rest) if label.startswith(("(", "plant", "Theorem")) else ("verify", sentence))
+    yield from dict.fromkeys(rows)
+
+
+def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
+    for name in ("two_mass_backlash", "two_mass_goals", "two_mass_machine", "gallery/dc_motor_brushes"):
+        yield specs / f"{name}.yaml"
+    for name, wishes in EXTRA.items():
+        slope = "1.001" if name == "rounded" else "1"
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(
+            f"""name: {name}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  cells:
+    - {{name: free, where: ["z <= 0.05"], A: [[0, 1], [-1, -1]]}}
+    - {{name: touching, where: ["z >= 0.05"], A: [[0, 1], [-2, -1]], b: [0, {slope}*0.05]}}
+{wishes}
+simulation: {{duration: 10, sample_time: 0.1, initial: {{plant: [0.2, 0]}}}}
+"""
+        )
+        yield path
+
+
+def test_every_printed_sentence_has_its_entry_with_statement_and_place(
+    specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entries: list[tuple[str, re.Pattern[str]]]
+) -> None:
+    missing, used = [], set()
+    for label, sentence in printed(specs, tmp_path, monkeypatch):
+        here = [k for k, (name, pattern) in enumerate(entries) if name == label and pattern.fullmatch(sentence)]
+        used.update(here)
+        if not here:
+            missing.append((label, sentence))
+    assert not missing
+    specific = {k for k, (_, pattern) in enumerate(entries) if pattern.pattern not in (".*", "proved.*")}
+    assert len(specific & used) >= 0.75 * len(specific)  # the rest is what refusals and rarer plants say
