@@ -66,7 +66,7 @@ def check(
         try:
             spec = load_spec(spec_path, assignments(parameters or []))
             name, report = spec.name, applicability(spec.plant)
-            reference = check_reference(spec)
+            reference = check_reference(spec, report.form)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

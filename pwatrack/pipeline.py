@@ -17,7 +17,7 @@ from pwatrack.control.synthesis import Design, controller_task, observer_task, s
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
-from pwatrack.model.normal_form import normal_form
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import (
     InputReference,
     OutputReference,
@@ -275,10 +275,14 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures, watch.outcome()
 
 
-def check_reference(spec: Spec) -> str:
+def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """Check what can be known of the reference before an inequality is solved, and say it in a few words.
 
     That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
+
+    Args:
+        spec: What was asked.
+        form: The normal form of its plant, where it is at hand.
 
     Raises:
         OutsideTheory: If the reference is none that the theorems are about, or the plant is not of form (11).
@@ -291,7 +295,7 @@ def check_reference(spec: Spec) -> str:
     """
     with spec.located():
         if isinstance(spec.reference, OutputReference):
-            form = normal_form(spec.plant)
+            form = form or normal_form(spec.plant)
             _output_signal(spec.reference, form.r)
             return f"y_d is bounded and smooth enough for relative degree {form.r}"
         _state_desired(spec)

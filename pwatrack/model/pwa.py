@@ -89,6 +89,7 @@ class PWASystem:
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
         tolerance: float = ROUNDING,
+        continuous: bool = False,
     ) -> "PWASystem":
         """Build the system and prove that it belongs to the class of eq. (1).
 
@@ -99,6 +100,7 @@ class PWASystem:
             states, inputs, outputs: Names.
             tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
                 repaired: relative to the terms of that row at a point of the facet of typical size.
+            continuous: Whether the field is exactly continuous by construction, which then is not decided again.
 
         Raises:
             ValueError: If the shapes do not fit.
@@ -126,7 +128,7 @@ class PWASystem:
                 *(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
             ),
         )
-        return system._continuous(tolerance)
+        return system if continuous else system._continuous(tolerance)
 
     @classmethod
     def _of(

@@ -101,6 +101,7 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         inputs=system.inputs,
         outputs=system.outputs,
         tolerance=tolerance,
+        continuous=system.cells is None,
     )
     return replace(plant, remarks=(*plant.remarks, *odd))
 
