@@ -128,9 +128,12 @@ def beside(one: BallMatrix, other: BallMatrix) -> BallMatrix:
 
 def different(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
     """Return the matrices without repetitions: equal cells say the same."""
-    return list(
-        {(*X.centre.entries(), *(() if X.radius is None else X.radius.entries())): X for X in matrices}.values()
-    )
+    alike: dict[bytes, list[BallMatrix]] = {}
+    for X in matrices:
+        others = alike.setdefault(X.floats.tobytes(), [])
+        if not any(X.centre == Y.centre and X.radius == Y.radius for Y in others):
+            others.append(X)
+    return [X for others in alike.values() for X in others]
 
 
 def stack(matrices: Sequence[BallMatrix]) -> Array:

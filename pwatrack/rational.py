@@ -48,7 +48,9 @@ def fraction_of(value: Any) -> Fraction:
 
 def identity(n: int) -> Rational:
     """Return I of order n."""
-    return decimals(np.eye(n))
+    import flint
+
+    return flint.fmpq_mat(n, n, [int(j == k) for j in range(n) for k in range(n)])
 
 
 def floats(X: Rational) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
@@ -33,12 +33,13 @@ def prove_design(
         ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
     exact, K, L = plant.exact, BallMatrix.of(design.K), BallMatrix.of(design.L)
+    A = different(exact.A)
     proofs = [
-        *_prove("controller", [A_i + exact.B @ K for A_i in exact.A], design.controller, solver),
-        *_prove("observer", [(A_i + L @ exact.C).transpose() for A_i in exact.A], design.observer, solver),
+        *_prove("controller", [A_i + exact.B @ K for A_i in A], design.controller, solver),
+        *_prove("observer", [(A_i + L @ exact.C).transpose() for A_i in A], design.observer, solver),
     ]
     if generator is not None and generator.A_eta.shape[1]:
-        M = [A_i.transpose() for A_i in generator.form.exact.A_eta]
+        M = [A_i.transpose() for A_i in different(generator.form.exact.A_eta)]
         proofs += _prove("generator", M, generator.certificate, solver)
     return tuple(proofs)
 

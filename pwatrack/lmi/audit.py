@@ -230,7 +230,7 @@ class Plant:
             for Y, S in observer:
                 parts = [[R or zero, BK[1] or zero], [zero, S or zero]]
                 pairs.append((joined([[X, BK[0]], [zero, Y]]), joined(parts) if R or S or BK[1] else []))
-        return [pair for k, pair in enumerate(pairs) if pair not in pairs[:k]]
+        return [pair for _, pair in unlike(pairs)]
 
     def drive(self, loop: str, channel: Any, L: Matrix) -> Ball:
         """Return the column by which a disturbance, a noise or an input enters a loop."""
@@ -360,7 +360,7 @@ def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     if not P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
         return ["P is not symmetric and positive definite, of the order of the matrices"]
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
-    for i, (M, R) in enumerate(matrices):
+    for i, (M, R) in unlike(matrices):
         half = product(added(M, identity(len(P), rate)), P)
         left = added(added(half, transposed(half)), identity(len(P), margin))
         enlarge(left, product(R, sizes(P)) if R else [], powers)
@@ -369,6 +369,14 @@ def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
     return faults
+
+
+def unlike(matrices: list[Ball]) -> list[tuple[int, Ball]]:
+    """Return the matrices that are no repetition of an earlier one, with their cells."""
+    first: dict[Any, tuple[int, Ball]] = {}
+    for i, ball_ in enumerate(matrices):
+        first.setdefault(tuple(tuple(map(tuple, X)) for X in ball_), (i, ball_))
+    return list(first.values())
 
 
 def packed(content: Any) -> tuple[Matrix, list[Fraction]]:
@@ -408,7 +416,7 @@ def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
         Fraction(2) ** ((row[j].numerator.bit_length() - row[j].denominator.bit_length()) // 2)
         for j, row in enumerate(X)
     ]
-    for i, (M, radius) in enumerate(matrices):
+    for i, (M, radius) in unlike(matrices):
         half = product(X, M)
         left = added(added(half, transposed(half)), weight)
         enlarge(left, product(sizes(X), radius) if radius else [], powers)

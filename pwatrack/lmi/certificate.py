@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from pwatrack.arrays import Array, readonly, symmetric_part
+from pwatrack.lmi.presolve import distinct
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -51,13 +52,13 @@ def prove(M: Array, P: Array) -> Certificate | None:
     if not (np.isfinite(P).all() and (diagonal > 0).all()):
         return None
     d = 2.0 ** np.round(np.log2(diagonal) / 2)
-    scaled_P, scaled_M = symmetric_part(P) / 2 / d[:, None] / d, M / d[:, None] * d
+    scaled_P, scaled_M = symmetric_part(P) / 2 / d[:, None] / d, distinct(M)[0] / d[:, None] * d
     if not _definite(scaled_P, np.abs(scaled_P)):
         return None
     left = symmetric_part(scaled_M @ scaled_P)
     if not np.isfinite(left).all():
         return None
-    rate = min(-float(eigh(side, scaled_P, eigvals_only=True)[-1]) / 2 for side in left)
+    rate = min(-float(eigh(side, scaled_P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
     size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
     for shrunk in (rate * (1 - 1e-9), rate * (1 - 1e-6), rate * (1 - 1e-3)):
         slack = -left - 2 * shrunk * scaled_P

@@ -57,9 +57,7 @@ def prove_exactly(of: str, M: Sequence[BallMatrix], P: Array, rate: float) -> Pr
     exact_P = unpacked(integers, exponents.tolist())
     if not is_positive_definite(exact_P):
         return None
-    products = [M_i.centre * exact_P for M_i in M]
-    open_ = [unsure(M_i.radius, exact_P, unit) for M_i in M]
-    left = [-(MP + MP.transpose()) - D for MP, D in zip(products, open_, strict=True)]
+    left = [_left(M_i, exact_P, unit) for M_i in M]
     size = float(np.linalg.norm(P))
     for shrink in (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
         short_rate = _rounded_down(rate * (1 - shrink), 6)
@@ -75,6 +73,13 @@ def prove_exactly(of: str, M: Sequence[BallMatrix], P: Array, rate: float) -> Pr
                 radius=_rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
             )
     return None
+
+
+def _left(M: BallMatrix, P: Rational, unit: Sequence[Fraction]) -> Rational:
+    """Return −(M P + P Mᵀ), or what is below it for everything in the ball."""
+    MP = M.centre * P
+    left = -(MP + MP.transpose())
+    return left if M.radius is None else left - unsure(M.radius, P, unit)
 
 
 def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Rational:
