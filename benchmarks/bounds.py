@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from pwatrack import design, load_spec
-from pwatrack.report.files import channel_text, signal_text
+from pwatrack.report.figures import channel_text, signal_text
 from tests.promises import joint_system, worst
 
 

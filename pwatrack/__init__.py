@@ -8,6 +8,8 @@ The names below are loaded on first use, so that `import pwatrack` is instant.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pwatrack.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from pwatrack.control.controller import Controller as Controller
     from pwatrack.errors import OutsideTheory as OutsideTheory
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from pwatrack.spec.load import Spec as Spec
     from pwatrack.spec.load import load_spec as load_spec
     from pwatrack.variation import ensemble as ensemble
-
-__version__ = "0.1.0"
 
 _HOME = {
     "Controller": "pwatrack.control.controller",

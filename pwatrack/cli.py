@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pwatrack import __version__
 from pwatrack.report.terminal import console, refusals
+from pwatrack.version import __version__
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver

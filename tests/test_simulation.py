@@ -21,7 +21,7 @@ from pwatrack.errors import CheckFailed, PwatrackError
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
-from pwatrack.report.files import measures
+from pwatrack.report.figures import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import Propagator, Walk, simulate_flow, trace_blocks

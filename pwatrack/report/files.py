@@ -5,29 +5,27 @@ import hashlib
 import platform
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pwatrack import __version__
 from pwatrack.arrays import Array
-from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import Impossibility
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.pipeline import Result
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
+from pwatrack.report.figures import bound_content, ensemble_measures, gain_figures, measures
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
-from pwatrack.simulation.region import Box, Region
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import Spec
 from pwatrack.variation import EnsembleResult
+from pwatrack.version import __version__
 
 _ROWS = 10_000  # that are turned to text at a time
 
@@ -62,7 +60,7 @@ def write_design(
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
-            "figures": _gain_figures(controller),
+            "figures": gain_figures(controller),
             "remarks": list(controller.plant.remarks),
         }
         index["bounds"] = bound_content(spec, controller)
@@ -100,7 +98,7 @@ def write_result(
             pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
             for name, figure in pictures.items():
                 figure.savefig(run.place(name), format="png", dpi=150)
-        figures = _gain_figures(result.controller) | measures(result)
+        figures = gain_figures(result.controller) | measures(result)
         more: dict[str, Any] = {
             "figures": figures,
             "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
@@ -113,135 +111,6 @@ def write_result(
             more["ensemble"] = ensemble_measures(many)
         run.commit(_index(result.spec, seconds) | {"exit": int(result.outcome.code)} | more)
     return Path(folder)
-
-
-def measures(result: Result) -> dict[str, float]:
-    """Return the figures of a simulation for run.json and the summary."""
-    steady_state = result.steady_state
-    if steady_state is None:
-        return asdict(result.figures)
-    largest = float(np.abs(steady_state.multipliers).max())
-    return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
-
-
-def error_unit(result: Result) -> str:
-    """Return the unit of the tracking error, or '' if its entries differ in unit."""
-    plant = result.spec.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
-    units = {result.spec.units.get(name, "") for name in names}
-    return units.pop() if len(units) == 1 else ""
-
-
-def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
-    """Return what is said of an ensemble; members count from 1, and a time that never comes is None."""
-    kept, variation = many.ensemble, many.variation
-    regions, names = variation.regions.items(), variation.names
-    return {
-        "members": len(kept.error),
-        "seed": many.seed,
-        "over": variation.over,
-        "given": variation.given,
-        "regions": {part: _region(region, names[part]) for part, region in regions},
-        **{
-            name: {
-                "median": _finite(np.quantile(values, 0.5, method="lower")),
-                "95 %": _finite(np.quantile(values, 0.95, method="higher")),
-                "worst": _finite(values.max()),
-                "member": int(np.argmax(values)) + 1,
-            }
-            for name, values in (
-                ("largest_error", kept.largest),
-                ("final_error", kept.final),
-                ("settling_time", kept.settling_time),
-                ("mode_changes", kept.mode_changes),
-            )
-        },
-        "settled_below": kept.settled_below,
-        "settled": int(np.isfinite(kept.settling_time).sum()),
-        "unresolved": int(np.count_nonzero(kept.unresolved)),
-    }
-
-
-def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
-    """Return what of a region varies, by name."""
-    box = isinstance(region, Box)
-    first, second = (region.low, region.high) if isinstance(region, Box) else (region.center, region.radii)
-    entries = zip(names, first.tolist(), second.tolist(), strict=True)
-    varied = {name: [a, b] for name, a, b in entries if (a < b if box else b > 0)}
-    return {"box" if box else "ellipsoid": varied}
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _gain_figures(controller: Controller) -> dict[str, float]:
-    guarantees = controller.guarantees
-    robust_rate, of_K, of_L = guarantees.robust
-    promised = {}
-    for part in ("controller", "observer", "generator"):
-        if proved := getattr(guarantees, part):
-            promised[f"{part}_rate"] = max(p.rate for p in proved)
-    return {
-        "norm_K": float(np.linalg.norm(controller.design.K, 2)),
-        "norm_L": float(np.linalg.norm(controller.design.L, 2)),
-        **promised,
-        "rate": guarantees.rate,
-        "robust_rate": robust_rate,
-        "robust_share_K": of_K,
-        "robust_share_L": of_L,
-    }
-
-
-def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
-    """Return what run.json says of each disturbance and each sensor's noise: the bound of every signal per 1 of it."""
-    content = []
-    for bounds in controller.bounds:
-        on, unit = channel_text(spec, bounds.channel)
-        signals = {}
-        for signal, size in bounds.sizes.items():
-            name, of = signal_text(spec, signal)
-            signals[name] = {"bound": size, "unit": of}
-        content.append({"kind": bounds.channel[0], "on": on, "per": f"1 {unit}".rstrip(), "signals": signals})
-    return content
-
-
-def declared(spec: Spec, channel: Channel) -> bool:
-    """Whether the simulation has this disturbance or noise."""
-    kind, k = channel
-    disturbance, noise = spec.conditions.disturbance, spec.conditions.noise
-    if kind == "noise":
-        return noise is not None and bool(noise.std[k])
-    return disturbance is not None and bool(disturbance.Q[k].any())
-
-
-def channel_text(spec: Spec, channel: Channel) -> tuple[str, str]:
-    """Return where a disturbance or noise enters, and its unit: on dv/dt it is that of v per second."""
-    kind, k = channel
-    name = spec.plant.outputs[k] if kind == "noise" else spec.plant.states[k]
-    unit = spec.units.get(name, "")
-    return (f"measured {name}", unit) if kind == "noise" else (f"d{name}/dt", per_second(unit))
-
-
-def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
-    """Return a signal that is bounded, as text, and its unit."""
-    kind, k = signal
-    plant = spec.plant
-    name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
-    texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
-    return texts.get(kind, f"{name} - {name}_d"), spec.units.get(name, "")
-
-
-def per_second(unit: str) -> str:
-    """Return the unit of a derivative.
-
-    Example:
-        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
-        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
-    """
-    if unit.endswith("/s"):
-        return f"{unit}²"
-    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
