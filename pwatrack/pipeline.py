@@ -34,6 +34,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import realised
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.propagate import sample_count, trace_blocks
+from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.load import Spec
@@ -57,6 +58,7 @@ class Result:
         start: z(0).
         steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
             or None if it has none.
+        spool: All samples and events of a run of which `response` has not all.
     """
 
     spec: Spec
@@ -67,6 +69,7 @@ class Result:
     outcome: Outcome
     start: Array
     steady_state: SteadyState | None
+    spool: Spool | None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -123,11 +126,11 @@ class Result:
         return self.figures.final_tracking_error
 
     def blocks(self) -> Iterator[Response]:
-        """Yield the signals at all samples, with all events; a long run is simulated again, block by block."""
-        if len(self.response.t) == sample_count(self.spec.duration, self.spec.sample_time):
+        """Yield the signals at all samples, with all events; those of a long run block by block, off the disk."""
+        if self.spool is None:
             yield self.response
         else:
-            yield from map(self.loop.response, _walk(self.spec, self.loop, self.start))
+            yield from map(self.loop.response, self.spool)
 
 
 @dataclass(kw_only=True)
@@ -202,13 +205,15 @@ def design(spec: Spec) -> Controller:
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
 
+    Of a long run some samples are kept in memory and all of them in a temporary file: see `Spool`.
+
     Args:
         spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given.
 
     Raises:
         PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
-            generator's initial state has the wrong length.
+            generator's initial state has the wrong length, or a long run does not fit on the disk.
     """
     controller = controller or design(spec)
     with spec.located():
@@ -225,7 +230,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and _starts_periodic(spec):
             start[loop.at.eta_hat] = steady_state.z[0, :p]
-        response, figures, outcome = _run(spec, loop, start)
+        response, figures, outcome, spool = _run(spec, loop, start)
         return Result(
             spec=spec,
             controller=controller,
@@ -235,6 +240,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
             outcome=outcome,
             start=start,
             steady_state=steady_state,
+            spool=spool,
         )
 
 
@@ -245,34 +251,27 @@ def start_given_twice(subject: Subject) -> InvalidSpec:
     return InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
 
 
-def _walk(spec: Spec, loop: ClosedLoop, start: Array) -> Iterator[Trace]:
-    return trace_blocks(
-        loop.flow,
-        start,
-        duration=spec.duration,
-        sample_time=spec.sample_time,
-        resets=loop.resets(spec.duration),
-        most=_MOST_KEPT,
-    )
-
-
-def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome]:
-    """Return the signals, thinned where they are too many to keep; the figures of all, and how it ended."""
+def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome, Spool | None]:
+    """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
     samples = sample_count(spec.duration, spec.sample_time)
     watch = Watch(loop, samples, units=spec.units)
     step, kept = -(-samples // _MOST_KEPT), list[Trace]()
+    spool = Spool() if step > 1 else None
+    times = {"duration": spec.duration, "sample_time": spec.sample_time}
 
     def blocks() -> Iterator[Response]:
         number = 0
-        for trace in _walk(spec, loop, start):
-            kept.append(trace if step == 1 else trace.every(step, number))
+        for trace in trace_blocks(loop.flow, start, **times, resets=loop.resets(spec.duration), most=_MOST_KEPT):
+            kept.append(trace if spool is None else trace.every(step, number))
+            if spool is not None:
+                spool.add(trace)
             number += len(trace.t)
             response = loop.response(trace)
             watch.see(response)
             yield response
 
     figures = Figures.of(blocks(), samples)
-    return loop.response(kept[0] if step == 1 else Trace.coarse(kept)), figures, watch.outcome()
+    return loop.response(kept[0] if spool is None else Trace.coarse(kept)), figures, watch.outcome(), spool
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:

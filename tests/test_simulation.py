@@ -1,5 +1,6 @@
 """Exact propagation, events and steady states, against scipy and closed forms."""
 
+import resource
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
-from pwatrack.errors import CheckFailed, PwatrackError
+from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
@@ -25,6 +26,7 @@ from pwatrack.report.figures import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import Propagator, Walk, simulate_flow, trace_blocks
+from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import _monodromy, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
@@ -111,11 +113,37 @@ def test_a_long_run_is_written_in_full_and_kept_in_part(
     assert len(result.response.t) == 667  # every ninth of 6001
     np.testing.assert_array_equal(result.response.x, paper.response.x[::9])
     assert asdict(result.figures) == pytest.approx(asdict(paper.figures), rel=1e-12)
+    monkeypatch.delattr("pwatrack.pipeline.trace_blocks")  # writing does not simulate
     for one, other in ((paper, "whole"), (result, "part")):
         write_result(one, tmp_path / other)
     assert (tmp_path / "whole/events.csv").read_bytes() == (tmp_path / "part/events.csv").read_bytes()
     whole, part = (np.loadtxt(tmp_path / name / "trace.csv", delimiter=",", skiprows=1) for name in ("whole", "part"))
     np.testing.assert_allclose(part, whole, rtol=1e-14, atol=1e-15)  # products of matrices of other shapes
+
+
+def test_blocks_on_disk_come_back_to_the_bit_however_they_are_read() -> None:
+    arguments: dict[str, Any] = {"duration": 3.0, "sample_time": 0.01, "most": 64}
+    blocks, spool = list(trace_blocks(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments)), Spool()
+    for block in blocks:
+        spool.add(block)
+    for written, *read in zip(blocks, spool, spool, strict=True):  # two at a time
+        for trace in read:
+            assert all(np.array_equal(getattr(trace, name), getattr(written, name)) for name in ("t", "z", "modes"))
+            assert (trace.events, trace.unresolved) == (written.events, written.unresolved)
+
+
+def test_a_disk_that_is_full_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    trace = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=1.0, sample_time=0.001)
+    spool, limits = Spool(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(InvalidSpec, match=f"cannot keep the samples of the run in {tmp_path}: File too large"):
+            spool.add(trace)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("depth", [10.0**k for k in range(-11, -1)])
