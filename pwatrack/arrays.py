@@ -41,7 +41,7 @@ def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: st
 
 
 def symmetric_part(X: Array) -> Array:
-    """Return sym(X) = X + Xᵀ of the design notes, for one matrix or a stack.
+    """Return sym(X) = X + Xᵀ, for one matrix or a stack.
 
     Example:
         >>> symmetric_part(np.array([[1.0, 2.0], [0.0, 3.0]])).tolist()

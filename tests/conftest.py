@@ -25,5 +25,5 @@ def paper_spec() -> Spec:
 
 @pytest.fixture(scope="session")
 def paper(paper_spec: Spec) -> Result:
-    """The example with the gains of the paper (ERRATA item 1)."""
+    """The example of Section V with the gains of the paper; printed, both have the opposite sign."""
     return simulate(paper_spec)

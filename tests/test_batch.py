@@ -10,8 +10,7 @@ from junitparser import JUnitXml
 from typer.testing import CliRunner
 
 import pwatrack.batch.run as batch
-from pwatrack.batch.run import Outcome, find_specs, run_batch
-from pwatrack.batch.run import _call as call_process
+from pwatrack.batch.run import Outcome, called, find_specs, run_batch
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.batch import write_junit
@@ -33,7 +32,7 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
 
     `exit3 …` ends with 3; the names in PROGRAMS run those.
     """
-    call = batch._call
+    call = batch.called
 
     def stand_in(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
         (path,) = (part for part in command if part.lower().endswith((".yaml", ".yml")))
@@ -48,7 +47,7 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
             (folder / f"{name.replace('_', ' ')}.yaml").write_text(content, encoding="utf-8")
         return folder
 
-    monkeypatch.setattr(batch, "_call", stand_in)
+    monkeypatch.setattr(batch, "called", stand_in)
     return make
 
 
@@ -188,7 +187,7 @@ def test_two_specs_that_differ_in_the_ending_only_have_a_run_folder_each(
         seen.append(command[list(command).index("--out") + 1])
         return 0, ""
 
-    monkeypatch.setattr(batch, "_call", note)
+    monkeypatch.setattr(batch, "called", note)
     run_batch(folder, tmp_path / "out")
     assert len(set(seen)) == 2
 
@@ -257,7 +256,7 @@ import pathlib, signal, sys, time
 signal.signal(signal.SIGTERM, lambda *_: (pathlib.Path({str(tmp_path / "cleaned")!r}).touch(), sys.exit()))
 time.sleep(60)
 """
-    code, message = call_process([sys.executable, "-S", "-c", program], 2.0)
+    code, message = called([sys.executable, "-S", "-c", program], 2.0)
     assert (code, message) == (None, "given up after 2 s")
     assert (tmp_path / "cleaned").exists()
 
@@ -344,7 +343,7 @@ def test_specs_whose_names_are_dots_stay_in_folders_of_their_own(
         seen.append(Path(command[list(command).index("--out") + 1]))
         return 0, ""
 
-    monkeypatch.setattr(batch, "_call", note)
+    monkeypatch.setattr(batch, "called", note)
     run_batch(folder, tmp_path / "out")
     assert {path.resolve().relative_to(tmp_path / "out") for path in seen} == {
         Path("..yaml"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec
-from pwatrack.report.plots import _drawn
+from pwatrack.report.plots import joined
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 
@@ -98,11 +98,11 @@ def test_events_take_little_memory() -> None:
 
 
 @given(st.lists(st.floats(0.001, 5.0), min_size=1, max_size=40), st.floats(0.01, 2.0))
-def test_bars_that_cannot_be_told_apart_are_drawn_as_one(lengths: list[float], dot: float) -> None:
+def test_bars_that_cannot_be_told_apart_arejoined_as_one(lengths: list[float], dot: float) -> None:
     """Every other stretch is a bar; what is drawn covers all bars, and no gap wider than a dot."""
     edges = np.cumsum([0.0, *lengths])
     bars = np.column_stack([edges[:-1], edges[1:]])[::2]
-    drawn = [(start, start + length) for start, length in _drawn(bars, dot)]
+    drawn = [(start, start + length) for start, length in joined(bars, dot)]
     for start, end in bars.tolist():
         assert any(low <= start and end <= high + 1e-9 for low, high in drawn)
     for (_, end), (start, _) in pairwise(drawn):

@@ -27,7 +27,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import Propagator, Walk, simulate_flow, trace_blocks
 from pwatrack.simulation.spool import Spool
-from pwatrack.simulation.steady_state import _monodromy, periodic_state
+from pwatrack.simulation.steady_state import period_map_derivative, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
 from tests.grazing import near_grazing
@@ -331,7 +331,7 @@ def test_the_derivative_of_the_period_map_is_that_of_simulations(paper: Result) 
     flow, start = paper.loop.flow, paper_start(paper.loop)
     period = simulate_flow(flow, start, duration=1.0, sample_time=0.01)
     assert len(period.events) >= 5
-    for column, direction in zip(_monodromy(flow, period).T[:10], np.eye(len(start)), strict=False):
+    for column, direction in zip(period_map_derivative(flow, period).T[:10], np.eye(len(start)), strict=False):
         up, down = (
             simulate_flow(flow, start + shift * direction, duration=1.0, sample_time=0.01).z[-1]
             for shift in (1e-6, -1e-6)

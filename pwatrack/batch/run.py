@@ -136,7 +136,7 @@ def run_batch(folder: Path, out: Path, *, jobs: int = 1, timeout: float = 600.0)
 def _run(spec: Path, out: Path, timeout: float) -> Outcome:
     start = time.perf_counter()
     command = [sys.executable, "-m", "pwatrack", "simulate", "--out", str(out), "--", str(spec)]
-    code, messages = _call(command, timeout)
+    code, messages = called(command, timeout)
     index = _index(out, code)
     return Outcome(
         spec=spec,
@@ -149,7 +149,8 @@ def _run(spec: Path, out: Path, timeout: float) -> Outcome:
     )
 
 
-def _call(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
+def called(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
+    """Return the exit code of a command, None if it took longer than `timeout` (s), and what it said on stderr."""
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     process = subprocess.Popen(
         command,

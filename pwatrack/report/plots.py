@@ -262,7 +262,7 @@ def active_cells(result: Result) -> Figure:
         for row, name in enumerate(names):
             bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] == name])
             axes.broken_barh(
-                _drawn(bars, trace.t[-1] / _COLUMNS), (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0
+                joined(bars, trace.t[-1] / _COLUMNS), (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0
             )
         axes.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
         axes.set_ylim(len(names) - 0.4, -0.6)
@@ -270,7 +270,7 @@ def active_cells(result: Result) -> Figure:
     return figure
 
 
-def _drawn(bars: Array, dot: float) -> list[tuple[float, float]]:
+def joined(bars: Array, dot: float) -> list[tuple[float, float]]:
     """Return (start, length) of bars (start, end) in order, those joined that are nearer to each other than a dot."""
     apart = np.flatnonzero(bars[1:, 0] - bars[:-1, 1] > dot)
     starts, ends = bars[np.append(0, apart + 1), 0], bars[np.append(apart, -1), 1]

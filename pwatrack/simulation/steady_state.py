@@ -54,7 +54,7 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         trace = simulate_flow(flow, z, duration=period, sample_time=period / samples)
         miss = trace.z[-1, :free] - z[:free]
         residual = float(np.abs(miss).max(initial=0.0) / max(np.abs(trace.z).max(), 1e-300))
-        monodromy = _monodromy(flow, trace)[:free, :free]
+        monodromy = period_map_derivative(flow, trace)[:free, :free]
         if residual <= _TOLERANCE:
             multipliers = np.linalg.eigvals(monodromy).astype(np.complex128)
             return SteadyState(
@@ -76,7 +76,7 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
     )
 
 
-def _monodromy(flow: Flow, trace: Trace) -> Array:
+def period_map_derivative(flow: Flow, trace: Trace) -> Array:
     """Return the derivative of the last state of a trace with respect to its first, (N, N)."""
     product = np.eye(trace.z.shape[1])
     for mode, start, end in trace.stays():

@@ -1,5 +1,6 @@
 """Everything that can be wrong with the tree of a spec, each thing said once, with its path."""
 
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, get_args, get_origin
@@ -24,6 +25,7 @@ MOST = 100  # for so many faults of a file it is guessed what was meant
 
 _LONGEST_PART = 100  # characters of one key in a path
 _MOST_SAMPLES = 10_000_000
+_COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuator_.+)")  # of the trace, beside signals
 _MOST_TICKS = 2_000_000  # all of them are kept in memory
 
 _LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them
@@ -274,6 +276,15 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
             if name + suffix in signals:
                 message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
                 problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
+    problems += [
+        Problem(
+            message=f"'{name}' is how the trace names a column of its own",
+            subject=("system",),
+            hint="choose another name",
+        )
+        for name in signals
+        if _COLUMN.fullmatch(name)
+    ]
     system = data.get("system")
     system = system if isinstance(system, dict) else {}
     units = system.get("units")
