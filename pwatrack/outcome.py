@@ -11,6 +11,7 @@ from scipy.linalg import matrix_balance
 from pwatrack.arrays import Array
 from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
+from pwatrack.simulation.trace import tenths
 
 Kind = Literal["tracks", "off", "grows", "above its bound"]
 
@@ -40,16 +41,6 @@ class Outcome:
     def code(self) -> ExitCode:
         """What the shell sees."""
         return ExitCode.DONE if self.kind in ("tracks", "off") else ExitCode.CHECK_FAILED
-
-
-def tenths(samples: int) -> list[int]:
-    """Return the first sample of each tenth of a run and the number of samples; the last tenth has the most.
-
-    Example:
-        >>> tenths(25)
-        [0, 2, 5, 7, 10, 12, 15, 17, 20, 22, 25]
-    """
-    return [samples - -(-samples * (10 - k) // 10) for k in range(11)]
 
 
 def grows(high: Array, low: Array, size: float) -> bool:

@@ -36,7 +36,7 @@ from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
-from pwatrack.simulation.trace import Trace, Unresolved
+from pwatrack.simulation.trace import Trace, Unresolved, last_tenth
 from pwatrack.spec.load import Spec
 
 _MOST_KEPT = 250_000  # samples
@@ -156,7 +156,7 @@ class Figures:
     @staticmethod
     def of(blocks: Iterable[Response], samples: int) -> "Figures":
         """Measure all blocks of a run of so many samples."""
-        figures, visited, number, tail = Figures(), set[Mode](), 0, samples - -(-samples // 10)
+        figures, visited, number, tail = Figures(), set[Mode](), 0, last_tenth(samples).start
         for block in blocks:
             size = np.linalg.norm(block.tracking_error, axis=1)
             figures.largest_tracking_error = max(figures.largest_tracking_error, float(size.max()))

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.batch.run import run_batch
-from pwatrack.outcome import grows, tenths
+from pwatrack.outcome import grows
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.trace import Trace
+from pwatrack.simulation.trace import Trace, tenths
 from tests.test_cli import call, index_of
 
 T = np.linspace(0.0, 1.0, 1001)

@@ -20,6 +20,7 @@ from pwatrack.pipeline import Result
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import bound_content, ensemble_measures, gain_figures, measures
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
+from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
@@ -234,13 +235,11 @@ def _event_rows(loop: ClosedLoop, trace: Trace) -> Iterator[list[str]]:
 
 def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -> str:
     """Say which hyperplanes lie between two cells of a part, or which limit of an input between two segments."""
-    name, limits = part.name.removeprefix("actuator "), loop.conditions.limits
-    if name == part.name or limits is None:
-        plant = loop.plant if name == "plant" else loop.controller.plant
-        return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
-    beyond = zip(("low", "high"), limits[loop.controller.plant.inputs.index(name)].tolist(), strict=True)
-    segments = part.cells[before], part.cells[after]
-    return " and ".join(f"{name} = {limit:g}" for segment, limit in beyond if segment in segments)
+    if isinstance(part, Actuator):
+        limits = {level for level in (part.levels[before], part.levels[after]) if level is not None}
+        return " and ".join(f"{loop.controller.plant.inputs[part.input]} = {limit:g}" for limit in sorted(limits))
+    plant = loop.plant if part.name == "plant" else loop.controller.plant
+    return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
 def _ensemble(run: RunFolder, many: EnsembleResult) -> None:

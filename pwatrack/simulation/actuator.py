@@ -1,5 +1,7 @@
 """Limits of the inputs: u is cut off at a lower and an upper limit."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from pwatrack.arrays import Array
@@ -8,9 +10,22 @@ from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.layout import Layout
 
 
+@dataclass(frozen=True, kw_only=True)
+class Actuator(SwitchedPart):
+    """The part of a limited input, whose cells are its segments.
+
+    Attributes:
+        input: Which input it is, from 0.
+        levels: The limit at which it holds the input in each of its cells; None where it lets the input through.
+    """
+
+    input: int
+    levels: tuple[float | None, ...]
+
+
 def actuators(
     limits: Array, u: Array, generator: SwitchedPart, plant: PWASystem, model: PWASystem, at: Layout
-) -> list[SwitchedPart]:
+) -> list[Actuator]:
     """Return one part for each limited input; beyond a limit it replaces the input by the limit.
 
     Args:
@@ -21,7 +36,7 @@ def actuators(
         plant, model: What u drives: the plant that runs, and the one in the observer.
         at: Where x and x̂ sit in z.
     """
-    parts = []
+    parts = list[Actuator]()
     for k, (low, high) in enumerate(limits.tolist()):
         segments: list[tuple[str, float | None]] = [("linear", None)]
         segments = [("low", low)] * bool(np.isfinite(low)) + segments + [("high", high)] * bool(np.isfinite(high))
@@ -45,6 +60,14 @@ def actuators(
         F = [at.driven(change, plant, model) for change in replaced.reshape(-1, len(limits), at.order)]
         cells = tuple(name for name, _ in segments) * len(rows)
         parts.append(
-            SwitchedPart(name=f"actuator {model.inputs[k]}", cells=cells, guards=guards, signs=signs, F=np.array(F))
+            Actuator(
+                name=f"actuator {model.inputs[k]}",
+                cells=cells,
+                guards=guards,
+                signs=signs,
+                F=np.array(F),
+                input=k,
+                levels=tuple(level for _, level in segments) * len(rows),
+            )
         )
     return parts

@@ -8,11 +8,10 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import actuators
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.layout import Layout
-from pwatrack.simulation.propagate import StateResets
+from pwatrack.simulation.propagate import StateResets, pieces, sample_count
 from pwatrack.simulation.sampling import sampled
 from pwatrack.simulation.trace import Trace
 
@@ -57,9 +56,9 @@ class ClosedLoop:
     def resets(self, duration: float) -> list[StateResets]:
         """Return all that takes new values up to a time (s): exosystems at their pieces, and the noise."""
         at, conditions = self.at, self.conditions
-        found = _pieces(self.controller.trajectory.exosystem, at.w)
+        found = pieces(self.controller.trajectory.exosystem, at.w)
         if conditions.disturbance is not None:
-            found += _pieces(conditions.disturbance, at.d)
+            found += pieces(conditions.disturbance, at.d)
         if conditions.noise is not None:
             found.append(_draws(conditions.noise, at.v, duration))
         return found
@@ -166,20 +165,21 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     F0[at.w, at.w] = trajectory.exosystem.S
     if conditions.disturbance is not None:
         F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    F0 += at.driven(z[at.u] if sampling else u_fb, plant, model)
-    F0[at.x_hat] += L @ (model.C @ z[at.x_hat] - (z[at.y] if sampling else y))
+    steady, switched, seen = u_fb, u_ff, y  # the input, as a sum, and the output that the observer sees
+    if sampling:  # both are held
+        steady, switched, seen = z[at.u], np.zeros_like(u_ff), z[at.y]
+        F0[at.w_held, at.w_held] = trajectory.exosystem.S
+    F0 += at.driven(steady, plant, model)
+    F0[at.x_hat] += L @ (model.C @ z[at.x_hat] - seen)
     F_generator = np.zeros((len(model.A), *z.shape))
     F_generator[:, at.eta_hat] = trajectory.rate @ reference
-    if sampling:
-        F0[at.w_held, at.w_held] = trajectory.exosystem.S
-    else:
-        F_generator += [at.driven(rows, plant, model) for rows in u_ff]
+    F_generator += [at.driven(rows, plant, model) for rows in switched]
     parts = [
-        _part("plant", plant, z[at.x], _affine(plant, at.x, z)),
-        _part("observer", model, z[at.x_hat], _affine(model, at.x_hat, z)),
-        _part("generator", model, x_d, F_generator),
+        SwitchedPart.of("plant", plant, z[at.x], _affine(plant, at.x, z)),
+        SwitchedPart.of("observer", model, z[at.x_hat], _affine(model, at.x_hat, z)),
+        SwitchedPart.of("generator", model, x_d, F_generator),
     ]
-    u = np.repeat(z[None, at.u], len(u_ff), axis=0) if sampling else u_ff + u_fb
+    u = switched + steady
     if conditions.limits is not None:
         parts += actuators(conditions.limits, u, parts[-1], plant, model, at)
     flow = Flow(F0=F0, parts=tuple(parts))
@@ -201,23 +201,9 @@ def _affine(plant: PWASystem, where: slice, z: Array) -> Array:
     return F
 
 
-def _part(name: str, plant: PWASystem, state: Array, F: Array) -> SwitchedPart:
-    """Return a part that is switched by the cells of a plant, with the state that the given rows read."""
-    guards = plant.partition.H @ state
-    guards[:, -1] += plant.partition.h
-    return SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
-
-
-def _pieces(signals: Exosystem, where: slice) -> list[StateResets]:
-    return [
-        StateResets(t=t, where=slice(where.start + part.start, where.start + part.stop), values=values)
-        for part, t, values in signals.pieces()
-    ]
-
-
 def _draws(noise: Noise, where: slice, duration: float) -> StateResets:
     """Draw the noise up to a time in s."""
-    count = int(np.floor(duration / noise.sample_time * (1 + 1e-12))) + 1
+    count = sample_count(duration, noise.sample_time)
     values = np.random.default_rng(noise.seed).normal(size=(count, len(noise.std))) * noise.std
     return StateResets(t=noise.sample_time * np.arange(count, dtype=np.float64), where=where, values=values)
 

@@ -13,7 +13,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import OutsideTheory, Problem, Subject, Undecided
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateResets, trace_blocks
+from pwatrack.simulation.propagate import pieces, trace_blocks
 from pwatrack.simulation.trace import Trace
 
 BoolArray = NDArray[np.bool_]
@@ -113,12 +113,8 @@ def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration:
     F0 = block_diag(np.zeros((p, p)), system.S, np.zeros((1, 1)))
     F = np.zeros((len(plant.A), *F0.shape))
     F[:, :p] = trajectory.rate
-    guards = plant.partition.H @ trajectory.x_d
-    guards[:, -1] += plant.partition.h
-    part = SwitchedPart(name="x_d", cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
-    resets = [
-        StateResets(t=t, where=slice(p + where.start, p + where.stop), values=w) for where, t, w in system.pieces()
-    ]
+    part = SwitchedPart.of("x_d", plant, trajectory.x_d, F)
+    resets = pieces(system, slice(p, p + len(system.w0)))
     step = duration / _SAMPLES
     return trace_blocks(Flow(F0=F0, parts=(part,)), z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
 

@@ -60,7 +60,7 @@ class Ensemble:
     @property
     def final(self) -> Array:
         """The largest ‖e‖ of each member in the last tenth of the time, (M,)."""
-        return np.asarray(self.error[:, last_tenth(self.t)].max(axis=1))
+        return np.asarray(self.error[:, last_tenth(len(self.t))].max(axis=1))
 
     @property
     def settled_below(self) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.model.pwa import PWASystem
 
 Mode = tuple[int, ...]
 
@@ -27,6 +28,13 @@ class SwitchedPart:
     guards: Array
     signs: IntArray
     F: Array
+
+    @staticmethod
+    def of(name: str, plant: PWASystem, state: Array, F: Array) -> "SwitchedPart":
+        """Return a part that is switched by the cells of a plant, with the state that the given rows read, (n, N)."""
+        guards = plant.partition.H @ state
+        guards[:, -1] += plant.partition.h
+        return SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,31 +109,11 @@ class Flow:
         """Return the side of every guard that the mode is on, (K,); 0 where the guard does not bound it."""
         return np.concatenate([part.signs[cell] for part, cell in zip(self.parts, mode, strict=True)])
 
-    def mode_on(self, sides: IntArray, current: Mode | None) -> Mode:
-        """Return the mode whose cells lie on the given sides (K,) of the guards; 0 fits either side.
-
-        The current cell of a part is kept if it fits. If rounding leaves no
-        cell that fits, the one with the fewest contradictions is taken.
-        """
-        mode, start = [], 0
-        for position, part in enumerate(self.parts):
-            here = sides[start : start + len(part.guards)]
-            start += len(part.guards)
-            wrong = (part.signs * here < 0).sum(axis=1)
-            if current is not None and wrong[current[position]] == wrong.min():
-                mode.append(current[position])
-            else:
-                mode.append(int(np.argmin(wrong)))
-        return tuple(mode)
-
     def scaled(self, d: Array) -> "Flow":
         """Return the flow of D⁻¹ z, D = diag(d); exact for powers of two."""
         return Flow(
             F0=self.F0 / d[:, None] * d,
-            parts=tuple(
-                SwitchedPart(name=p.name, cells=p.cells, guards=p.guards * d, signs=p.signs, F=p.F / d[:, None] * d)
-                for p in self.parts
-            ),
+            parts=tuple(replace(p, guards=p.guards * d, F=p.F / d[:, None] * d) for p in self.parts),
             clock=replace(self.clock, maps=tuple(m.scaled(d) for m in self.clock.maps)) if self.clock else None,
         )
 
@@ -136,13 +124,7 @@ class Flow:
         """
         part = next(p for p in self.parts if p.name == name)
         rows, columns = np.ix_(keep, keep)
-        only = SwitchedPart(
-            name=name,
-            cells=part.cells,
-            guards=part.guards[:, keep],
-            signs=part.signs,
-            F=part.F[:, rows, columns],
-        )
+        only = replace(part, guards=part.guards[:, keep], F=part.F[:, rows, columns])
         return Flow(F0=self.F0[rows, columns], parts=(only,))
 
     def size(self) -> Array:

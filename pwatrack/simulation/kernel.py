@@ -439,7 +439,7 @@ def _sides(
 
 
 @_compiled
-def _fit(first: IntArray, signs: IntArray, sides: IntArray, cells: IntArray) -> bool:
+def fit(first: IntArray, signs: IntArray, sides: IntArray, cells: IntArray) -> bool:
     """Write the cells that lie on the given sides of the guards, and say whether they are other ones.
 
     0 fits either side. The present cell of a part is kept if it fits. If
@@ -594,7 +594,7 @@ def walk(
             _sides(modes.F[m], modes.degree[m], field.guards, tolerance, crossed, z, ahead, now, sides, vague, was)
             for p in range(len(cells)):
                 cells[p] = modes.cells[m, p]
-            if s.tries <= K and _fit(field.first, field.signs, sides, cells):
+            if s.tries <= K and fit(field.first, field.signs, sides, cells):
                 s.m = _number(modes.cells, known, cells)
                 if s.m == known:
                     s.m = m

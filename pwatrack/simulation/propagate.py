@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, balancing
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Event, Trace, Unresolved
@@ -39,6 +40,14 @@ class StateResets:
     t: Array
     where: slice
     values: Array
+
+
+def pieces(signals: Exosystem, where: slice) -> list[StateResets]:
+    """Return the new values that an exosystem, whose state is at `where` in z, takes where its signals have pieces."""
+    return [
+        StateResets(t=t, where=slice(where.start + part.start, where.start + part.stop), values=values)
+        for part, t, values in signals.pieces()
+    ]
 
 
 def simulate_flow(
@@ -175,7 +184,10 @@ class Walk:
         for k in range(early):
             where = slice(self.resets.start[k], self.resets.stop[k])
             self.z[where] = self.resets.values[self.resets.row[k], where]
-        first = propagator.modes.number(flow.mode_on(np.sign(flow.guards() @ self.z).astype(np.int64), None))
+        starts = propagator.field.first[:-1]
+        cells = starts.copy()
+        kernel.fit(propagator.field.first, propagator.field.signs, np.sign(flow.guards() @ self.z).astype(int), cells)
+        first = propagator.modes.number(tuple((cells - starts).tolist()))
         self.state: Any = np.zeros(1, kernel.STATE)
         self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
         self.state["left"] = _MOST_STEPS[0] + _MOST_STEPS[1] * samples
@@ -322,7 +334,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
         values[last - len(r.t) : last, r.where] = r.values
     if flow.clock is not None:
-        ticks = np.arange(int(end / flow.clock.period * (1 + 1e-12)) + 1)
+        ticks = np.arange(sample_count(end, flow.clock.period))
         which = np.tile(np.arange(len(flow.clock.maps)), len(ticks))[flow.clock.first :]
         times.append(np.repeat(flow.clock.period * ticks, len(flow.clock.maps))[flow.clock.first :])
         edges.append(np.zeros((len(which), 2), dtype=np.int64))

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.model.conditions import Sampling
+from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.flow import Clock, Flow, SwitchedMap
 from pwatrack.simulation.layout import Layout
 
@@ -26,7 +27,8 @@ def sampled(flow: Flow, sampling: Sampling, at: Layout, *, measured: Array, law:
         law: Rows of the input (10) or (19) by the cell of x_d, (l, m, N).
     """
     z = np.eye(at.order)
-    plant, observer, generator, *actuators = flow.parts
+    plant, observer, generator, *_ = flow.parts
+    actuators = [part for part in flow.parts if isinstance(part, Actuator)]
     step, read, cut = z.copy(), z.copy(), z.copy()
     program, control = np.zeros((len(generator.F), *z.shape)), np.zeros((len(generator.F), *z.shape))
     step[at.x_hat], step[at.eta_hat], step[at.w_held] = 0.0, 0.0, z[at.w]
@@ -41,12 +43,11 @@ def sampled(flow: Flow, sampling: Sampling, at: Layout, *, measured: Array, law:
     ]
     cuts = {}
     for part in actuators:
-        row = next(k for k in range(at.u.start, at.u.stop) if part.guards[-1, k])
+        row = at.u.start + part.input
         cut[row] = 0.0
         cuts[part.name] = np.zeros((len(part.cells), *z.shape))
-        for j, name in enumerate(part.cells):
-            level = {"low": 0, "high": -1}.get(name)
-            cuts[part.name][j, row] = z[row] if level is None else -part.guards[level, -1] * z[-1]
+        for j, level in enumerate(part.levels):
+            cuts[part.name][j, row] = z[row] if level is None else level * z[-1]
     if cuts:
         maps.append(SwitchedMap(J0=cut, parts=cuts))
 

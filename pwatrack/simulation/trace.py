@@ -86,6 +86,16 @@ class Trace:
         return {self.first_mode} | {event.after for event in self.events}
 
 
-def last_tenth(t: Array) -> slice:
+def tenths(samples: int) -> list[int]:
+    """Return the first sample of each tenth of a run and the number of samples; the last tenth has the most.
+
+    Example:
+        >>> tenths(25)
+        [0, 2, 5, 7, 10, 12, 15, 17, 20, 22, 25]
+    """
+    return [samples - -(-samples * (10 - k) // 10) for k in range(11)]
+
+
+def last_tenth(samples: int) -> slice:
     """Return which samples are the last tenth of the time: what a final error is taken over."""
-    return slice(len(t) - -(-len(t) // 10), None)
+    return slice(tenths(samples)[9], None)
