@@ -1,5 +1,6 @@
 """Limits, other parameters, disturbances, noise and sampled controllers, against the same machine written by hand."""
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import PWASystem, Result, Spec, ensemble, load_spec, simulate
+from pwatrack import PWASystem, Result, Spec, ensemble, load_spec, simulate, write_result
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory
 from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.plots import draw
+from pwatrack.simulation.actuator import Actuator
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
 
@@ -190,7 +192,9 @@ def test_limits_out_of_reach_change_nothing_but_rounding(paper_spec: Spec, paper
     assert [e.after[:3] for e in trace.events] == [e.after for e in paper.response.trace.events]
 
 
-def test_a_limited_input_stays_at_its_limit_and_events_say_when(paper_spec: Spec, paper: Result) -> None:
+def test_a_limited_input_stays_at_its_limit_and_events_say_when(
+    paper_spec: Spec, paper: Result, tmp_path: Path
+) -> None:
     limits = np.array([[-2.0, 1.5]])
     result = simulate(replace(paper_spec, conditions=Conditions(limits=limits)), paper.controller)
     u, part = result.response.u[:, 0], result.loop.flow.parts[3]
@@ -201,6 +205,17 @@ def test_a_limited_input_stays_at_its_limit_and_events_say_when(paper_spec: Spec
     assert (u[names == "low"] == -2.0).all()
     assert (u[names == "high"] == 1.5).all()
     assert ((u[names == "linear"] > -2.0) & (u[names == "linear"] < 1.5)).all()
+    assert isinstance(part, Actuator)
+    assert (part.input, part.levels) == (0, (-2.0, None, 1.5) * 3)  # in each cell of x_d
+    write_result(result, tmp_path)
+    with (tmp_path / "events.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["part"] == part.name]
+    said = {(row["from_cell"], row["to_cell"], row["guard"]) for row in rows}
+    assert said == {
+        (*(("linear", limited) if into else (limited, "linear")), f"u = {limit:g}")
+        for limited, limit in (("low", -2.0), ("high", 1.5))
+        for into in (True, False)
+    }
 
 
 def test_two_inputs_are_limited_each_by_its_own_limits(specs: Path) -> None:
