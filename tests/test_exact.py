@@ -338,3 +338,166 @@ def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequal
         "P is not symmetric and positive definite, of the order of the matrices"
     ]
     assert prove_exactly("generator", [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None
+
+
+TWO = """
+name: two
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  B: [[0], [1]]
+  C: [[0.5, 1]]
+  nonlinearities:
+    - {name: stop, kind: spring, of: z, start: 1, slope: 0.3, into: {v: -1}}
+reference: {output: "0.1*sin(t)"}
+simulation: {duration: 1, sample_time: 0.1}
+"""
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("two")
+    (folder / "two.yaml").write_text(TWO)
+    spec = load_spec(folder / "two.yaml")
+    return write_design(spec, design(spec), folder / "run")
+
+
+@pytest.mark.parametrize("factor", [1, -2, Fraction(1, 3)])
+def test_a_hyperplane_written_twice_hides_no_jump(two: Path, factor: Fraction) -> None:
+    plant = json.loads((two / "certificate.json").read_text())["plant"]
+    plant["H"].append([str(factor * Fraction(v)) for v in plant["H"][0]])
+    plant["h"].append(str(factor * Fraction(plant["h"][0])))
+    for signs in plant["signs"]:
+        signs.append(signs[0] if factor > 0 else -signs[0])
+    plant["b"][1][1][0] = "7"
+    assert forged(two, plant=plant) == ["two hyperplanes are one"]
+
+
+I2 = [["1", "0"], ["0", "1"]]
+
+
+@pytest.mark.parametrize(
+    ("of", "rate", "more"),
+    [
+        ("plant", "100", {}),
+        ("generator", "1000000000", {}),
+        ("generator", "1e400", {}),
+        ("controller", "1000000000", {}),
+        ("controller", "1000000000", {"K": None, "L": None}),
+    ],
+)
+def test_a_refusal_is_about_one_inequality_that_a_theorem_needs_and_its_own_gain(
+    two: Path, of: str, rate: str, more: dict[str, Any]
+) -> None:
+    """The multiplier I proves each of these impossible, but that is no reason to refuse the plant."""
+    Z = {"0": [["1"]]} if of == "generator" else {"0": I2}
+    claim = {"of": of, "rate": rate, "Z": Z}
+    assert forged(two, proofs=[claim], bounds=[], **more) != []
+
+
+def test_a_refusal_hides_no_inequality_that_is_absent(two: Path) -> None:
+    content = json.loads((two / "certificate.json").read_text())
+    proofs = [proof for proof in content["proofs"] if proof["of"] == "controller"]
+    Z = {"of": "generator", "rate": "0", "Z": {"0": [["1"]]}}
+    assert "a refusal has one proof, and no bounds" in forged(two, proofs=[Z, *proofs])
+
+
+@pytest.mark.parametrize(
+    "signal", [["state", 7, "0"], ["state", -1, "0"], ["input", False, "9"], ["estimate", "0", "9"]]
+)
+def test_a_bound_of_a_signal_that_there_is_not_is_refused(two: Path, signal: list[Any]) -> None:
+    bounds = json.loads((two / "certificate.json").read_text())["bounds"]
+    for part in bounds[0]["parts"]:
+        part["signals"].append(signal)
+    bounds[0]["signals"].append(signal)
+    assert any("there is no" in fault for fault in forged(two, bounds=bounds))
+
+
+@pytest.mark.parametrize("channel", [["noise", -1], ["noise", 1], ["disturbance", 2], ["disturbance", -1]])
+def test_a_bound_of_a_channel_that_there_is_not_is_refused(two: Path, channel: list[Any]) -> None:
+    bounds = json.loads((two / "certificate.json").read_text())["bounds"]
+    for part in bounds[-1]["parts"]:
+        part["channel"] = channel
+    bounds[-1]["channel"] = channel
+    assert any("there is no" in fault for fault in forged(two, bounds=bounds))
+
+
+def test_a_bound_below_0_and_one_of_nothing_are_refused(two: Path) -> None:
+    bounds = json.loads((two / "certificate.json").read_text())["bounds"]
+    bounds[0]["signals"][0][2] = "-1e8"
+    bounds[0]["parts"][0]["signals"][0][2] = "-1e9"
+    bounds[1] |= {"signals": [], "parts": []}
+    faults = forged(two, bounds=bounds)
+    assert "bound of ['disturbance', 0]: output 0 is not bounded by -1e9" in faults
+    assert "bound of ['disturbance', 1]: it bounds nothing" in faults
+
+
+def test_continuity_is_claimed_at_the_centres_where_entries_lie_in_balls(two: Path) -> None:
+    """Entries that vary independently of each other would jump."""
+    content = json.loads((two / "certificate.json").read_text())
+    assert auditor.audit(json.dumps(content))[0][0] == "plant: 2 cells cover the state space, the field is continuous"
+    content["plant"]["radius"]["b"] = [[["1e-9"], ["1e-9"]]] * 2
+    said, faults = auditor.audit(json.dumps(content))
+    assert not faults
+    assert said[0].endswith("the field is continuous, at the centres of the balls that its numbers lie in")
+    content["plant"]["radius"]["b"] = [[["1e-9"], ["1e-9"]]] * 3
+    assert auditor.audit(json.dumps(content))[1] == ["the matrices of the plant do not fit together"]
+
+
+def test_where_the_observer_has_no_gain_no_noise_enters_and_its_bounds_are_audited(tmp_path: Path) -> None:
+    goal = "design: {observer: {rate: 0.1, gain: smallest}}\n"
+    (tmp_path / "s.yaml").write_text(TWO + goal)
+    spec = load_spec(tmp_path / "s.yaml")
+    controller = design(spec)
+    assert not controller.design.L.any()
+    assert any("are proved" in sentence for sentence in verify(write_design(spec, controller, tmp_path / "run")))
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("certificate.json", {"set": 3}),
+        ("certificate.json", {"set": {"k": 1}}),
+        ("certificate.json", {"spec_sha256": None}),
+        ("run.json", {"figures": []}),
+        ("run.json", {"figures": None}),
+        ("run.json", {"bounds": 3}),
+        ("run.json", {"bounds": [{"signals": {"y": 3}}]}),
+        ("run.json", {"bounds": None}),
+        ("gains.json", {"K": None}),
+        ("gains.json", {"K": [["a", None]]}),
+        ("generator.json", {"T": None}),
+    ],
+)
+def test_a_folder_with_parts_of_other_kinds_is_refused_in_words(
+    two: Path, tmp_path: Path, name: str, change: dict[str, Any]
+) -> None:
+    shutil.copytree(two, tmp_path / "run")
+    file = tmp_path / "run" / name
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(CheckFailed):
+        verify(tmp_path / "run")
+
+
+def test_a_gain_that_differs_from_the_proved_one_beyond_doubles_is_told(two: Path, tmp_path: Path) -> None:
+    """The decimals are what is proved: next to them the loop may be marginal."""
+    shutil.copytree(two, tmp_path / "run")
+    file = tmp_path / "run" / "certificate.json"
+    content = json.loads(file.read_text())
+    content["K"][0][0] += "0000000000000000000001"
+    file.write_text(json.dumps(content))
+    assert float(content["K"][0][0]) == json.loads((two / "gains.json").read_text())["K"][0][0]
+    with pytest.raises(CheckFailed, match=r"K in gains\.json"):
+        verify(tmp_path / "run")
+
+
+def test_a_certificate_that_only_refuses_is_no_certificate(two: Path, tmp_path: Path) -> None:
+    shutil.copytree(two, tmp_path / "run")
+    content = json.loads((two / "certificate.json").read_text())
+    claim = {"of": "controller", "rate": "1000000000", "Z": {"0": I2}}
+    content |= {"proofs": [claim], "bounds": [], "L": None, "K": [["0", "0"]]}
+    (tmp_path / "run" / "certificate.json").write_text(json.dumps(content))
+    with pytest.raises(CheckFailed, match="this is the other"):
+        verify(tmp_path / "run")

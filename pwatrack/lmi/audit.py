@@ -2,14 +2,15 @@
 
 Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again.
 
-- The cells cover R^n without overlap, and the field is continuous: two cells on opposite sides of one hyperplane
-  H x + h = 0 have [A_i b_i] - [A_j b_j] = g [H h], or do not touch. Linear programs in fractions decide the geometry.
+- The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
+  opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
+  fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
 - The normal form (11): c_0 = C, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j - B_j / delta c_r-1
   for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
 - A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
-  balls, it holds for all that is in them.
+  balls, this and all that follows but the last holds for everything in them.
 - A bound has Q > 0 and -(M Q + Q M^T) - a Q - g g^T / a > 0 for M = [A_i + B K, B K; 0, A_j + L C] and all i, j, or for
   one of its diagonal blocks: so from z = 0 on, z' = M z + g d stays where z^T Q^-1 z <= sup |d|^2, and |c z| is at
   most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
@@ -53,7 +54,7 @@ def audit(text: str) -> tuple[list[str], list[str]]:
         return judged(content)
     except Fault as fault:
         return [], [str(fault)]
-    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError, AttributeError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         return [], [f"not a certificate: {missing}"[:200]]
 
@@ -61,24 +62,33 @@ def audit(text: str) -> tuple[list[str], list[str]]:
 def judged(content: Any) -> tuple[list[str], list[str]]:
     """Decide every claim of a certificate."""
     plant = Plant(content["plant"])
-    said, faults = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous"], plant.faults()
+    centres = (
+        ", at the centres of the balls that its numbers lie in" if any(content["plant"]["radius"].values()) else ""
+    )
+    said = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous{centres}"]
+    faults = plant.faults()
     K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
     generator = content["generator"]
     A_eta = None if generator is None else plant.tracking_dynamics(generator)
+    refusal = any("Z" in proof for proof in content["proofs"])
+    faults += misplaced(content) if refusal else []
     decided = set()
     for proof in content["proofs"]:
         of = proof["of"]
+        if "X" in proof and of not in ("controller", "observer"):
+            raise Fault(f"no cost is that of {NAMES[of]}")
         M, B = plant.problem(of, K, L, A_eta)
         kind = refuted if "Z" in proof else cost if "X" in proof else check
         wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
-        said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}")
-        decided.add("impossible" if "Z" in proof else "" if "X" in proof else of)
+        about = centres if "Z" in proof else ""
+        said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}{about}")
+        decided.add("" if "X" in proof else of)
     for entry in content.get("bounds", []):
         faults += [f"bound of {entry['channel']}: {fault}" for fault in plant.exceeded(entry, K or [], L or [])]
     if content.get("bounds"):
         said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
-    if "impossible" not in decided:
+    if not refusal:
         wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
         absent = sorted(NAMES[of] for of in wanted - decided)
         if content["tracking"] not in ("output", "state") or (content["tracking"] == "output") != (A_eta is not None):
@@ -87,6 +97,18 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"{name} is absent, which {theorem} needs" for name in absent]
         said.append(f"{theorem}: none of its inequalities is absent")
     return said, faults
+
+
+def misplaced(content: Any) -> list[str]:
+    """Return what does not belong into the proof of a refusal."""
+    proof, *more = content["proofs"]
+    of = proof["of"]
+    faults = ["a refusal has one proof, and no bounds"] if more or content.get("bounds") else []
+    if of == "plant" or (of == "generator" and number(proof["rate"])):
+        faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
+    if (of != "controller" and content["K"] is not None) or (of != "observer" and content["L"] is not None):
+        faults.append("a refusal has no gain but the one that it is about")
+    return faults
 
 
 def claim(proof: Any, cells: list[str]) -> str:
@@ -112,12 +134,18 @@ class Plant:
         self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
         self.signs = [[int(s) for s in row] for row in content["signs"]]
         n, k, cells = len(self.B[0]), len(self.planes), len(self.A)
+        if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
+            raise Fault("the matrices of the plant do not fit together")
         shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in self.signs}
         rows = {len(row) for row in (*self.C[0], *(plane[1:] for plane in self.planes))}
         if not n or not cells or len(self.signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
             raise Fault("the matrices of the plant do not fit together")
         if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
             raise Fault("the matrices of the plant do not fit together")
+        if not all(any(plane[:-1]) for plane in self.planes):
+            raise Fault("a hyperplane has a zero normal")
+        if len({tuple(v / next(filter(None, plane)) for v in plane) for plane in self.planes}) != k:
+            raise Fault("two hyperplanes are one")
 
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
         """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
@@ -167,7 +195,7 @@ class Plant:
     def exceeded(self, entry: Any, K: Matrix, L: Matrix) -> list[str]:
         """Return what is wrong with the bounds of what one disturbance or noise can do to each signal."""
         found: dict[Any, Fraction] = {}
-        faults = []
+        faults = [] if entry["signals"] else ["it bounds nothing"]
         for part in entry["parts"]:
             loop, channel = part["loop"], part["channel"]
             M, g = self.loop(loop, K, L), self.drive(loop, channel, L)
@@ -184,38 +212,36 @@ class Plant:
                 if not definite(left, sign=-1):
                     faults.append("an ellipsoid can be left")
             for kind, k, size in part["signals"]:
-                c = self.row(loop, kind, int(k), K)
+                c = self.row(loop, kind, k, K)
                 value, radius = times(times(c, (Q, [])), flipped(c))
-                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2:
+                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
         for kind, k, size in entry["signals"]:
-            if self.bound(found, entry["channel"], kind, k) > number(size):
+            self.row("joint", kind, k, K)
+            if self.bound(found, entry["channel"], kind, k, L) > number(size):
                 faults.append(f"{kind} {k} is not bounded by {size}")
         return faults
 
-    def bound(self, found: Any, channel: Any, kind: str, k: int) -> Fraction:
+    def bound(self, found: Any, channel: Any, kind: str, k: int, L: Matrix) -> Fraction:
         """Return the bound of a signal that the ellipsoids prove: at once, or that of K Delta first, which drives e."""
         name, where = channel
         if kind == "estimate":
-            return self.known(found, "observer", channel, kind, k)
+            return self.known(found, "observer", channel, kind, k, L)
         if ("joint", name, where, kind, k) in found:
             return Fraction(found["joint", name, where, kind, k])
-        total = self.known(found, "controller", channel, kind, k)
+        total = self.known(found, "controller", channel, kind, k, L)
         for m in range(len(self.B[0][0])):
-            drive = self.known(found, "observer", channel, "input", m)
-            total += drive * self.known(found, "controller", ["input", m], kind, k) if drive else 0
+            drive = self.known(found, "observer", channel, "input", m, L)
+            total += drive * self.known(found, "controller", ["input", m], kind, k, L) if drive else 0
             total += drive if (kind, k) == ("input", m) else 0
         return total
 
-    def known(self, found: Any, loop: str, channel: Any, kind: str, k: int) -> Fraction:
+    def known(self, found: Any, loop: str, channel: Any, kind: str, k: int, L: Matrix) -> Fraction:
         """Return the size in one loop; 0 where nothing enters it."""
-        name, where = channel
-        if name == "noise" and loop == "controller":
+        if not any(any(map(any, X)) for X in self.drive(loop, channel, L)):
             return Fraction(0)
-        if not any(key[:3] == (loop, name, where) for key in found) and self.still(loop, channel):
-            return Fraction(0)
-        return Fraction(found[loop, name, where, kind, k])
+        return Fraction(found[loop, *channel, kind, k])
 
     def loop(self, name: str, K: Matrix, L: Matrix) -> list[Ball]:
         """Return the matrices of e' = (A_i + B K) e + ..., of Delta' = (A_j + L C) Delta + ..., or of both together."""
@@ -234,7 +260,8 @@ class Plant:
 
     def drive(self, loop: str, channel: Any, L: Matrix) -> Ball:
         """Return the column by which a disturbance, a noise or an input enters a loop."""
-        (kind, k), n = (channel[0], int(channel[1])), len(self.B[0])
+        kind, n = channel[0], len(self.B[0])
+        k = place(channel[1], {"disturbance": n, "noise": len(self.C[0]), "input": len(self.B[0][0])}[kind])
         unit = [[Fraction(int(j == k))] for j in range(n)]
         column = {"disturbance": unit, "noise": [[row[k]] for row in L] if kind == "noise" else [], "input": []}[kind]
         zero, radius = [[Fraction(0)] for _ in range(n)], []
@@ -249,19 +276,14 @@ class Plant:
     def row(self, loop: str, kind: str, k: int, K: Matrix) -> Ball:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         n = len(self.B[0])
+        place(k, {"output": len(self.C[0]), "input": len(K), "state": n, "estimate": n}[kind])
         unit, zero = [Fraction(int(j == k)) for j in range(n)], [Fraction(0)] * n
         e = {"output": self.C[0], "input": K}[kind][k] if kind in ("output", "input") else unit
         e, Delta = (zero, e) if kind == "estimate" else (e, e if kind == "input" else zero)
         radius = self.C[1][k] if kind == "output" and self.C[1] else []
         rows = {"joint": e + Delta, "controller": e, "observer": Delta}
         radii = {"joint": radius + zero, "controller": radius, "observer": zero}
-        if kind not in ("output", "state", "input", "estimate"):
-            raise Fault(f"no signal is a '{kind}'")
         return [rows[loop]], [radii[loop]] if radius else []
-
-    def still(self, loop: str, channel: Any) -> bool:
-        """Whether an input does nothing to the loop."""
-        return channel[0] == "input" and loop == "controller" and not any(row[int(channel[1])] for row in self.B[0])
 
     def faults(self) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps."""
@@ -281,9 +303,7 @@ class Plant:
     def jumps(self, i: int, j: int, k: int) -> bool:
         """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
         plane = self.planes[k]
-        pivot = next((p for p, v in enumerate(plane[:-1]) if v), None)
-        if pivot is None:
-            raise Fault("a hyperplane has a zero normal")
+        pivot = next(p for p, v in enumerate(plane) if v)
         for a, b, c, d in zip(self.A[i][0], self.A[j][0], self.b[i][0], self.b[j][0], strict=True):
             row = [v - w for v, w in zip((*a, *c), (*b, *d), strict=True)]
             if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
@@ -464,6 +484,13 @@ def number(value: Any) -> Fraction:
     if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() < _LARGEST:
         return Fraction(value)
     raise Fault(f"not a number: {str(value)[:40]}")
+
+
+def place(k: Any, count: int) -> int:
+    """Return the place of something among so many, counted from 0."""
+    if type(k) is not int or not 0 <= k < count:
+        raise Fault(f"there is no {str(k)[:40]} among {count}")
+    return k
 
 
 def matrix(rows: Any) -> Matrix:

@@ -20,14 +20,15 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import Spec
 
 _CLAIM = (
-    "Exactly, for the numbers as they are written here (decimals, fractions; where a radius is given, for every value "
-    "within it of the entry): the cells cover the state space, the field is continuous, and controller: "
-    "M_i = A_i + B K; observer: M_i = (A_i + L C)^T; generator: M_i = A_eta_i^T, the tracking dynamics of this plant; "
-    "P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I > 0 for every cell i, "
-    "P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0. "
-    "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can make "
-    "of each signal. Multipliers Z_i prove that no such P exists for any gain, or for the one that is given. The file "
-    "can be checked with pwatrack verify, or with audit.py of pwatrack alone."
+    "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "
+    "field is continuous and, for output tracking, the plant has the form (11). For them and, where a radius is "
+    "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T; "
+    "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
+    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X "
+    "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
+    "equation or one measured output, can make of each signal. Multipliers Z_i prove, for the numbers as they are "
+    "written, that no such P exists for any gain, or for the one that is given. The file can be checked with pwatrack "
+    "verify, or with audit.py of pwatrack alone."
 )
 
 

@@ -12,12 +12,13 @@ import numpy as np
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Goal
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.lmi.audit import audit, number
+from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
 from pwatrack.report.certificate import decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.spec.load import Spec, load_spec
 
+CERTIFICATE = "certificate.json"
 _LARGEST = 2**28  # bytes of a file that is read
 _CLOSE = 1e-12  # relative: figures that are computed again
 
@@ -40,8 +41,10 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     text = _read(file)
     said, faults = audit(text)
     if not faults:
+        faults += _misnamed(json.loads(text), file)
+    if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
-        content, index = json.loads(text), _json(file.parent / INDEX)
+        content, index = json.loads(text, parse_float=str), _json(file.parent / INDEX)
         named = spec or _named_spec(index)
         described = None if named is None else load_spec(named, content["set"])
         if described is None:
@@ -51,9 +54,12 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
             changed = ", ".join(f"{name} = {value}" for name, value in content["set"].items())
             said.append(f"it belongs to {named}{' with ' + changed if changed else ''}: same plant, gains and goals")
         if file.name != REFUSAL and not faults:
-            for name, fault in _against_folder(content, file.parent, index, described):
-                faults += [fault] if fault else []
-                said.append(f"{name} beside it tells the same")
+            try:
+                for name, fault in _against_folder(content, file.parent, index, described):
+                    faults += [fault] if fault else []
+                    said.append(f"{name} beside it tells the same")
+            except (Fault, KeyError, TypeError, ValueError, AttributeError) as error:
+                faults.append(f"a file beside it is not that of a run: {type(error).__name__}: {error}"[:200])
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     return said
@@ -61,8 +67,21 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 
 def _certificate_in(folder: Path) -> Path:
     """Return the certificate of a run folder, or the refusal where there is only that."""
-    refusal, certificate = folder / REFUSAL, folder / "certificate.json"
+    refusal, certificate = folder / REFUSAL, folder / CERTIFICATE
     return refusal if refusal.is_file() and not certificate.is_file() else certificate
+
+
+def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
+    """Return what keeps a file from being the certificate or the refusal of a run."""
+    sets = content.get("set")
+    if not isinstance(sets, dict) or not all(isinstance(value, str) for value in sets.values()):
+        return ["not a certificate of a run: 'set' holds no texts"]
+    if not isinstance(content.get("spec_sha256"), str) or ("bounds" not in content and file.name != REFUSAL):
+        return ["not a certificate of a run: 'spec_sha256' or 'bounds' is missing"]
+    refusal = any("Z" in proof for proof in content["proofs"])
+    if file.name in (REFUSAL, CERTIFICATE) and refusal != (file.name == REFUSAL):
+        return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
+    return []
 
 
 def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
@@ -108,7 +127,7 @@ def _missed(goal: Goal, gain: Any, proofs: list[dict[str, Any]]) -> Iterator[str
 def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spec | None) -> Iterator[tuple[str, str]]:
     """Yield each file of the folder that was looked at, and what is wrong with it ('' for nothing)."""
     if (gains := _json(folder / "gains.json")) is not None:
-        wrong = [letter for letter in ("K", "L") if not _same(gains.get(letter), content[letter])]
+        wrong = [letter for letter in ("K", "L") if _exact(gains.get(letter)) != _exact(content[letter])]
         yield "gains.json", f"{' and '.join(wrong)} in gains.json is not the one that was proved" if wrong else ""
     if (generator := _json(folder / "generator.json")) is not None:
         subject = content["generator"] or {}
@@ -129,6 +148,13 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
         bounds = [float(number(size)) for entry in content["bounds"] for *_, size in entry["signals"]]
         wrong += ["bounds"] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
+
+
+def _exact(values: Any) -> Any:
+    """Return nested lists of numbers, doubles or texts, as the fractions that they are written as."""
+    if isinstance(values, list):
+        return [_exact(value) for value in values]
+    return number(repr(values) if isinstance(values, float) else values)
 
 
 def _same(doubles: Any, texts: Any) -> bool:
