@@ -4,7 +4,7 @@ import hashlib
 import re
 import stat
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +19,10 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Reference
-from pwatrack.real import Real
 from pwatrack.simulation.region import Region
 from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference, build_regions
-from pwatrack.spec.expression import RESERVED, BrokenParameter, ExpressionError, LinearForm, UnknownName, real
+from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.problems import (
-    MOST,
     condition_problems,
     goal_problems,
     name_problems,
@@ -36,7 +34,8 @@ from pwatrack.spec.problems import (
     start_problems,
     validation_problems,
 )
-from pwatrack.spec.schema import Context, ExpectSection, SpecFile, SystemSection
+from pwatrack.spec.recipe import PlantRecipe, evaluated
+from pwatrack.spec.schema import Context, ExpectSection, SpecFile
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
@@ -89,7 +88,7 @@ class Spec:
     portraits: tuple[tuple[LinearForm, LinearForm], ...]
     regions: Mapping[str, Region]
     intervals: Mapping[str, tuple[float, float]]
-    recipe: "PlantRecipe"
+    recipe: PlantRecipe
     expected_exit: int
     places: Mapping[Subject, Place]
 
@@ -100,54 +99,6 @@ class Spec:
             yield
         except PwatrackError as error:
             raise error.located(self.places) from None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlantRecipe:
-    """A plant as its file writes it, to be made again with other parameters.
-
-    Attributes:
-        document: The file.
-        context: Its names and parameters.
-        overrides: Parameters set from outside the file.
-        tolerance: For the continuity of the plant.
-    """
-
-    document: Document
-    context: Context
-    overrides: Mapping[str, float | str]
-    tolerance: float
-
-    def plant(self, parameters: Mapping[str, float | str], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
-        """Return the plant with these parameters, and their values.
-
-        Args:
-            parameters: Numbers or expressions, by name; the others stay as they are.
-            subject: Where the file asks for them.
-
-        Raises:
-            PwatrackError: If one has no value, or the plant is not of class (1) with them.
-        """
-        values, problems = _parameters(
-            self.document.data["parameters"],
-            {**self.overrides, **parameters},
-            outside=set(self.overrides) - set(parameters),
-        )
-        refusal: PwatrackError = InvalidSpec()
-        section = self.document.data["system"]
-        if not problems:
-            context = replace(self.context, parameters=values)
-            try:
-                system = SystemSection.model_validate(section, context=context)
-                changed = {name: float(value) for name in parameters if (value := values[name]) is not None}
-                return build_plant(system, self.tolerance), changed
-            except ValidationError as error:
-                problems = [p.prefixed("system.") for p in validation_problems(error, section)]
-            except PwatrackError as error:
-                problems, refusal = list(error.problems), error
-        with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
-        said = f"plant with {with_them}: "
-        raise type(refusal)(*(replace(p.prefixed(said), subject=subject, place=None) for p in problems))
 
 
 def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:
@@ -170,7 +121,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     document, digest = _read(path)
     if too_much := size_problems(document.data):
         raise InvalidSpec(*document.problems, *too_much).located(document.places).sorted()
-    values, problems = _parameters(document.data.get("parameters", {}), parameters or {})
+    values, problems = evaluated(document.data.get("parameters", {}), parameters or {})
     context = Context(
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
@@ -195,7 +146,11 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     simulation, initial = file.simulation, file.simulation.initial
     x0, x_hat0 = (_initial(values, file.system.states) for values in (initial.plant, initial.observer))
     recipe = PlantRecipe(
-        document=document, context=context, overrides=parameters or {}, tolerance=file.tolerance.continuity
+        parameters=document.data.get("parameters", {}),
+        system=document.data["system"],
+        names=context,
+        overrides=parameters or {},
+        tolerance=file.tolerance.continuity,
     )
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
@@ -297,43 +252,6 @@ def _content(path: Path) -> bytes:
             return file.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise InvalidSpec(Problem(message=f"cannot read {path}: {getattr(error, 'strerror', None) or error}")) from None
-
-
-def _parameters(
-    section: Any, overrides: Mapping[str, float | str], outside: Collection[str] | None = None
-) -> tuple[dict[str, Real | None], list[Problem]]:
-    """Evaluate the parameters in order; each may use those before it. `outside` are the overrides not in the file."""
-    outside = overrides if outside is None else outside
-    values: dict[str, Real | None] = {}
-    problems = []
-    texts = dict(section) if isinstance(section, dict) else {}
-    for name in overrides:
-        if name not in texts:
-            known = ", ".join(list(texts)[:MOST]) + (", …" if len(texts) > MOST else "") or "none"
-            message = f"parameter '{name}' is set but not declared; declared: {known}"
-            problems.append(Problem(message=message, subject=None))
-    for name, text in texts.items():
-        text = overrides.get(name, text)
-        if name in RESERVED:
-            values[name] = None  # said by the schema
-            continue
-        try:
-            if not isinstance(text, str | int | float):
-                raise ExpressionError("a number or an expression is expected")
-            values[name] = real(str(text), values)
-        except BrokenParameter:
-            values[name] = None
-        except ExpressionError as error:
-            foreign = name in outside
-            message = f"parameter '{name}': {error}"
-            if isinstance(error, UnknownName):
-                below = error.name in texts and error.name != name
-                below_text = "; it is declared below: a parameter may use those above it"
-                message += below_text if below else error.guess if len(problems) < MOST else ""
-            message += " (set from outside the file)" if foreign else ""
-            problems.append(Problem(message=message, subject=None if foreign else ("parameters", name)))
-            values[name] = None
-    return values, problems
 
 
 def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
