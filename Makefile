@@ -54,6 +54,10 @@ $(PEERS): $(READY)
 bench: $(PEERS) ## time our simulation against integrators for general systems
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
+.PHONY: lmi-bench
+lmi-bench: $(PEERS) ## time our solver of matrix inequalities against CVXPY, PICOS and Clarabel
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lmi
+
 .PHONY: corpus
 corpus: $(READY) ## count the verdicts proved on 900 random systems (half an hour)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py

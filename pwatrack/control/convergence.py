@@ -100,9 +100,8 @@ def least_overshoot_certificate(
     """
     matrices, T, inverse, speed = _good_coordinates(M, start)
     inequality = lyapunov(inverse @ matrices @ T / speed, rate / speed)
-    inside = None if start is None else inverse @ start @ inverse.T
     try:
-        candidate = solve(least_condition(inequality, inverse @ inverse.T, inside), solver)
+        candidate = solve(least_condition(inequality, inverse @ inverse.T), solver)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
     return None if candidate is None else prove(M, T @ candidate.P @ T.T)

@@ -18,9 +18,7 @@ from pwatrack.lmi.inequality import Inequality, Solver, quadratic_cost, state_fe
 from pwatrack.lmi.infeasibility import Refutation, refute
 from pwatrack.lmi.presolve import Scaling, centre, distinct
 from pwatrack.lmi.program import (
-    Candidate,
-    Program,
-    bounded_gain,
+    Solution,
     largest_margin,
     least_cost,
     smaller_gain,
@@ -33,7 +31,6 @@ from pwatrack.rational import Rational
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _RECENTRED = 3  # so often a problem is solved in the coordinates of its last answer
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖, for large plants: tried in turn
-_BOUNDS_OF_GAIN = (1.0, 30.0)  # of a start for the smallest gain, relative to an LQR gain
 _CLOSER = 3  # times the bound of the norm is drawn closer; the first brings most, so that large plants have only that
 _FASTER = (2e-3, 5e-4)  # than asked, as a share, so that a margin is left for the exact proof
 _RATES = 16  # at most so many rates are tried for the fastest one
@@ -314,7 +311,7 @@ class Search:
 
     def _smallest(
         self, trial: float, W: Array, W_inverse: Array, rate: float, bound: float | None
-    ) -> tuple[tuple[Array, Certificate] | None, Candidate | None]:
+    ) -> tuple[tuple[Array, Certificate] | None, Solution | None]:
         """Minimise the norm of the gain at a trial rate, in scaled time and z = W x, until it keeps a bound.
 
         Returns:
@@ -333,21 +330,17 @@ class Search:
                 break
         return best, last
 
-    def _least_norms(self, inequality: Inequality, metric_root: Array, input_root: Array) -> Iterator[Candidate]:
+    def _least_norms(self, inequality: Inequality, metric_root: Array, input_root: Array) -> Iterator[Solution]:
         """Minimise first a bound of the norm, then the closer bounds that each answer allows; the last is the best."""
-        large, start = inequality.n >= LARGE, None
-        if large:
-            lqr = _norm(inequality.M[0] @ input_root)  # of the mean cell, where P = I
-            bounds = [bounded_gain(inequality, metric_root, input_root, more * lqr) for more in _BOUNDS_OF_GAIN]
-            start = self._inside(inequality, *bounds)
-        last = solve(smallest_gain(inequality, metric_root, input_root, start), self.task.solver)
+        large = inequality.n >= LARGE
+        last = solve(smallest_gain(inequality, metric_root, input_root), self.task.solver)
         for closer in range(_CLOSER + 1):
             if last is None or not _definite(last.P):
                 return
             yield last
             if closer == (1 if large else _CLOSER):
                 return
-            last = solve(smaller_gain(inequality, metric_root, input_root, last), self.task.solver)
+            last = solve(smaller_gain(inequality, metric_root, input_root, (last.P, last.Y)), self.task.solver)
 
     def _largest_margin(self, rate: float) -> tuple[Array, Certificate] | None:
         """Maximise the margin; the proof is the first that comes, its rate not the best one."""
@@ -381,31 +374,13 @@ class Search:
     ) -> tuple[Array, Certificate] | None:
         W, W_inverse = _riccati_coordinates(self.mean + shift, self.B, Q, R)
         inequality = quadratic_cost(W @ (self.A + shift) @ W_inverse, W @ self.B, _root(Q) @ W_inverse, R)
-        start = None
-        if len(W) >= LARGE:
-            start = self._inside(state_feedback(W @ (self.A + shift) @ W_inverse, W @ self.B, 0.0))
-            if start is None:
-                return None
-        program = least_cost(inequality, weight @ W.T, None if start is None else start.P)
-        candidate = solve(program, self.task.solver)
+        candidate = solve(least_cost(inequality, weight @ W.T), self.task.solver)
         if candidate is not None:
             candidate = replace(candidate, Y=-np.linalg.solve(R, (W @ self.B).T).astype(np.float64))
         return self._candidate(candidate, W, W_inverse, rate)
 
-    def _inside(self, inequality: Inequality, *first: Program) -> Candidate | None:
-        """Return P and Y that satisfy an inequality strictly, from the first program that has some, or None.
-
-        They are well inside: at the limit the solver that starts from them would be slow.
-        """
-        margins = [largest_margin(inequality, _most(inequality, factor)) for factor in _BOUNDS_OF_Y]
-        for program in (*first, *(replace(margin, gap=0.5) for margin in margins)):
-            candidate = solve(program, self.task.solver)
-            if candidate is not None and inequality.margin(candidate.P, candidate.Y) > 0:
-                return candidate
-        return None
-
     def _candidate(
-        self, candidate: Candidate | None, W: Array, W_inverse: Array, rate: float
+        self, candidate: Solution | None, W: Array, W_inverse: Array, rate: float
     ) -> tuple[Array, Certificate] | None:
         """Prove the gain Y P⁻¹ of a solution in z = W x."""
         if candidate is None:
@@ -414,7 +389,7 @@ class Search:
             self._gain_of(candidate, W), rate, self.scaling.matrix(W_inverse @ candidate.P @ W_inverse.T)
         )
 
-    def _gain_of(self, candidate: Candidate, W: Array) -> Array:
+    def _gain_of(self, candidate: Solution, W: Array) -> Array:
         """Return Y P⁻¹ in the units given; not a number where P is not positive definite to working precision."""
         if not _definite(candidate.P):
             return np.full((self.B.shape[1], len(W)), np.nan)

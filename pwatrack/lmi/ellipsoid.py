@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi import structured
+from pwatrack.lmi import primal_dual
 from pwatrack.lmi.exact import unpacked, unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.norm import root_above, square_above
@@ -32,6 +32,7 @@ from pwatrack.rational import Rational, is_positive_definite, scalar
 _BITS = 40  # of the entries of Q, once its diagonal is about 1
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
+_NEAR = 0.01  # what the cost may be off: Q is that far inside
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 
@@ -150,10 +151,11 @@ def _smallest(
         return far, far, 0.0
     drive = np.outer(column, column) / (short * size)
     W = W / total + 1e-9 * np.eye(N) / N
-    found = structured.solve(least_sizes(weighted(scaled + short / 2 * np.eye(N), drive), W, np.eye(N)))
+    program = least_sizes(weighted(scaled + short / 2 * np.eye(N), drive), W)
+    found = primal_dual.solve(program, gap=_NEAR, central=True)
     if found is None or found.multipliers is None:
         return far, far, 0.0
-    slope = float(np.einsum("pjk,kj->", found.multipliers, found.P - drive / short))
+    slope = float(np.einsum("pjk,kj->", found.multipliers[0], found.P - drive / short))
     return size * V @ found.P @ V.T, far, slope / float((W * found.P).sum()) / speed
 
 

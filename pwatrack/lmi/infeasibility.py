@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import qr, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
-from pwatrack.lmi import structured
+from pwatrack.lmi import primal_dual
 from pwatrack.lmi.inequality import Inequality, Solver
 from pwatrack.lmi.presolve import Scaling
 from pwatrack.lmi.program import least_violation
@@ -43,6 +43,7 @@ _BITS = 48  # of the entries of a rounded multiplier
 _SINGULAR = 1e-5  # eigenvalues below this share of the largest are taken for 0 when faces are guessed
 _SIMPLE = 1000  # denominators of guessed directions
 
+_INSIDE = 0.3  # gap of the least violation at which multipliers are taken: they are well inside, and can be rounded
 _LIGHT = 1e-3  # a cell with less than this share of the weight is tried without
 
 
@@ -225,9 +226,9 @@ def _multipliers(
         reached = np.linalg.qr(blind)[0]
         eye = np.broadcast_to(np.eye(Q.shape[1]), (len(A), Q.shape[1], Q.shape[1]))
         inequality = Inequality(L=Q.T @ A @ Q, R=eye, M=Q.T @ A @ reached, N=eye, constant=np.zeros(eye.shape))
-        candidate = structured.solve(least_violation(inequality))
-        if candidate is not None and candidate.multipliers is not None:
-            return list(candidate.multipliers)
+        found = primal_dual.solve(least_violation(inequality), gap=_INSIDE, central=True)
+        if found is not None and found.multipliers is not None:
+            return list(found.multipliers[0])
     from pwatrack.lmi.picos_model import multipliers  # imports PICOS, which takes a while
 
     return multipliers(A, bases, blind, interior=interior, solver=solver)

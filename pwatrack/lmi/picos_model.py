@@ -13,10 +13,10 @@ import picos
 from pwatrack.arrays import Array
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.inequality import Inequality, Solver
-from pwatrack.lmi.program import Candidate, Program
+from pwatrack.lmi.program import Program, Solution
 
 
-def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
+def solve(program: Program, solver: Solver = "clarabel") -> Solution | None:
     """Solve a program.
 
     Returns:
@@ -34,7 +34,11 @@ def solve(program: Program, solver: Solver = "clarabel") -> Candidate | None:
         V, W = program.weight, picos.SymmetricVariable("W", len(program.weight))
         problem.add_constraint(((W & V) // (V.T & P)) >> 0)
         problem.set_objective("min", picos.trace(W))
-    return _solve(problem, P, Y, solver)
+    if not _run(problem, solver):
+        return None
+    n = program.n
+    Y_found = np.zeros((0, n)) if Y is None else _value(Y, (program.m, n))
+    return Solution(program=program, P=_value(P, (n, n)), Y=Y_found, t=float(t.value) if t.valued else 0.0)
 
 
 def multipliers(
@@ -106,13 +110,6 @@ def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any = None) -> list[A
         side = picos.sum([picos.Constant(constant), *(half + half.T for half in halves)])
         sides.append(side if inequality.T is None else side + t * inequality.T[i])
     return sides
-
-
-def _solve(problem: Any, P: Any, Y: Any, solver: Solver) -> Candidate | None:
-    if not _run(problem, solver):
-        return None
-    n = P.shape[0]
-    return Candidate(P=_value(P, (n, n)), Y=np.zeros((0, n)) if Y is None else _value(Y, (Y.shape[0], n)))
 
 
 def _run(problem: Any, solver: Solver) -> bool:
