@@ -23,6 +23,7 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.program import Program, Solution
 
+_FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 100  # iterations
@@ -150,7 +151,7 @@ def _start(linear: LinearMap) -> _Iterate:
         largest = float(np.linalg.norm(constant, axis=(1, 2)).max())
         eye = np.broadcast_to(np.eye(N), constant.shape)
         S.append(max(1.0, largest, size) * np.sqrt(N) * eye)
-        Z.append(max(1.0, float(np.abs(linear.cost).max())) * eye)
+        Z.append(_FAR * max(1.0, float(np.abs(linear.cost).max())) * eye)
     return _Iterate(v=np.zeros(linear.size), S=S, Z=Z, y=0.0)
 
 
