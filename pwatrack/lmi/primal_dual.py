@@ -25,6 +25,7 @@ from pwatrack.lmi.program import Program, Solution
 
 _FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
+_ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 100  # iterations
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
@@ -118,7 +119,8 @@ def _minimise(linear: LinearMap, share: float, *, central: bool) -> _Iterate | N
             return None
         if off[0] <= _OFF:
             best = at
-        done, mu = max(off) <= _OFF and gap <= wanted, gap / order
+        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and abs(float(slope @ at.v)) <= wanted)
+        done, mu = off[0] <= _OFF and flat and gap <= wanted, gap / order
         if done and (not central or min(float((s.d**2).min()) for s in scalings) >= _CENTRED * mu):
             return at
         direction = None
