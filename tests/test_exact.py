@@ -1,6 +1,7 @@
 """Exact proofs, their independent audit, and exact decisions on stability."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -191,6 +192,15 @@ def test_the_auditor_alone_says_what_is_wrong_with_a_file_and_shows_no_traceback
     assert done.returncode == 6
     assert done.stdout.startswith("wrong: ")
     assert not done.stderr
+
+
+@pytest.mark.parametrize("where", ["fifo", "/dev/zero"])
+def test_the_auditor_alone_waits_for_no_pipe_and_reads_no_device(tmp_path: Path, where: str) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    call = [sys.executable, "-I", "-S", auditor.__file__, str(tmp_path / where)]
+    done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=20)
+    assert done.returncode == 6
+    assert "no regular file" in done.stdout
 
 
 def test_a_spec_of_another_gain_or_goal_is_told_from_the_certificate(run: Path, specs: Path, tmp_path: Path) -> None:

@@ -111,6 +111,22 @@ def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: flo
     assert 0.99 * (1 + bound) <= certificate.rate <= 1 + bound
 
 
+@pytest.mark.parametrize("a", [1e-3, 1.0, 700.0])
+@pytest.mark.parametrize("room", [1.03, 1.5, 8.0])
+def test_a_bound_that_an_unstable_plant_can_just_keep_is_kept(a: float, room: float) -> None:
+    """ẋ = a x + b u: below ‖K‖ = a / b no gain holds it, above the rate is b ‖K‖ − a. An LQR gain is twice a / b."""
+    b = 0.06 * a
+    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"])
+    bound = room * a / b
+    K, certificate = stabilising_gain(task, Goal(gain=bound))
+    assert norm(K) <= bound
+    assert 0.95 * (b * bound - a) <= certificate.rate <= b * bound - a
+    with pytest.raises(
+        Undecided, match=r"no gain with a norm of at most .* was found; the smallest that was found has"
+    ):
+        stabilising_gain(task, Goal(gain=0.9 * a / b))
+
+
 @pytest.mark.parametrize("bound", [0.5, 5.0, 50.0, 1e4])
 def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_form(bound: float) -> None:
     """The least norm of a rate α is that of (α², 2α), see above: α² = √(4 + κ²) − 2."""

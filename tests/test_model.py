@@ -292,3 +292,21 @@ def test_the_relative_degree_does_not_depend_on_the_scale_of_the_states(seed: in
         C=plant.C * d,
     )
     assert normal_form(other).r == r
+
+
+def test_the_form_11_of_decimals_is_that_of_a_plant_next_to_them_and_how_near_is_said() -> None:
+    """C B = 0.3 · 0.3333333333333333 − 0.1 is 0 but for rounding: the input is moved, by as much as that says."""
+    plant = PWASystem.create(
+        partition=Partition.create(H=np.zeros((0, 2)), h=[], signs=np.zeros((1, 0)), names=["all"]),
+        A=[[["-1", "0.3"], ["0.2", "-2"]]],
+        b=[["0", "0"]],
+        B=[["0.3"], ["1"]],
+        C=[["0.3333333333333333", "-0.1"]],
+    )
+    form = normal_form(plant)
+    assert form.r == 2
+    assert (form.plant.exact.C @ form.plant.exact.B).texts == [["0"]]
+    assert form.plant.repair is not None
+    moved = np.abs((form.plant.exact.B - plant.exact.B).floats)
+    assert 0 < moved.max() <= form.plant.repair.B.max() * (1 + 1e-12)
+    assert 1e-18 < form.plant.repair.relative < 1e-15

@@ -34,6 +34,7 @@ _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / �
 _CLOSER = 3  # times the bound of the norm is drawn closer; the first brings most, so that large plants have only that
 _FASTER = (2e-3, 5e-4)  # than asked, as a share, so that a margin is left for the exact proof
 _RATES = 16  # at most so many rates are tried for the fastest one
+_SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
 _ENDED = 2e-3  # relative distance of the rates that are known to be in and out of reach at which that search ends
 
 
@@ -264,7 +265,7 @@ class Search:
         """
         best = self.balanced(0.0)
         if best is None or _norm(best[0]) > bound:
-            best = self.smallest_gain(0.0)
+            best = self._slowly(self.scaling.speed if best is None else best[1].rate, bound) or best
         if best is None or _norm(best[0]) > bound:
             return best
         slow, fast = best[1].rate, 8 * self.scaling.speed
@@ -286,6 +287,18 @@ class Search:
         small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
         best = small or best
         return self._proved(best[0], 0.0, best[1].P)
+
+    def _slowly(self, rate: float, bound: float) -> tuple[Array, Certificate] | None:
+        """Return a gain within a bound at a rate below this one; the smallest that is found where none is.
+
+        Not at a rate of 0: there the smallest gain is the limit of those that decay, and has no proof itself.
+        """
+        for _ in range(_SLOWER):
+            rate /= 4
+            found = self._within(rate, bound)
+            if found is not None:
+                return found
+        return self._within(rate)
 
     def _within(self, rate: float, bound: float | None = None) -> tuple[Array, Certificate] | None:
         """Return the smallest gain that is found for a rate; with a bound, soon, the first that keeps it.

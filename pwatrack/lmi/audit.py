@@ -21,7 +21,9 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 """
 
 import json
+import os
 import re
+import stat
 import sys
 from fractions import Fraction
 from itertools import combinations
@@ -38,6 +40,7 @@ NAMES = {
 Matrix = list[list[Fraction]]
 Ball = tuple[Matrix, Matrix]  # centre and radius
 _NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/[0-9]+)?")
+_MOST_BYTES = 2**28
 _LARGEST = 100_000  # characters of a file's number, and binary exponent
 
 
@@ -592,6 +595,9 @@ def transposed(X: Matrix) -> Matrix:
 def main(path: str) -> int:
     """Print what the file proves and what is wrong with it; return the exit code."""
     try:
+        found = os.stat(path)  # noqa: PTH116
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+            raise OSError(f"it is no regular file of at most {_MOST_BYTES:,} bytes")
         with open(path, encoding="utf-8") as file:  # noqa: PTH123
             said, faults = audit(file.read())
     except (OSError, UnicodeDecodeError) as error:

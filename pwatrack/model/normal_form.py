@@ -166,10 +166,14 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
         C=exact.C,
     )
     A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
+    B = np.abs(floats(S.centre * missed_B))
     d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
-    share = np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)
-    B = readonly(np.abs(floats(S.centre * missed_B)))
-    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=B, relative=float(share.max()))
+    shares = [np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)]
+    for change, given in ((b, plant.b.T), (B, plant.B)):
+        rates = np.abs(given) / d[:, None]
+        shares.append(change / d[:, None] / max(rates.max(), np.finfo(np.float64).tiny))
+    relative = max(float(share.max()) for share in shares)
+    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=readonly(B), relative=relative)
     remark = (
         f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
     )

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pwatrack.arrays import Array, complex_text, number_text
+from pwatrack.ball_matrix import different
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import noise_level
@@ -159,7 +160,7 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
     X, goal = controller.costs[part], spec.observer
     assert goal.Q is not None
     assert goal.R is not None
-    if len(np.unique(spec.plant.A, axis=0)) == 1:
+    if len(different(spec.plant.exact.A)) == 1:
         return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
     level = noise_level(X, controller.design.L, goal.Q, goal.R)
     return (

@@ -7,9 +7,11 @@ import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import Array, balancing
+from pwatrack.ball_matrix import different
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Infeasible, Problem, Subject, Undecided
+from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
@@ -84,10 +86,11 @@ def _convergent(plant: PWASystem, solver: Solver) -> bool:
     if np.linalg.eigvals(plant.A).real.max() >= 0:
         return False
     try:
-        prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names, solver=solver)
+        found = prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names, solver=solver)
     except (Infeasible, Undecided):
         return False
-    return True
+    exact = [A_i.transpose() for A_i in different(plant.exact.A)]
+    return prove_exactly("plant", exact, found.P, found.rate) is not None
 
 
 def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:
