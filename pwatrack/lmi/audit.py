@@ -25,6 +25,7 @@ import os
 import re
 import stat
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from itertools import combinations
 from math import lcm
@@ -135,6 +136,7 @@ class Plant:
         )
         self.B, self.C = (ball(content[name], radius[name]) for name in ("B", "C"))
         self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
+        self.parallel = [normalised(plane) for plane in self.planes]
         self.signs = [[int(s) for s in row] for row in content["signs"]]
         n, k, cells = len(self.B[0]), len(self.planes), len(self.A)
         if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
@@ -145,9 +147,7 @@ class Plant:
             raise Fault("the matrices of the plant do not fit together")
         if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
             raise Fault("the matrices of the plant do not fit together")
-        if not all(any(plane[:-1]) for plane in self.planes):
-            raise Fault("a hyperplane has a zero normal")
-        if len({tuple(v / next(filter(None, plane)) for v in plane) for plane in self.planes}) != k:
+        if len({plane[:2] for plane in self.parallel}) != k:
             raise Fault("two hyperplanes are one")
 
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
@@ -291,10 +291,8 @@ class Plant:
     def faults(self) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps."""
         faults = []
-        for i, j in combinations(range(len(self.A)), 2):
-            one, other = self.signs[i], self.signs[j]
-            opposite = [k for k, (s, t) in enumerate(zip(one, other, strict=True)) if s * t < 0]
-            both = [s or t for s, t in zip(one, other, strict=True)]
+        for i, j, opposite in self.neighbours():
+            both = [s or t for s, t in zip(self.signs[i], self.signs[j], strict=True)]
             if not opposite and self.interior(both):
                 faults.append(f"cells {i + 1} and {j + 1} overlap")
             if len(opposite) == 1 and self.jumps(i, j, opposite[0]) and self.interior(both, on=opposite[0]):
@@ -302,6 +300,25 @@ class Plant:
         if not faults and self.hole([0] * len(self.planes), list(range(len(self.A)))):
             faults.append("the cells do not cover the state space")
         return faults
+
+    def neighbours(self) -> Iterator[tuple[int, int, list[int]]]:
+        """Yield pairs of cells on opposite sides of one hyperplane at most: the others do not touch in a facet."""
+        if not all(map(all, self.signs)):  # some hyperplanes do not bound some cells
+            for i, j in combinations(range(len(self.signs)), 2):
+                pairs = zip(self.signs[i], self.signs[j], strict=True)
+                opposite = [k for k, (s, t) in enumerate(pairs) if s * t < 0]
+                if len(opposite) <= 1:
+                    yield i, j, opposite
+            return
+        places: dict[tuple[int, ...], int] = {}
+        for j, row in enumerate(map(tuple, self.signs)):
+            if row in places:
+                yield places[row], j, []
+            for k in range(len(row)):
+                beside = places.get((*row[:k], -row[k], *row[k + 1 :]))
+                if beside is not None:
+                    yield beside, j, [k]
+            places[row] = j
 
     def jumps(self, i: int, j: int, k: int) -> bool:
         """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
@@ -333,12 +350,36 @@ class Plant:
 
     def interior(self, signs: list[int], on: int | None = None) -> bool:
         """Decide whether s (H x + h) > 0 has a solution for all signs s but 0, on a hyperplane if one is given."""
+        if on is None:
+            return self.between(signs)
         rows = [[s * v for v in self.planes[k]] for k, s in enumerate(signs) if s and k != on]
-        if on is not None:
-            plane = self.planes[on]
-            pivot = next(p for p, v in enumerate(plane) if v)
-            rows = [[v - row[pivot] / plane[pivot] * p for v, p in zip(row, plane, strict=True)] for row in rows]
+        plane = self.planes[on]
+        pivot = next(p for p, v in enumerate(plane) if v)
+        rows = [[v - row[pivot] / plane[pivot] * p for v, p in zip(row, plane, strict=True)] for row in rows]
         return strictly_feasible(rows)
+
+    def between(self, signs: list[int]) -> bool:
+        """Decide the same off all hyperplanes: of those that are parallel only the nearest on either side count."""
+        above: dict[Any, Fraction] = {}
+        below: dict[Any, Fraction] = {}
+        for s, (direction, offset, turned) in zip(signs, self.parallel, strict=True):
+            if s * turned > 0:
+                above[direction] = min(offset, above.get(direction, offset))
+            elif s:
+                below[direction] = max(offset, below.get(direction, offset))
+        if any(offset <= below[direction] for direction, offset in above.items() if direction in below):
+            return False
+        rows = [[*direction, offset] for direction, offset in above.items()]
+        rows += [[-v for v in (*direction, offset)] for direction, offset in below.items()]
+        return strictly_feasible(rows)
+
+
+def normalised(plane: list[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, int]:
+    """Return H and h over the first entry of H that is not 0, and the sign of that."""
+    pivot = next((v for v in plane[:-1] if v), None)
+    if pivot is None:
+        raise Fault("a hyperplane has a zero normal")
+    return tuple(v / pivot for v in plane[:-1]), plane[-1] / pivot, 1 if pivot > 0 else -1
 
 
 def strictly_feasible(rows: list[list[Fraction]]) -> bool:
