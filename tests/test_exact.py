@@ -511,3 +511,28 @@ def test_a_certificate_that_only_refuses_is_no_certificate(two: Path, tmp_path: 
     (tmp_path / "run" / "certificate.json").write_text(json.dumps(content))
     with pytest.raises(CheckFailed, match="this is the other"):
         verify(tmp_path / "run")
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=60)
+def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, data: st.DataObject) -> None:
+    content = json.loads((two / "certificate.json").read_text())["plant"]
+    directions = data.draw(st.lists(st.sampled_from([(1, 0), (0, 1), (1, 1), (-1, 2)]), min_size=2, max_size=7))
+    factors = data.draw(st.lists(st.sampled_from([1, -1, 2, -3]), min_size=len(directions), max_size=len(directions)))
+    offsets = data.draw(st.lists(st.integers(-2, 2), min_size=len(directions), max_size=len(directions)))
+    planes = {(*direction, h): f for direction, h, f in zip(directions, offsets, factors, strict=True)}
+    rows = [[f * v for v in plane] for plane, f in planes.items()]
+    signs = data.draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=len(rows), max_size=len(rows)))
+    content |= {"H": [[str(v) for v in row[:2]] for row in rows], "h": [str(row[2]) for row in rows]}
+    plant = auditor.Plant(content | {"signs": [signs, [0] * len(rows)]})
+    wanted = [[Fraction(s * v) for v in row] for s, row in zip(signs, rows, strict=True) if s]
+    assert plant.interior(plant.signs[0]) == auditor.strictly_feasible(wanted)
+    on = data.draw(st.integers(0, len(rows) - 1))
+    a, b, h = (Fraction(v) for v in rows[on])
+    line = [(-h / a if a else Fraction(0), Fraction(0) if a else -h / b), (b, -a)]  # a point and a direction
+    along = [
+        [row[0] * line[1][0] + row[1] * line[1][1], row[0] * line[0][0] + row[1] * line[0][1] + row[2]]
+        for k, row in enumerate([[Fraction(s * v) for v in r] for s, r in zip(signs, rows, strict=True)])
+        if k != on and signs[k]
+    ]
+    assert plant.interior(plant.signs[0], on=on) == auditor.strictly_feasible(along)
