@@ -536,3 +536,16 @@ def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, da
         if k != on and signs[k]
     ]
     assert plant.interior(plant.signs[0], on=on) == auditor.strictly_feasible(along)
+
+
+def test_the_bound_of_a_cost_beside_the_gains_is_the_one_that_was_proved(tmp_path: Path) -> None:
+    cost = "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[0.3]]}}}\n"
+    (tmp_path / "s.yaml").write_text(TWO + cost)
+    spec = load_spec(tmp_path / "s.yaml")
+    folder = write_design(spec, design(spec), tmp_path / "run")
+    verify(folder)
+    content = json.loads((folder / "gains.json").read_text())
+    content["cost_bounds"]["controller"][0][0] *= 0.5
+    (folder / "gains.json").write_text(json.dumps(content))
+    with pytest.raises(CheckFailed, match=r"cost_bounds in gains\.json"):
+        verify(folder)

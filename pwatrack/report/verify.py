@@ -128,6 +128,9 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
     """Yield each file of the folder that was looked at, and what is wrong with it ('' for nothing)."""
     if (gains := _json(folder / "gains.json")) is not None:
         wrong = [letter for letter in ("K", "L") if _exact(gains.get(letter)) != _exact(content[letter])]
+        costs = {proof["of"]: _exact(proof["X"]) for proof in content["proofs"] if "X" in proof}
+        given = {part: _exact(X) for part, X in gains.get("cost_bounds", {}).items()}
+        wrong += ["cost_bounds"] * (given != costs)
         yield "gains.json", f"{' and '.join(wrong)} in gains.json is not the one that was proved" if wrong else ""
     if (generator := _json(folder / "generator.json")) is not None:
         subject = content["generator"] or {}
