@@ -17,8 +17,9 @@ from rich.console import Console
 
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import prove_convergence
-from pwatrack.control.goal import Goal
-from pwatrack.control.synthesis import Search, Task, stabilising_gain
+from pwatrack.control.goal import DEFAULT
+from pwatrack.control.synthesis import Search, gain
+from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, PwatrackError
 
 
@@ -71,8 +72,8 @@ def sizes(count: int, largest: int, most_cells: int) -> Iterator[tuple[int, int,
 def excess(A: Array, B: Array) -> float:
     """Return the norm of the default gain, relative to the smallest known of its rate (the rate is exact to 0.3 %)."""
     task = Task(A=A, B=B, cells=[str(i) for i in range(len(A))])
-    K, certificate = stabilising_gain(task)
-    small = Search(task).smallest_gain(certificate.rate * (1 - 3e-3))
+    K, certificate = gain(task)
+    small = Search(task).smallest(certificate.rate * (1 - 3e-3))
     known = [K] if small is None else [K, small[0]]
     norms = [float(np.linalg.norm(k, 2)) for k in known]
     return norms[0] / max(min(norms), 1e-12)
@@ -83,7 +84,7 @@ def verdict(A: Array, B: Array) -> str:
     cells = [str(i) for i in range(len(A))]
     try:
         if B.shape[1]:
-            stabilising_gain(Task(A=A, B=B, cells=cells), Goal())
+            gain(Task(A=A, B=B, cells=cells), DEFAULT)
         else:
             prove_convergence(A, claim="(8)", cells=cells)
     except Infeasible:

@@ -24,6 +24,7 @@ from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
+from pwatrack.lmi.role import CONTROLLER
 from pwatrack.report.certificate import design_certificate
 
 SPECS = Path(__file__).parent.parent / "specs"
@@ -130,7 +131,7 @@ def main() -> None:
         P = np.diag(1.0 / 4.0 ** np.arange(n)) if seed % 2 else np.eye(n)
         certificate = prove(M, P)
         exact = [BallMatrix.of(M_i) for M_i in M]
-        proof = None if certificate is None else prove_exactly("controller", exact, certificate.P, certificate.rate)
+        proof = None if certificate is None else prove_exactly(CONTROLLER, exact, certificate.P, certificate.rate)
         balls = [(auditor.matrix(ball.texts), []) for ball in exact]
         if proof is not None:
             proved += 1

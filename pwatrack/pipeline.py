@@ -6,17 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
+from pwatrack.control.goal import LeastCost
 from pwatrack.control.proof import prove_design
 from pwatrack.control.set_point import set_point
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
-from pwatrack.control.synthesis import Design, controller_task, observer_task, synthesize
+from pwatrack.control.synthesis import Design, synthesize
+from pwatrack.control.task import Task
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import (
     InputReference,
@@ -362,20 +364,11 @@ def _check_timing(
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
     """Return the proved bounds of the costs that were asked for."""
-    exact, K, L = spec.plant.exact, *(BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (gains.K, gains.L))
-    parts = (
-        (spec.controller, controller_task(spec.plant, spec.solver), gains.K, [A + exact.B @ K for A in exact.A]),
-        (
-            spec.observer,
-            observer_task(spec.plant, spec.solver),
-            gains.L.T,
-            [(A + L @ exact.C).transpose() for A in exact.A],
-        ),
-    )
+    parts = ((CONTROLLER, spec.controller, gains.K), (OBSERVER, spec.observer, gains.L))
     return {
-        task.of: cost_bound(task, gain, goal.Q, goal.R, exact=closed)
-        for goal, task, gain, closed in parts
-        if goal.Q is not None and goal.R is not None
+        role.name: cost_bound(Task.of(spec.plant, role, spec.solver), role.oriented(gain), goal.Q, goal.R)
+        for role, goal, gain in parts
+        if isinstance(goal, LeastCost)
     }
 
 

@@ -9,7 +9,7 @@ from pwatrack import Controller, PWASystem
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Bounds, Form
 from pwatrack.control.generator import trajectory_generator
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
@@ -28,7 +28,8 @@ FLOOR = 1e-12  # of the largest state: rounding of a simulation
 def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = None) -> ClosedLoop:
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
-    gains = synthesize(plant, controller=Goal(given=K), observer=Goal(given=None if L is None else L.T))
+    goals = [DEFAULT if X is None else Given(gain=X) for X in (K, L)]
+    gains = synthesize(plant, controller=goals[0], observer=goals[1])
     proofs = prove_design(plant, gains, generator)
     return closed_loop(Controller(plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs))
 
@@ -40,7 +41,7 @@ def run(loop: ClosedLoop, x0: Array, duration: float, sample_time: float) -> Res
 
 
 def proofs_of(loop: ClosedLoop, of: str) -> list[Proof]:
-    return [proof for proof in loop.controller.proofs if proof.of == of]
+    return [proof for proof in loop.controller.proofs if proof.role.name == of]
 
 
 def root_of_norm(proof: Proof) -> Array:
@@ -48,7 +49,7 @@ def root_of_norm(proof: Proof) -> Array:
     e = np.array(proof.exponents, dtype=float)
     P = np.array(proof.integers, dtype=float) * 2.0 ** (e[:, None] + e)
     root: Array = np.real(sqrtm(P))
-    return np.asarray(np.linalg.inv(root) if proof.of == "controller" else root)
+    return np.asarray(np.linalg.inv(root) if proof.role.name == "controller" else root)
 
 
 class Bound:

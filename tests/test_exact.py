@@ -21,6 +21,7 @@ from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.role import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.verify import verify
 
@@ -58,9 +59,9 @@ def test_the_auditor_runs_alone_without_pwatrack_or_numpy(run: Path, tmp_path: P
 
 def test_the_certified_rates_of_the_paper_gains_are_at_least_006_and_the_best(specs: Path) -> None:
     proofs = design(load_spec(specs / "two_mass_paper_gains.yaml")).proofs
-    best = {of: max(p.rate for p in proofs if p.of == of) for of in ("controller", "observer", "generator")}
+    best = {of: max(p.rate for p in proofs if p.role.name == of) for of in ("controller", "observer", "generator")}
     assert best == pytest.approx({"controller": 0.083, "observer": 0.084, "generator": 0.058}, abs=5e-4)
-    assert all(p.rate >= 0.8 * best[p.of] for p in proofs)
+    assert all(p.rate >= 0.8 * best[p.role.name] for p in proofs)
 
 
 PLANT = ("A", "b", "B", "C", "H", "h")
@@ -279,7 +280,7 @@ def test_finder_and_auditor_never_disagree_and_never_err(seed: int, n: int, expo
     assert is_hurwitz(decimals(M)) == stable
     certificate = best_certificate(M[None]) if stable else None
     proof = (
-        None if certificate is None else prove_exactly("generator", [BallMatrix.of(M)], certificate.P, certificate.rate)
+        None if certificate is None else prove_exactly(GENERATOR, [BallMatrix.of(M)], certificate.P, certificate.rate)
     )
     if proof is not None:
         P = {"integers": [list(r) for r in proof.integers], "exponents": list(proof.exponents)}
@@ -347,7 +348,7 @@ def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequal
     assert auditor.check([([[Fraction(1)]], [])], [], claim, None) == [
         "P is not symmetric and positive definite, of the order of the matrices"
     ]
-    assert prove_exactly("generator", [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None
+    assert prove_exactly(GENERATOR, [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None
 
 
 TWO = """

@@ -33,4 +33,4 @@ def test_without_a_shift_the_design_still_stands_on_17(specs: Path) -> None:
     controller = design(load_spec(specs / "gallery" / "three_tanks_weirs.yaml"))
     assert controller.generator is not None
     assert controller.generator.shift is None
-    assert {proof.of for proof in controller.proofs} == {"controller", "observer", "generator"}
+    assert {proof.role.name for proof in controller.proofs} == {"controller", "observer", "generator"}

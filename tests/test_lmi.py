@@ -13,15 +13,16 @@ from scipy.linalg import solve_continuous_are
 from benchmarks.corpus import feasible
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.control import convergence, synthesis
-from pwatrack.control.synthesis import Task
+from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
+from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.linear_map import LinearMap
-from pwatrack.lmi.presolve import Scaling, distinct
+from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.program import (
     Program,
     Solution,
@@ -452,7 +453,7 @@ def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
     with pytest.raises(Undecided, match=r"the best margin found is -[1-9]"):
-        synthesis.stabilising_gain(Task(A=stable_apart, B=np.zeros((2, 1)), cells="ab"))
+        synthesis.gain(Task(A=stable_apart, B=np.zeros((2, 1)), cells="ab"))
 
 
 def test_two_cells_that_are_stable_apart_can_be_proved_to_have_no_common_P() -> None:
@@ -489,8 +490,8 @@ def test_scaling_by_powers_of_two_loses_no_bit(seed: int, exponents: list[int]) 
     A = random_stack(seed, n=3, cells=2)
     d = 2.0 ** np.array(exponents)
     stretched = A * d[:, None] / d
-    scaling = Scaling.of(stretched, np.ones((3, 1)))
-    back = scaling.system(stretched) * scaling.speed * scaling.d[:, None] / scaling.d
+    at = Coordinates.balanced(stretched, np.ones((3, 1)))
+    back = at.T @ (at.system(stretched) * at.speed) @ at.inverse
     assert (back == stretched).all()
 
 
@@ -500,15 +501,15 @@ def test_a_design_exists_in_any_units(length: float, time: float, force: float) 
     A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
     B = np.array([[0.0], [1.0]])
     d, s = np.array([length, length / time]), time
-    K, _ = synthesis.stabilising_gain(Task(A=A, B=B, cells=CELLS[:2]))
-    other, _ = synthesis.stabilising_gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
+    K, _ = synthesis.gain(Task(A=A, B=B, cells=CELLS[:2]))
+    other, _ = synthesis.gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
     assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=0.05)
 
 
 def test_an_unreachable_unstable_mode_is_named() -> None:
     A = np.diag([1.5, -1.0])[None]
     with pytest.raises(Infeasible, match=r"no gain moves the eigenvalue 1\.5 in cell 'only'"):
-        synthesis.stabilising_gain(Task(A=A, B=np.array([[0.0], [1.0]]), cells=["only"]))
+        synthesis.gain(Task(A=A, B=np.array([[0.0], [1.0]]), cells=["only"]))
 
 
 def test_equal_cells_are_solved_once() -> None:

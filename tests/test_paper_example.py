@@ -11,7 +11,7 @@ from pwatrack import Controller, Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.errors import Infeasible, OutsideTheory
 
 STATES = [  # t, y − y_d, ‖x − x̂‖, η̂_1: as printed, so half a unit of the last digit is allowed
@@ -131,16 +131,16 @@ def test_fewer_printed_digits_of_the_gains_keep_a_rate_of_six_hundredths(paper_s
     def printed(X: Array) -> Array:
         return np.array([[float(f"{v:.{digits - 1}e}") for v in row] for row in X])
 
-    assert paper_spec.controller.given is not None
-    assert paper_spec.observer.given is not None
+    assert isinstance(paper_spec.controller, Given)
+    assert isinstance(paper_spec.observer, Given)
     given = replace(
         paper_spec,
-        controller=Goal(given=printed(paper_spec.controller.given)),
-        observer=Goal(given=printed(paper_spec.observer.given)),
+        controller=Given(gain=printed(paper_spec.controller.gain)),
+        observer=Given(gain=printed(paper_spec.observer.gain)),
     )
     proofs = design(given).proofs
     for part in ("controller", "observer"):
-        assert max(proof.rate for proof in proofs if proof.of == part) >= 0.06
+        assert max(proof.rate for proof in proofs if proof.role.name == part) >= 0.06
 
 
 def test_the_steady_state_of_the_generator_has_period_one(paper: Result) -> None:
@@ -162,9 +162,9 @@ def test_the_gains_as_printed_are_destabilising(specs: Path) -> None:
 
 
 def test_the_observer_gain_as_printed_is_destabilising(paper_spec: Spec) -> None:
-    assert paper_spec.observer.given is not None
+    assert isinstance(paper_spec.observer, Given)
     with pytest.raises(Infeasible) as refusal:
-        design(replace(paper_spec, observer=Goal(given=-paper_spec.observer.given)))
+        design(replace(paper_spec, observer=Given(gain=-paper_spec.observer.gain)))
     text = str(refusal.value)
     assert "(9)" in text
     for figure in ("+1.746 in cell 'upper spring'", "+1.879 in cell 'gap'", "+1.746 in cell 'lower spring'"):
@@ -200,7 +200,7 @@ def test_seventeen_turns_infeasible_between_068_and_070(specs: Path) -> None:
 
 def test_the_designed_gains_are_small_and_track(specs: Path) -> None:
     spec = replace(load_spec(specs / "two_mass_backlash.yaml"), duration=150.0)
-    assert spec.controller == spec.observer == Goal()
+    assert spec.controller == spec.observer == DEFAULT
     controller = design(spec)
     assert np.linalg.norm(controller.design.K, 2) < 10
     assert np.linalg.norm(controller.design.L, 2) < 10

@@ -213,7 +213,7 @@ def test_gains_changed_by_less_than_the_share_decay_as_fast(specs: Path, path: s
         ("controller", controller.design.K, promised.controller),
         ("observer", controller.design.L, promised.observer),
     ):
-        for proof, loop in zip((p for p in controller.proofs if p.of == of), loops, strict=True):
+        for proof, loop in zip((p for p in controller.proofs if p.role.name == of), loops, strict=True):
             P = np.array(unpacked(proof), dtype=float)
             d = 1 / np.sqrt(np.diag(P))
             corners = np.array(list(product_of(*[(-1.0, 1.0)] * gain.size))).reshape(-1, 1, *gain.shape)

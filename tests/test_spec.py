@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pwatrack import simulate
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import DEFAULT
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.reference import OutputReference
 from pwatrack.spec.load import Spec, expected_exit, load_spec
@@ -91,7 +91,7 @@ def test_a_spec_is_read_with_its_expressions(write: Write) -> None:
     assert spec.plant.B.tolist() == [[0], [0.5]]
     assert spec.x0 is not None
     assert spec.x0.tolist() == [0.1, 0]
-    assert (spec.x_hat0, spec.eta_hat0, spec.controller, spec.observer) == (None, None, Goal(), Goal())
+    assert (spec.x_hat0, spec.eta_hat0, spec.controller, spec.observer) == (None, None, DEFAULT, DEFAULT)
     assert (spec.duration, spec.sample_time, spec.expected_exit) == (2.0, 0.01, 0)
 
 

@@ -31,6 +31,7 @@ from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
 from pwatrack.lmi.exact import Proof, unpacked
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import floats, identity
 
@@ -131,8 +132,8 @@ class _Loops:
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
         self.estimates: list[Form] = [("estimate", k) for k in range(n)]
         self.inners: dict[Loop, list[Inner]] = {
-            "controller": [_inner(proof, invert=False) for proof in proofs if proof.of == "controller"],
-            "observer": [_inner(proof, invert=True) for proof in proofs if proof.of == "observer"],
+            "controller": [_inner(proof, invert=False) for proof in proofs if proof.role is CONTROLLER],
+            "observer": [_inner(proof, invert=True) for proof in proofs if proof.role is OBSERVER],
         }
         if few:
             nothing = BallMatrix(0 * identity(n))

@@ -1,20 +1,20 @@
 """Theorem 1: convergence from the common Lyapunov inequality (7), with the best decay rate."""
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Subject, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
+from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver, lyapunov
-from pwatrack.lmi.infeasibility import Refutation, refute
-from pwatrack.lmi.presolve import Scaling, centre, distinct
+from pwatrack.lmi.infeasibility import Impossibility, refute
+from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.program import largest_margin, least_condition
+from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals
 
@@ -38,14 +38,14 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    matrices, T, inverse, speed = _good_coordinates(M, start)
+    matrices, at = distinct(M)[0], _near(M, start)
     best = None if start is None else prove(M, start)
     ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
     trial, margins = 0.0 if best is None else best.rate, list[tuple[float, float]]()
     for _ in range(_STEPS):
-        inequality = lyapunov(inverse @ matrices @ T / speed, trial / speed)
+        inequality = lyapunov(at.system(matrices), trial / at.speed)
         candidate = solve(largest_margin(inequality), solver)
-        found = None if candidate is None else prove(M, T @ candidate.P @ T.T)
+        found = None if candidate is None else prove(M, at.matrix(candidate.P))
         if found is not None and (best is None or found.rate > best.rate):
             best = found
         if candidate is not None and found is not None and best is not None and found.rate >= trial:
@@ -58,8 +58,7 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
             if best is None and failures > _RECENTRED:
                 break
             if candidate is not None:
-                nearer, back = _centre(candidate.P)
-                T, inverse = T @ nearer, back @ inverse
+                at = at.centred(candidate.P)
             ceiling = ceiling if best is None else min(ceiling, trial)
         if best is not None and ceiling - best.rate <= 1e-3 * ceiling:
             break
@@ -98,43 +97,19 @@ def least_overshoot_certificate(
         >>> float(np.linalg.cond(least_overshoot_certificate(M, 0.9).P).round(3))
         1.0
     """
-    matrices, T, inverse, speed = _good_coordinates(M, start)
-    inequality = lyapunov(inverse @ matrices @ T / speed, rate / speed)
+    at = _near(M, start)
+    inequality = lyapunov(at.system(distinct(M)[0]), rate / at.speed)
     try:
-        candidate = solve(least_condition(inequality, inverse @ inverse.T), solver)
+        candidate = solve(least_condition(inequality, at.driven(np.eye(M.shape[1]))), solver)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
-    return None if candidate is None else prove(M, T @ candidate.P @ T.T)
+    return None if candidate is None else prove(M, at.matrix(candidate.P))
 
 
-def _good_coordinates(M: Array, start: Array | None) -> tuple[Array, Array, Array, float]:
-    """Return the different cells of M, and T (n, n), its inverse and a speed in 1/s for x = T z and time · speed.
-
-    There a P near `start`, or without one the Lyapunov matrix of the mean cell, is near I.
-    """
-    scaling = Scaling.of(M, np.zeros((M.shape[1], 0)))
-    matrices, _ = distinct(M)
-    P = start / scaling.d[:, None] / scaling.d if start is not None else _of_mean(scaling.system(matrices))
-    V, inverse = _centre(P)
-    return matrices, scaling.d[:, None] * V, inverse / scaling.d, scaling.speed
-
-
-def _of_mean(M: Array) -> Array:
-    """Return the Lyapunov matrix of the mean cell; I where it is not stable."""
-    mean, eye = M.mean(axis=0), np.eye(M.shape[1])
-    if np.linalg.eigvals(mean).real.max() >= 0:
-        return eye
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # nearly singular: refused by `centre`
-        return np.asarray(solve_continuous_lyapunov(mean, -eye), dtype=np.float64)
-
-
-def _centre(P: Array) -> tuple[Array, Array]:
-    """Return the coordinates in which P is I; those at hand where there are none."""
-    try:
-        return centre(P)
-    except np.linalg.LinAlgError:  # also if an entry is not finite
-        return np.eye(len(P)), np.eye(len(P))
+def _near(M: Array, start: Array | None) -> Coordinates:
+    """Return coordinates in which a P near `start`, or without one the P of the mean cell, is near I."""
+    at = Coordinates.balanced(M)
+    return at.of_mean(at.system(M)) if start is None else at.centred(at.driven(start))
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
@@ -144,7 +119,7 @@ def prove_convergence(
     claim: str,
     cells: Sequence[str],
     exact: Sequence[BallMatrix] | None = None,
-    of: str = "plant",
+    role: Role = PLANT,
     subject: Subject = (),
     solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
@@ -156,7 +131,7 @@ def prove_convergence(
         claim: What is to be proved, for messages: `"(17)"`.
         cells: Names of the l cells.
         exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
-        of: What it is a property of, for the evidence: see `Impossibility`.
+        role: Which inequality it is.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
         hint: What to do where a cell is unstable by itself.
@@ -205,44 +180,5 @@ def prove_convergence(
 
     raise Infeasible(
         Problem.of_many(tell, subject=subject, hint=hint),
-        evidence=Impossibility(of=of, rate=0.0, refutation=proof),
+        evidence=Impossibility(role=role, rate=0.0, refutation=proof),
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Impossibility:
-    """What a refusal proves: the evidence of `Infeasible`.
-
-    Attributes:
-        of: "plant" for (7), "controller" for (8), "observer" for (9), "generator" for (17).
-        rate: Decay rate that is out of reach, in 1/s.
-        refutation: The proof.
-    """
-
-    of: str
-    rate: float
-    refutation: Refutation
-
-
-def conflict_text(refutation: Refutation, cells: Sequence[str], most: int | None = None) -> str:
-    """Name the cells in conflict, or at most so many of them.
-
-    Example:
-        >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
-        "cells 'gap' and 'upper' conflict"
-    """
-    names = [f"'{cells[i]}'" for i in refutation.Z]
-    if most is not None and len(names) > most + 1:
-        return f"cells {listed(names, most)} conflict"
-    return f"cells {', '.join(names[:-1])} and {names[-1]} conflict"
-
-
-def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:
-    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many.
-
-    Example:
-        >>> eigenvalue_text(np.array([1.752]), ["gap"])
-        "largest real part of the eigenvalues: +1.752 in cell 'gap'"
-    """
-    parts = [f"{number_text(abscissa[i], '+.4g')} in cell '{cells[i]}'" for i in np.argsort(-abscissa, kind="stable")]
-    return "largest real part of the eigenvalues: " + listed(parts, most)

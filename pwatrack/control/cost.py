@@ -1,19 +1,18 @@
 """A proved bound of the quadratic cost of a gain, or of what white noise does to the observer, for any switching."""
 
-import warnings
 from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.control.synthesis import Task
+from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
+from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
-from pwatrack.lmi.presolve import centre, distinct
+from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite, scalar
@@ -21,7 +20,7 @@ from pwatrack.rational import decimals, is_positive_definite, scalar
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 
 
-def cost_bound(task: Task, K: Array, Q: Array, R: Array, *, exact: Sequence[BallMatrix] | None = None) -> Array:
+def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
     **The controller.** With x̂(0) = x(0) the observer is right at all times, and e' = M̂ e, v = K e for e = x − x_d and
@@ -46,7 +45,6 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array, *, exact: Sequence[Ball
         task: A (l, n, n) and B (n, m).
         K: (m, n), as printed.
         Q, R: (n, n) and (m, m).
-        exact: The M_i in the numbers of the plant; by default those of the decimals that A, B and K print as.
 
     Raises:
         Undecided: If no X could be proved.
@@ -56,35 +54,25 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array, *, exact: Sequence[Ball
         >>> cost_bound(task, -np.eye(1), np.eye(1), np.eye(1)).round(4).tolist()
         [[1.0]]
     """
-    closed, weight = task.A + task.B @ K, Q + K.T @ R @ K
-    if exact is None:
-        gain = BallMatrix.of(task.B) @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
-        exact = [BallMatrix.of(A_i) + gain for A_i in task.A]
-    matrices, _ = distinct(closed)
-    n, speed = len(Q), float(np.linalg.norm(closed, 2, axis=(1, 2)).max())
-    slack = 1e-9 * float(np.trace(weight)) / n * np.eye(n)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # nearly singular: then the coordinates are those at hand
-        mean = solve_continuous_lyapunov(matrices.mean(axis=0).T, -(weight + slack))
-    try:
-        inverse, V = centre(mean)
-        V, inverse = V.T, inverse.T
-    except np.linalg.LinAlgError:
-        V = inverse = np.eye(n)
-    inside = V.T @ (weight + slack) @ V
+    closed, weight = task.closed(K), Q + K.T @ R @ K
+    exact = task.exactly_closed(K)
+    matrices = np.swapaxes(distinct(closed)[0], 1, 2)
+    slack = 1e-9 * float(np.trace(weight)) / len(Q) * np.eye(len(Q))
+    at = Coordinates.balanced(matrices)
+    at = at.of_mean(at.system(matrices), at.driven(weight + slack))
+    inside = at.driven(weight + slack)
     size = float(np.linalg.norm(inside, 2))
-    inequality = weighted(np.swapaxes(inverse @ matrices @ V, 1, 2) / speed, inside / size)
-    candidate = solve(least_trace(inequality), task.solver)
+    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)), task.solver)
     if candidate is not None:
-        X = inverse.T @ candidate.P @ inverse * size / speed
+        X = at.matrix(candidate.P) * size / at.speed
         for room in _ROOM:
             trial = (X + X.T) / 2 * (1 + room)
             if np.isfinite(trial).all() and _proved(exact, K, Q, R, trial):
                 return readonly(trial)
     raise Undecided(
         Problem(
-            message=f"{task.claim}: the gain of least cost was found, but no bound of its cost could be proved",
-            subject=("design", task.of, "cost"),
+            message=f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
+            subject=("design", task.role.name, "cost"),
             hint="weights that differ less in size may help",
         )
     )

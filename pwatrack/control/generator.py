@@ -8,6 +8,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
 
 
@@ -55,11 +56,11 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
     """
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     certificate = prove_convergence(
-        np.swapaxes(A_eta, 1, 2),
-        exact=[A_i.transpose() for A_i in form.exact.A_eta],
+        GENERATOR.oriented(A_eta),
+        exact=[GENERATOR.exact(A_i) for A_i in form.exact.A_eta],
         claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
-        of="generator",
+        role=GENERATOR,
         subject=("system", "cells"),
         solver=solver,
         hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "

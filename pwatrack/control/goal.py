@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal
 
 import numpy as np
 
@@ -10,56 +9,104 @@ from pwatrack.arrays import Array
 from pwatrack.errors import InvalidSpec, Problem
 
 
-@dataclass(frozen=True, kw_only=True)
-class Goal:
-    """What K, or Lᵀ, is to achieve. With nothing asked it is the LQR, or Kalman, gain with unit weights.
+def _positive(**numbers: object) -> None:
+    problems = [
+        Problem(message=f"{name} is a positive number, not {value!r}")
+        for name, value in numbers.items()
+        if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < np.inf
+    ]
+    if problems:
+        raise InvalidSpec(*problems)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Given:
+    """The gain is known and only to be proved.
 
     Attributes:
-        given: The gain itself, (m, n): only to be proved.
-        rate: Decay rate in 1/s that is to be reached at least, or "largest".
-        gain: Bound on the spectral norm of the gain in the units given, or "smallest" for a given rate.
-        Q, R: Weights of ∫(eᵀQe + vᵀRv) dt, (n, n) and (m, m); for the observer the covariance densities
-            of noise on the states and on the measurement.
-
-    Raises:
-        InvalidSpec: If a rate or gain is neither such a word nor a positive finite number, or Q stands without R.
-
-    Example:
-        >>> Goal(rate=1, gain="smallest").least_rate
-        1.0
+        gain: K, or L, as it stands in (10) and (18).
     """
 
-    given: Array | None = None
-    rate: float | Literal["largest"] | None = None
-    gain: float | Literal["smallest"] | None = None
-    Q: Array | None = None
-    R: Array | None = None
+    gain: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class AtLeast:
+    """The LQR, or Kalman, gain with unit weights in balanced units, of the plant with the rate added to A.
+
+    Attributes:
+        rate: Decay rate in 1/s that is to be reached; 0 where any will do.
+        bound: On the spectral norm of the gain in the units given: where that gain is larger, the smallest one that
+            is found is taken.
+
+    Raises:
+        InvalidSpec: If a number is not a positive one (a rate may be 0, a bound infinite).
+    """
+
+    rate: float = 0.0
+    bound: float = np.inf
 
     def __post_init__(self) -> None:
-        problems = []
-        for name, value, word in (("rate", self.rate, "largest"), ("gain", self.gain, "smallest")):
-            number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value) and value > 0
-            if not (value is None or number or (isinstance(value, str) and value == word)):
-                problems.append(Problem(message=f"{name} is a positive number or '{word}', not {value!r}"))
-        if (self.Q is None) != (self.R is None):
-            problems.append(Problem(message="a cost has both weights, Q and R"))
-        if problems:
-            raise InvalidSpec(*problems)
-
-    @property
-    def least_rate(self) -> float:
-        """The rate that must be reached; 0 where none is asked."""
-        return 0.0 if self.rate is None or self.rate == "largest" else float(self.rate)
-
-    @property
-    def bound(self) -> float:
-        """The bound on the norm of the gain; infinite where none is asked."""
-        return float("inf") if self.gain is None or self.gain == "smallest" else float(self.gain)
-
-    @property
-    def fastest(self) -> bool:
-        """Whether the largest rate is asked, which is also what a bound alone means."""
-        return self.rate == "largest" or (self.rate is None and self.gain is not None)
+        _positive(rate=self.rate or 1.0, gain=1.0 if self.bound == np.inf else self.bound)
 
 
-DEFAULT = Goal()
+@dataclass(frozen=True, kw_only=True)
+class Smallest:
+    """The smallest gain that is found for a rate.
+
+    Attributes:
+        rate: In 1/s; 0 where any will do.
+    """
+
+    rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        _positive(rate=self.rate or 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fastest:
+    """The largest rate that is found.
+
+    Attributes:
+        bound: On the spectral norm of the gain in the units given.
+    """
+
+    bound: float = np.inf
+
+    def __post_init__(self) -> None:
+        _positive(gain=1.0 if self.bound == np.inf else self.bound)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeastCost:
+    """The gain of the least bound of a quadratic cost.
+
+    Attributes:
+        Q, R: Weights of ∫(eᵀQe + vᵀRv) dt, (n, n) and (m, m); for the observer the covariance densities
+            of noise on the states (n, n) and on the measurement (q, q).
+    """
+
+    Q: Array
+    R: Array
+
+
+Goal = Given | AtLeast | Smallest | Fastest | LeastCost
+DEFAULT = AtLeast()
+
+
+def demands(goal: Goal) -> tuple[float, float]:
+    """Return the rate in 1/s that a goal wants at least, and the norm that its gain may have at most.
+
+    Example:
+        >>> demands(AtLeast(rate=2)), demands(Fastest(bound=5))
+        ((2.0, inf), (0.0, 5.0))
+    """
+    match goal:
+        case AtLeast(rate=rate, bound=bound):
+            return float(rate), float(bound)
+        case Smallest(rate=rate):
+            return float(rate), np.inf
+        case Fastest(bound=bound):
+            return 0.0, float(bound)
+    return 0.0, np.inf

@@ -23,6 +23,7 @@ from pwatrack.control.synthesis import Design
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.exact import Proof, unpacked, unsure
 from pwatrack.lmi.norm import Norm, largest_gain
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import Rational, floats, identity, scalar
 
@@ -136,15 +137,15 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> Gua
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}
     for proof in proofs:
         norm, share, n = Norm.of(proof), 0.0, len(proof.exponents)
-        if proof.of == "controller":
+        if proof.role is CONTROLLER:
             P = BallMatrix(unpacked(proof.integers, proof.exponents))
             share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, P, design.K)
-        elif proof.of == "observer":
+        elif proof.role is OBSERVER:
             P = BallMatrix(unpacked(proof.integers, proof.exponents))
             slack = [_slack((A_i + L @ exact.C).transpose(), proof) for A_i in A]
             share = largest_share(slack, P, exact.C.transpose(), design.L)
         from_norm = largest_gain(identity(n), norm, Norm.euclidean(n))
-        parts[proof.of].append(Contraction(rate=proof.rate, share=share, norm=norm, from_norm=from_norm))
+        parts[proof.role.name].append(Contraction(rate=proof.rate, share=share, norm=norm, from_norm=from_norm))
     controller, observer, generator = (tuple(part) for part in parts.values())
     return Guarantees(
         controller=controller,

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.control.synthesis import Search, Task
+from pwatrack.control.synthesis import Search
+from pwatrack.control.task import Task
+from pwatrack.lmi.role import Role
 
 _FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
 _BISECTIONS = 4  # between the fastest rate that was reached and the next
@@ -16,14 +18,14 @@ class Front:
     """The trade between decay and gain.
 
     Attributes:
-        of: "controller" or "observer".
+        role: CONTROLLER or OBSERVER.
         rates: Certified rates in 1/s, increasing, (k,).
         norms: ‖K‖ or ‖L‖ of the smallest gain found for each, (k,).
         limit: A rate in 1/s at which no gain was found any more; infinite if none was reached.
         chosen: Rate and norm of the gain that the design has.
     """
 
-    of: str
+    role: Role
     rates: Array
     norms: Array
     limit: float
@@ -65,7 +67,7 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
     points = [(a, float(found[found[:, 0] >= a * (1 - 1e-3), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
     return Front(
-        of=task.of,
+        role=task.role,
         rates=readonly(columns[:, 0]),
         norms=readonly(columns[:, 1]),
         limit=limit,
@@ -74,5 +76,5 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
 
 
 def _smallest(search: Search, rate: float) -> tuple[float, float] | None:
-    found = search.smallest_gain(rate)
+    found = search.smallest(rate)
     return None if found is None else (found[1].rate, float(np.linalg.norm(found[0], 2)))

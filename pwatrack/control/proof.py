@@ -6,10 +6,12 @@ from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.synthesis import Design
+from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
@@ -29,32 +31,33 @@ def prove_design(
 
     Example:
         >>> from pwatrack import design, load_spec
-        >>> [proof.of for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
+        >>> [proof.role.name for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
         ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
-    exact, K, L = plant.exact, BallMatrix.of(design.K), BallMatrix.of(design.L)
-    A = different(exact.A)
-    proofs = [
-        *_prove("controller", [A_i + exact.B @ K for A_i in A], design.controller, solver),
-        *_prove("observer", [(A_i + L @ exact.C).transpose() for A_i in A], design.observer, solver),
-    ]
+    proofs = []
+    for role, gain, certificate in (
+        (CONTROLLER, design.K, design.controller),
+        (OBSERVER, design.L, design.observer),
+    ):
+        closed = Task.of(plant, role).exactly_closed(role.oriented(gain))
+        proofs += _prove(role, different(closed), certificate, solver)
     if generator is not None and generator.A_eta.shape[1]:
-        M = [A_i.transpose() for A_i in different(generator.form.exact.A_eta)]
-        proofs += _prove("generator", M, generator.certificate, solver)
+        M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
+        proofs += _prove(GENERATOR, M, generator.certificate, solver)
     return tuple(proofs)
 
 
-def _prove(of: str, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
+def _prove(role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot."""
-    best = prove_exactly(of, M, certificate.P, certificate.rate)
+    best = prove_exactly(role, M, certificate.P, certificate.rate)
     if best is None:
         raise Undecided(
             Problem(
-                message=f"{of}: a solution was found in floating point, but it could not be proved exactly",
+                message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
                 subject=("design",),
                 hint="the case is marginal; ask for less, or try the other solver",
             )
         )
     found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, start=certificate.P, solver=solver)
-    second = None if found is None else prove_exactly(of, M, found.P, _KEPT * found.rate)
+    second = None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)
     return [best] if second is None else [best, second]

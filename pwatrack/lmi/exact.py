@@ -11,6 +11,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, absolute
+from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
@@ -24,14 +25,14 @@ class Proof:
     Where M_i has irrational entries, for every matrix in its ball.
 
     Attributes:
-        of: "controller" for (8), "observer" for (9), "generator" for (17).
+        role: Which inequality it is.
         integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
         rate: Certified decay rate in 1/s, a short decimal.
         margin: μ > 0, a short decimal.
         radius: Any change of the matrices M_i below it, in the spectral norm, is covered too: at most μ / (2 ‖P‖).
     """
 
-    of: str
+    role: Role
     integers: tuple[tuple[int, ...], ...]
     exponents: tuple[int, ...]
     rate: float
@@ -39,11 +40,11 @@ class Proof:
     radius: float
 
 
-def prove_exactly(of: str, M: Sequence[BallMatrix], P: Array, rate: float) -> Proof | None:
+def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) -> Proof | None:
     """Round P and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
-        of: What the proof is of.
+        role: Which inequality it is.
         M: The matrices M_i.
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
@@ -65,7 +66,7 @@ def prove_exactly(of: str, M: Sequence[BallMatrix], P: Array, rate: float) -> Pr
         if short_rate > 0 and all(is_positive_definite(S) for S in slack):
             margin = _margin(slack)
             return Proof(
-                of=of,
+                role=role,
                 integers=tuple(tuple(row) for row in integers),
                 exponents=tuple(int(e) for e in exponents),
                 rate=short_rate,

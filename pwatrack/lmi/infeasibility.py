@@ -19,9 +19,10 @@ from scipy.linalg import qr, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
 from pwatrack.lmi import primal_dual
+from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, Solver
-from pwatrack.lmi.presolve import Scaling
 from pwatrack.lmi.program import least_violation
+from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import LARGE
 from pwatrack.rational import (
     Rational,
@@ -59,6 +60,21 @@ class Refutation:
 
     Z: Mapping[int, tuple[tuple[int, ...], ...]]
     eigenvalues: Mapping[int, complex]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Impossibility:
+    """What a refusal proves: the evidence of `Infeasible`.
+
+    Attributes:
+        role: Which inequality has no solution.
+        rate: Decay rate that is out of reach, in 1/s.
+        refutation: The proof.
+    """
+
+    role: Role
+    rate: float
+    refutation: Refutation
 
 
 def refute(
@@ -186,9 +202,9 @@ def _lyapunov_map(M: Rational) -> Rational:
 
 def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, solver: Solver) -> Refutation | None:
     """Refute by multipliers for several cells, none of which is stuck alone."""
-    scaling = Scaling.of(A, B)
-    D = decimals(np.diag(scaling.d))
-    scaled, exact_A, exact_B = scaling.system(A), [D.inv() * A_i * D for A_i in exact_A], D.inv() * exact_B
+    at = Coordinates.balanced(A, B)
+    D = decimals(at.T)
+    scaled, exact_A, exact_B = at.system(A), [D.inv() * A_i * D for A_i in exact_A], D.inv() * exact_B
     R, N = _faces(exact_A, exact_B)
     cells = [i for i, N_i in enumerate(N) if N_i.nrows()]
     for _ in range(2):

@@ -32,7 +32,7 @@ class Norm:
         From M P + P Mᵀ ⪯ −2αP follows QM + MᵀQ ⪯ −2αQ for Q = P⁻¹; (9) and (17) are stated for M = Aᵀ.
         """
         P = unpacked(proof.integers, proof.exponents)
-        return cls(P.inv() if proof.of == "controller" else P)
+        return cls(P if proof.role.transposed else P.inv())
 
     def __call__(self, vector: Array) -> float:
         """Return ‖vector‖, rounded up.

@@ -10,11 +10,12 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Form
 from pwatrack.control.controller import Controller
-from pwatrack.control.convergence import Impossibility
 from pwatrack.control.generator import tracking_dynamics
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import Given
 from pwatrack.lmi.audit import FORMAT
 from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import Spec
@@ -36,7 +37,7 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     """Return the content of certificate.json."""
     proofs: list[dict[str, Any]] = [_proof(proof) for proof in controller.proofs]
     for of, X in controller.costs.items():
-        goal: Goal = getattr(spec, of)
+        goal = getattr(spec, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
     bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
     return _content(spec, controller.design.K, controller.design.L, proofs) | {"bounds": bounds}
@@ -44,12 +45,11 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
     """Return the content of refusal.json."""
-    goal = spec.controller if evidence.of == "controller" else spec.observer
-    given = goal.given if evidence.of in ("controller", "observer") else None
-    K, L = (given, None) if evidence.of == "controller" else (None, None if given is None else given.T)
+    goals = {CONTROLLER: spec.controller, OBSERVER: spec.observer}
+    known = {role: goal.gain for role, goal in goals.items() if role is evidence.role and isinstance(goal, Given)}
     Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
-    proofs = [{"of": evidence.of, "rate": _decimal(evidence.rate), "Z": Z}]
-    return _content(spec, K, L, proofs)
+    proofs = [{"of": evidence.role.name, "rate": _decimal(evidence.rate), "Z": Z}]
+    return _content(spec, known.get(CONTROLLER), known.get(OBSERVER), proofs)
 
 
 def subject_content(spec: Spec) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def _generator(form: NormalForm) -> dict[str, Any]:
 
 def _proof(proof: Proof) -> dict[str, Any]:
     return {
-        "of": proof.of,
+        "of": proof.role.name,
         "rate": _decimal(proof.rate),
         "margin": _decimal(proof.margin),
         "radius": _decimal(proof.radius),

@@ -13,9 +13,9 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
-from pwatrack.control.convergence import Impossibility
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.pipeline import Result
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import bound_content, ensemble_measures, gain_figures, measures
@@ -182,7 +182,7 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
         for front in fronts:
             points = [(*point, 0) for point in zip(front.rates.tolist(), front.norms.tolist(), strict=True)]
             for rate, norm, chosen in sorted([*points, (*front.chosen, 1)]):
-                writer.writerow([front.of, repr(rate), repr(norm), chosen])
+                writer.writerow([front.role.name, repr(rate), repr(norm), chosen])
     pareto_fronts(spec.name, fronts).savefig(run.place("pareto.png"), format="png", dpi=150)
 
 

@@ -144,14 +144,14 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
     FigureCanvasAgg(figure)
     figure.suptitle(textwrap.fill(f"{name}: what a faster decay costs", 90), fontsize=11)
     for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
-        letter, rate, norm = "K" if front.of == "controller" else "L", *front.chosen
+        letter, rate, norm = front.role.letter, *front.chosen
         axes.plot(front.rates, front.norms, marker="o", markersize=3.5, label="smallest found", **_ACTUAL)
         axes.plot([rate], [norm], "s", color="#e08e2b", markersize=8, markeredgecolor="black", label="this design")
         if np.isfinite(front.limit):
             axes.axvline(front.limit, color="0.45", linewidth=1.0, linestyle=":", label="no gain found from here")
         positive = np.append(front.norms, norm)
         axes.set_yscale("log" if (positive > 0).all() and positive.max() > 30 * positive.min() else "linear")
-        axes.set_title(f"{front.of}", fontsize=10)
+        axes.set_title(f"{front.role.name}", fontsize=10)
         axes.set_xlabel("certified decay rate (1/s)")
         axes.set_ylabel(f"‖{letter}‖, in the units of the spec")
         axes.grid(visible=True, color="0.9")

@@ -11,9 +11,10 @@ from rich.status import Status
 from pwatrack import pipeline
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front, pareto
-from pwatrack.control.synthesis import controller_task, observer_task
+from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
@@ -125,8 +126,8 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
     gains = controller.design
     return [
-        pareto(controller_task(spec.plant, spec.solver), gains.K, gains.controller.rate),
-        pareto(observer_task(spec.plant, spec.solver), gains.L.T, gains.observer.rate),
+        pareto(Task.of(spec.plant, CONTROLLER, spec.solver), gains.K, gains.controller.rate),
+        pareto(Task.of(spec.plant, OBSERVER, spec.solver), gains.L.T, gains.observer.rate),
     ]
 
 

@@ -15,7 +15,7 @@ from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
@@ -133,7 +133,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     ):
         table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rate(proved)}")
         acts = bool((spec.plant.B if letter == "K" else spec.plant.C).any())
-        origin = _origin(goal) if acts or goal.given is not None else _NO_GAIN[letter[0]]
+        origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
@@ -158,8 +158,7 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
             "X in gains.json"
         )
     X, goal = controller.costs[part], spec.observer
-    assert goal.Q is not None
-    assert goal.R is not None
+    assert isinstance(goal, LeastCost)
     if len(different(spec.plant.exact.A)) == 1:
         return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
     level = noise_level(X, controller.design.L, goal.Q, goal.R)
@@ -171,11 +170,17 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
 
 def _origin(goal: Goal) -> str:
     """Say where a gain is from."""
-    if goal.given is not None:
-        return "given"
-    if goal.Q is not None:
-        return "designed for the cost asked"
-    asked = [f"rate {goal.rate}"] * (goal.rate is not None) + [f"gain {goal.gain}"] * (goal.gain is not None)
+    match goal:
+        case Given():
+            return "given"
+        case LeastCost():
+            return "designed for the cost asked"
+        case Smallest(rate=rate):
+            asked = [f"rate {rate}", "gain smallest"]
+        case Fastest(bound=bound):
+            asked = ["rate largest"] + [f"gain {bound}"] * bool(np.isfinite(bound))
+        case AtLeast(rate=rate, bound=bound):
+            asked = [f"rate {rate}"] * bool(rate) + [f"gain {bound}"] * bool(np.isfinite(bound))
     return f"designed for {', '.join(asked)}" if asked else "designed"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
@@ -97,13 +97,13 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     impossible = any("Z" in proof for proof in content["proofs"])
     for part, letter in (("controller", "K"), ("observer", "L")):
         goal: Goal = getattr(spec, part)
-        given = goal.given if part == "controller" or goal.given is None else goal.given.T
+        given = goal.gain if isinstance(goal, Given) else None
         proofs = [proof for proof in content["proofs"] if proof["of"] == part]
         if not impossible:
             faults += [f"{part}: {fault}" for fault in _missed(goal, content[letter], proofs)]
         elif proofs and content[letter] != decimals(given):
             faults.append(f"{letter} is not the one that {spec.path} asks to be proved")
-        elif proofs and number(proofs[0]["rate"]) > Fraction(repr(float(goal.least_rate))):
+        elif proofs and number(proofs[0]["rate"]) > Fraction(repr(demands(goal)[0])):
             faults.append(f"{part}: a rate was refused that {spec.path} does not ask for")
         if given is not None and not impossible and content[letter] != decimals(given):
             faults.append(f"{letter} is not the one that {spec.path} gives")
@@ -113,12 +113,13 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
 def _missed(goal: Goal, gain: Any, proofs: list[dict[str, Any]]) -> Iterator[str]:
     """Yield what of a goal is not proved."""
     rates = [number(proof["rate"]) for proof in proofs if "rate" in proof]
-    if not rates or max(rates) < Fraction(repr(float(goal.least_rate))):
-        yield f"the rate asked for, {goal.least_rate:g} 1/s, is not proved"
+    least, most = demands(goal)
+    if not rates or max(rates) < Fraction(repr(least)):
+        yield f"the rate asked for, {least:g} 1/s, is not proved"
     norm = float(np.linalg.norm([[float(number(v)) for v in row] for row in gain], 2))
-    if norm > goal.bound * (1 + _CLOSE):
-        yield f"the gain has a norm of {norm:.6g}, above the bound {goal.bound:g}"
-    if goal.Q is not None:
+    if norm > most * (1 + _CLOSE):
+        yield f"the gain has a norm of {norm:.6g}, above the bound {most:g}"
+    if isinstance(goal, LeastCost):
         wanted = decimals(goal.Q), decimals(goal.R)
         if not any((proof.get("Q"), proof.get("R")) == wanted for proof in proofs):
             yield "the bound of the cost asked for is not there"

@@ -13,6 +13,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Infeasible, Problem, Subject, Undecided
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
@@ -90,7 +91,7 @@ def _convergent(plant: PWASystem, solver: Solver) -> bool:
     except (Infeasible, Undecided):
         return False
     exact = [A_i.transpose() for A_i in different(plant.exact.A)]
-    return prove_exactly("plant", exact, found.P, found.rate) is not None
+    return prove_exactly(PLANT, exact, found.P, found.rate) is not None
 
 
 def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.control.goal import Goal
+from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Noise, Sampling
@@ -172,15 +172,18 @@ def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path)
 
 
 def build_goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
-    """Return what a gain is to achieve; `given` is the gain itself, as (inputs, states) of (8)."""
-    cost = section.cost
-    return Goal(
-        given=None if given is None else readonly(given),
-        rate=section.rate,
-        gain=section.gain,
-        Q=None if cost is None else readonly(cost.Q),
-        R=None if cost is None else readonly(cost.R),
-    )
+    """Return what a gain is to achieve; `given` is K or L itself."""
+    rate, gain = section.rate, section.gain
+    if given is not None:
+        return Given(gain=readonly(given))
+    if section.cost is not None:
+        return LeastCost(Q=readonly(section.cost.Q), R=readonly(section.cost.R))
+    bound = gain if isinstance(gain, float) else np.inf
+    if rate == "largest" or (rate is None and gain is not None):
+        return Fastest(bound=bound)
+    if gain == "smallest":
+        return Smallest(rate=rate or 0.0)
+    return AtLeast(rate=rate or 0.0, bound=bound)
 
 
 def _refuse_other_B(system: SystemSection) -> None:

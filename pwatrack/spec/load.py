@@ -170,7 +170,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         units=file.system.units,
         tracking=file.design.tracking,
         controller=build_goal(file.design.controller, file.design.controller.K),
-        observer=build_goal(file.design.observer, _transposed(file.design.observer.L)),
+        observer=build_goal(file.design.observer, file.design.observer.L),
         solver=file.design.solver,
         reference=reference,
         duration=simulation.duration,
@@ -265,7 +265,3 @@ def _initial(values: Mapping[str, float] | Sequence[float] | None, states: Seque
     if values is None:
         return None
     return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)
-
-
-def _transposed(rows: list[list[float]] | None) -> list[list[float]] | None:
-    return None if rows is None else [list(column) for column in zip(*rows, strict=True)]

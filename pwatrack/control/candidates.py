@@ -1,0 +1,204 @@
+"""Gains that may do, in the order in which they are tried. None of them is believed before it is proved."""
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
+
+from pwatrack.arrays import Array
+from pwatrack.control.task import Task
+from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
+from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
+from pwatrack.lmi.solve import solve
+
+_FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
+_HARDLY_FASTER = 5e-4  # the same where that much is out of reach
+_STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
+_BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖: without one Y may be large for nothing
+_RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
+_CLOSER = 3  # times that the bound of the norm is drawn closer
+_WORTH_IT = 0.95  # of the norm: while a closer bound makes it smaller than that share, another one follows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A gain to prove.
+
+    Attributes:
+        K: (m, n), as it will be printed: `short`.
+        P: (n, n), which may prove it; None where there is no guess.
+        margin: Of the inequality that it is from, where A and P have size 1.
+    """
+
+    K: Array
+    P: Array | None = None
+    margin: float = np.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidates:
+    """Ways to look for a gain.
+
+    Attributes:
+        task: The inequality.
+        A: Its different cells, (l, n, n).
+        at: Balanced units, in which the weights of a cost are one.
+    """
+
+    task: Task
+    A: Array
+    at: Coordinates
+
+    @classmethod
+    def of(cls, task: Task) -> "Candidates":
+        """Prepare the search for a task."""
+        return cls(task=task, A=distinct(task.A)[0], at=Coordinates.balanced(task.A, task.B))
+
+    def nothing(self) -> Candidate:
+        """Return the gain 0."""
+        return Candidate(K=np.zeros((self.task.B.shape[1], self.A.shape[1])))
+
+    def regulator(self, rate: float) -> Iterator[Candidate]:
+        """Yield the gain of the least cost with unit weights in balanced units, then those of lighter ones."""
+        A, B = self.at.system(self.A) + self._shift(rate, _FASTER), self.at.input(self.task.B)
+        for root in _state_weights(A.mean(axis=0), B):
+            rows, R = root @ self.at.inverse, np.eye(B.shape[1])
+            yield from self._least_cost(rows, R, self.at.T, self._shift(rate, _FASTER))
+
+    def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
+        """Yield the gain of the least sum of the costs from all unit vectors.
+
+        Args:
+            Q, R: Weights (n, n) and (m, m) in the units given.
+        """
+        rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
+        yield from self._least_cost(rows, e[:, None] * R * e, np.eye(len(Q)), np.zeros_like(Q))
+
+    def largest_margins(self, rate: float) -> Iterator[Candidate]:
+        """Yield gains of the largest margin, while it is positive each in better coordinates than the last one."""
+        shift = self._shift(rate, _FASTER / 2)
+        for factor in _BOUNDS_OF_Y:
+            at = self._regulated(shift)
+            for _ in range(_RECENTRED):
+                inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
+                solution = solve(largest_margin(inequality, _most(inequality, factor)), self.task.solver)
+                if solution is None:
+                    return
+                candidate = self._candidate(at, solution, inequality.margin(solution.P, solution.Y))
+                yield candidate
+                if candidate.margin < 0:
+                    break
+                at = at.centred(solution.P)
+
+    def smallest(self, rate: float, *, soon: bool = False) -> Iterator[Iterator[Candidate]]:
+        """Yield sequences of gains, each smaller than the one before it; a sequence may end with one that fails.
+
+        Args:
+            rate: In 1/s.
+            soon: Whether to give up sooner.
+        """
+        for faster in (_FASTER,) if soon else (_FASTER, _HARDLY_FASTER):
+            shift = self._shift(rate, faster)
+            at = self._regulated(shift)
+            for _ in range(_RECENTRED // 2 - soon):
+                seen: list[Solution] = []
+                yield self._smaller_and_smaller(at, shift, seen)
+                if not seen:
+                    break
+                at = at.centred(seen[-1].P)
+
+    def _smaller_and_smaller(self, at: Coordinates, shift: Array, seen: list[Solution]) -> Iterator[Candidate]:
+        """Minimise a bound of the norm of the gain, then the closer bounds that each answer allows."""
+        inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
+        metric_root, input_root = at.inverse, np.diag(at.e)
+        solution, before = solve(smallest_gain(inequality, metric_root, input_root), self.task.solver), np.inf
+        for _ in range(_CLOSER + 1):
+            if solution is None or not _definite(solution.P):
+                return
+            seen.append(solution)
+            candidate = self._candidate(at, solution)
+            yield candidate
+            norm = float(np.linalg.norm(candidate.K, 2))
+            if norm > _WORTH_IT * before:
+                return
+            before = norm
+            program = smaller_gain(inequality, metric_root, input_root, (solution.P, solution.Y))
+            solution = solve(program, self.task.solver)
+
+    def _least_cost(self, rows: Array, R: Array, initial: Array, shift: Array) -> Iterator[Candidate]:
+        """Yield the gain that minimises the cost of the rows (k, n) of x, summed over initial states (n, n), if any."""
+        A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
+        root = self.at.rows(rows)
+        at = self.at.of_regulator(A, B, root.T @ root, R)
+        B = at.input(self.task.B)
+        inequality = quadratic_cost(at.system(self.A) + shift, B, at.rows(rows), R)
+        solution = solve(least_cost(inequality, at.states(initial)), self.task.solver)
+        if solution is not None:
+            yield self._candidate(at, replace(solution, Y=-np.asarray(np.linalg.solve(R, B.T))))
+
+    def _candidate(self, at: Coordinates, solution: Solution, margin: float = np.nan) -> Candidate:
+        """Return K = Y P⁻¹; not a number where P is not positive definite to working precision."""
+        K = np.full((self.task.B.shape[1], self.A.shape[1]), np.nan)
+        if _definite(solution.P):
+            K = at.gain(np.asarray(np.linalg.solve(solution.P, solution.Y.T).T))
+        return Candidate(K=short(K), P=at.matrix(solution.P), margin=margin)
+
+    def _shift(self, rate: float, faster: float) -> Array:
+        """Return what a rate adds to A in balanced units, a little more than asked."""
+        return rate * (1 + faster) / self.at.speed * np.eye(self.A.shape[1])
+
+    def _regulated(self, shift: Array) -> Coordinates:
+        return self.at.of_regulator(self.at.system(self.A) + shift, self.at.input(self.task.B))
+
+
+def short(K: Array) -> Array:
+    """Return the gain with nine significant digits, none of them −0: what is printed is what is proved and used.
+
+    Example:
+        >>> short(np.array([[-1 / 3, -0.0]])).tolist()
+        [[-0.333333333, 0.0]]
+    """
+    return np.array([[float(f"{v:.8e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
+
+
+def _state_weights(A: Array, B: Array) -> Iterator[Array]:
+    """Yield roots of the weights Q of the quadratic cost, in the order in which they are tried.
+
+    First multiples of I. Then multiples of the inverse of the controllability
+    Gramian of the damped mean cell, which do not depend on the choice of states:
+    x' Q x is the effort it takes to get to x.
+    """
+    eye = np.eye(len(A))
+    yield from (np.sqrt(weight) * eye for weight in _STATE_WEIGHTS)
+    damping = 2.0 * max(float(np.abs(np.linalg.eigvals(A)).max()), 1e-2)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it is only a weight
+            gramian = solve_continuous_lyapunov(A - damping * eye, -B @ B.T)
+        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    except (np.linalg.LinAlgError, ValueError):  # an entry is not finite
+        return
+    if values[-1] > 0:
+        root = vectors.T / np.sqrt(np.maximum(values, 1e-12 * values[-1]))[:, None]
+        yield from (np.sqrt(weight * damping) * root for weight in _STATE_WEIGHTS)
+
+
+def _most(inequality: Inequality, factor: float) -> float:
+    """Return a bound of Y in (8) for P ⪯ I: a multiple of ‖A‖ / ‖B‖."""
+    size = np.linalg.norm(inequality.L, 2, axis=(1, 2)).max(initial=0.0)
+    return factor * float(size) / max(float(np.linalg.norm(inequality.M[0], 2)), 1e-300)
+
+
+def _root(Q: Array) -> Array:
+    """Return X with Xᵀ X = Q ⪰ 0."""
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+
+
+def _definite(P: Array) -> bool:
+    values = np.linalg.eigvalsh(P)
+    return bool(values[0] > np.finfo(np.float64).eps * values[-1])

@@ -1,0 +1,98 @@
+"""What is said where no gain was found for (8) or (9): the reason, the cells in conflict, how far it was."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pwatrack.arrays import Array, complex_text, number_text
+from pwatrack.control.task import Task
+from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
+from pwatrack.lmi.infeasibility import Impossibility, Refutation
+
+
+def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: float) -> PwatrackError:
+    """Return the refusal with the proof that no gain reaches the rate (1/s), or say that there is neither.
+
+    Args:
+        task: The inequality.
+        rate: What was asked; 0 where any would do.
+        refutation: The proof, if there is one.
+        margin: The best that was found, relative to the largest entries.
+    """
+    claim = f"{task.role.claim} at a rate of {rate:g} 1/s" if rate else task.role.claim
+    subject = ("design", task.role.name, "rate") if rate else task.subject
+    if refutation is None:
+        message = f"{claim} is undecided: no gain with a proof was found, and no proof that there is none"
+        if np.isfinite(margin):
+            message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
+        hint = "another actuator or measured output may help, or the other solver: --solver cvxopt"
+        return Undecided(Problem(message=message, subject=subject, hint=hint))
+    slower = ", or a slower rate" if rate else ""
+    if refutation.eigenvalues:
+        worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
+        modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in worst]
+        hint = f"another actuator, or another measured output, must reach this mode{slower}"
+    else:
+        hint = f"another actuator or another measured output may help, cells that differ less{slower}"
+
+    def tell(most: int | None) -> str:
+        if refutation.eigenvalues:
+            return f"{claim} is infeasible: no gain moves the eigenvalue {listed(modes, most)}"
+        return (
+            f"{claim} is infeasible: {conflict_text(refutation, task.cells, most)}, no gain with a common P "
+            f"exists for them, though each {'reaches that rate' if rate else 'can be stabilised'} by itself"
+        )
+
+    return Infeasible(
+        Problem.of_many(tell, subject=subject, hint=hint),
+        evidence=Impossibility(role=task.role, rate=rate, refutation=refutation),
+    )
+
+
+def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
+    """Return the refusal of a bound on the gain that the smallest gain found, of this norm, is above."""
+    at_rate = f" at a rate of {rate:g} 1/s" if rate else ""
+    return Undecided(
+        Problem(
+            message=f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
+            f"the smallest that was found has {norm:.4g}",
+            subject=("design", task.role.name, "gain"),
+            hint="allow a larger gain or a slower rate",
+        )
+    )
+
+
+def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
+    """Return the refusal to look for a largest rate, where even this one (1/s) is reached."""
+    return InvalidSpec(
+        Problem(
+            message=f"{task.role.claim} has no largest rate: "
+            f"even {rate:.4g} 1/s can be reached, with ever larger gains",
+            subject=("design", task.role.name, "rate"),
+            hint="give a bound beside it, for example gain: 100, or the rate that is wanted",
+        )
+    )
+
+
+def conflict_text(refutation: Refutation, cells: Sequence[str], most: int | None = None) -> str:
+    """Name the cells in conflict, or at most so many of them.
+
+    Example:
+        >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
+        "cells 'gap' and 'upper' conflict"
+    """
+    names = [f"'{cells[i]}'" for i in refutation.Z]
+    if most is not None and len(names) > most + 1:
+        return f"cells {listed(names, most)} conflict"
+    return f"cells {', '.join(names[:-1])} and {names[-1]} conflict"
+
+
+def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:
+    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many.
+
+    Example:
+        >>> eigenvalue_text(np.array([1.752]), ["gap"])
+        "largest real part of the eigenvalues: +1.752 in cell 'gap'"
+    """
+    parts = [f"{number_text(abscissa[i], '+.4g')} in cell '{cells[i]}'" for i in np.argsort(-abscissa, kind="stable")]
+    return "largest real part of the eigenvalues: " + listed(parts, most)

@@ -1,0 +1,80 @@
+"""The inequality for one gain: (8) for K, or (9) transposed for Lᵀ."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.errors import Subject
+from pwatrack.lmi.certificate import Certificate, prove
+from pwatrack.lmi.exact import RATE_GIVEN
+from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import CONTROLLER, Role
+from pwatrack.model.pwa import PWASystem
+from pwatrack.rational import Rational
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed.
+
+    Attributes:
+        A: (l, n, n).
+        B: (n, m).
+        exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
+        role: Which of the two it is.
+        cells: Names of the l cells.
+        solver: Which interior-point solver to ask.
+    """
+
+    A: Array
+    B: Array
+    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
+    role: Role = CONTROLLER
+    cells: Sequence[str]
+    solver: Solver = "clarabel"
+
+    @classmethod
+    def of(cls, plant: PWASystem, role: Role, solver: Solver = "clarabel") -> "Task":
+        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here."""
+        B, exact_B = (plant.B, plant.exact.B) if role is CONTROLLER else (plant.C, plant.exact.C)
+        return cls(
+            A=role.oriented(plant.A),
+            B=role.oriented(B),
+            exact=([role.exact(A_i) for A_i in plant.exact.A], role.exact(exact_B)),
+            role=role,
+            cells=plant.cell_names,
+            solver=solver,
+        )
+
+    @property
+    def subject(self) -> Subject:
+        """What a refusal of every gain is about."""
+        return ("system", "B" if self.role is CONTROLLER else "C")
+
+    @property
+    def centres(self) -> tuple[list[Rational], Rational] | None:
+        """The middle of each ball, about which a proof that there is no gain speaks."""
+        return None if self.exact is None else ([A_i.centre for A_i in self.exact[0]], self.exact[1].centre)
+
+    def closed(self, K: Array) -> Array:
+        """Return A_i + B K, (l, n, n)."""
+        return np.asarray(self.A + self.B @ K)
+
+    def exactly_closed(self, K: Array) -> list[BallMatrix]:
+        """Return A_i + B K in the numbers that proofs are about, K as printed."""
+        A, B = self.exact or ([BallMatrix.of(A_i) for A_i in self.A], BallMatrix.of(self.B))
+        gain = B @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
+        return [A_i + gain for A_i in A]
+
+    def reached(self, K: Array, P: Array, rate: float) -> Certificate | None:
+        """Return the certificate that P gives for a gain, if it shows a rate (1/s)."""
+        found = prove(self.closed(K), P) if np.isfinite(K).all() else None
+        return found if found is not None and reaches(found, rate) else None
+
+
+def reaches(certificate: Certificate, rate: float) -> bool:
+    """Say whether the exact proof, which gives up a little, will still show the rate."""
+    return certificate.rate * (1 - 2 * RATE_GIVEN) >= rate
