@@ -26,7 +26,7 @@ class Coordinates:
         >>> A, B = np.array([[[0.0, 1e6], [-1.0, 0.0]]]), np.array([[0.0], [1e3]])
         >>> at = Coordinates.balanced(A, B)
         >>> float(np.abs(at.system(A)).max()), float(np.abs(at.input(B)).max())
-        (0.9765625, 0.9765625)
+        (1.0, 0.9765625)
         >>> K = np.array([[3.0, 4.0]])
         >>> bool(np.allclose(at.system(A + B @ at.gain(K)), at.system(A) + at.input(B) @ K))
         True

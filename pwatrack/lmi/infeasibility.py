@@ -106,24 +106,27 @@ def refute(
     return _stuck_modes(exact_A, exact_B) or _conflict(A + rate * np.eye(A.shape[1]), B, exact_A, exact_B, solver)
 
 
-def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational]) -> bool:
+def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational], *, kernel: Rational | None = None) -> bool:
     """Check exactly that multipliers prove that there is no solution.
 
     Args:
         A: The matrices A_i, exact.
         B: Exact.
         Z: Multipliers by cell; 0 for the others.
+        kernel: Columns that all Z_i may be 0 on, by default those of B: to be fast, whatever they are.
     """
     total, n = _sum([Z_i * A[i] for i, Z_i in Z.items()]), B.nrows()
-    zero = decimals(np.zeros((n, n)))
-    if any(Z_i != Z_i.transpose() for Z_i in Z.values()) or not is_positive_semidefinite(total + total.transpose()):
+    zero, kernel = decimals(np.zeros((n, n))), column_space(B) if kernel is None else kernel
+    if any(Z_i != Z_i.transpose() for Z_i in Z.values()):
+        return False
+    if not is_positive_semidefinite(total + total.transpose(), kernel):
         return False
     if _sum(list(Z.values())) * B != decimals(np.zeros((n, B.ncols()))):
         return False
     if len(Z) == 1:
         (single,) = Z.values()
         return not is_positive_semidefinite(-single)
-    return all(is_positive_semidefinite(Z_i) for Z_i in Z.values()) and any(Z_i != zero for Z_i in Z.values())
+    return all(is_positive_semidefinite(Z_i, kernel) for Z_i in Z.values()) and any(Z_i != zero for Z_i in Z.values())
 
 
 def _stuck_modes(A: Sequence[Rational], B: Rational) -> Refutation | None:
@@ -220,7 +223,7 @@ def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, so
             part = [exact_A[i] for i in some], [N[i] for i in some], [bases[i] for i in some]
             inside = _multipliers(scaled[some], part[2], floats(R), interior=True, solver=solver)
             Z = None if inside is None else _exact_multipliers(*part, R, inside)
-            if Z is not None and refutes(part[0], exact_B, dict(enumerate(Z))):
+            if Z is not None and refutes(part[0], exact_B, dict(enumerate(Z)), kernel=R):
                 back = {i: D.inv() * Z_i * D.inv() for i, Z_i in zip(some, Z, strict=True)}
                 return Refutation(Z=_whole(back), eigenvalues={})
         R, N = _guessed_faces(scaled, N, bases, dict(zip(cells, U, strict=True)))
@@ -341,14 +344,13 @@ def _exact_multipliers(
         V.append(_rounded(T @ U_i @ T.T))
     if R.ncols():
         ends = [(N_i * A_i, N_i * A_i * R, N_i * R) for N_i, A_i in zip(N, A, strict=True)]
+        rows = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
         unknowns = [(i, j, k) for i, V_i in enumerate(V) for j in range(V_i.nrows()) for k in range(j, V_i.nrows())]
         columns = []
         for i, j, k in unknowns:
-            NA, NAR, NR = ends[i]
-            seen = _unit(N[i], j, NAR, k) + _unit(NA, j, NR, k)
-            if j != k:
-                seen += _unit(N[i], k, NAR, j) + _unit(NA, k, NR, j)
-            columns.append(seen.entries())
+            N_i, NA, NAR, NR = rows[i]
+            pairs = [(N_i[j], NAR[k]), (NA[j], NR[k])] + ([(N_i[k], NAR[j]), (NA[k], NR[j])] if j != k else [])
+            columns.append(_outer(pairs).entries())
         residual = _sum(
             [
                 N_i.transpose() * V_i * NAR + NA.transpose() * V_i * NR
@@ -367,7 +369,8 @@ def _exact_multipliers(
             V[i][j, k] += dx
             if j != k:
                 V[i][k, j] += dx
-    return [N_i.transpose() * V_i * N_i for N_i, V_i in zip(N, V, strict=True)]
+    whole = lcm(*(int(v.q) for V_i in V for v in V_i.entries()))  # whole numbers are multiplied much faster
+    return [N_i.transpose() * (V_i * whole) * N_i for N_i, V_i in zip(N, V, strict=True)]
 
 
 def _pivots(G: Array) -> tuple[list[int], list[int]]:
@@ -416,6 +419,6 @@ def _column(entries: Sequence[Any]) -> Rational:
     return flint.fmpq_mat(len(entries), 1, list(entries))
 
 
-def _unit(X: Rational, j: int, Y: Rational, k: int) -> Rational:
-    """Return Xᵀ E_jk Y: row j of X as a column times row k of Y."""
-    return _column(X.tolist()[j]) * _column(Y.tolist()[k]).transpose()
+def _outer(pairs: Sequence[tuple[Sequence[Any], Sequence[Any]]]) -> Rational:
+    """Return the sum of x yᵀ."""
+    return _sum([_column(x) * _column(y).transpose() for x, y in pairs])
