@@ -17,7 +17,8 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
-from pwatrack.spec.load import Spec, assignments, load_spec
+from pwatrack.spec.load import assignments, load_spec
+from pwatrack.spec.spec import Spec
 from pwatrack.variation import Over, ensemble
 
 
@@ -54,7 +55,7 @@ def run(
         try:
             with _timed(seconds, "load"):
                 spec = load_spec(path, assignments(parameters))
-                spec = replace(spec, solver=solver) if solver else spec
+                spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
             status.update("Solving the matrix inequalities")
             with _timed(seconds, "design"):
                 controller = pipeline.design(spec)
@@ -125,8 +126,8 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
     gains = controller.design
     return [
-        pareto(controller_task(spec.plant, spec.solver), gains.K, gains.controller.rate),
-        pareto(observer_task(spec.plant, spec.solver), gains.L.T, gains.observer.rate),
+        pareto(controller_task(spec.problem.plant, spec.objectives.solver), gains.K, gains.controller.rate),
+        pareto(observer_task(spec.problem.plant, spec.objectives.solver), gains.L.T, gains.observer.rate),
     ]
 
 
