@@ -171,7 +171,7 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
 
     def member(number: int) -> Member:
         values = dict(zip(names, drawn[number].tolist(), strict=True))
-        plant, _ = spec.problem.recipe.plant(_changed(result, values), _OVER)
+        plant, _ = spec.problem.parametric.at(_changed(result, values), _OVER)
         varied = closed_loop(loop.controller, replace(loop.conditions, plant=plant))
         text = "with " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
         return replace(_member(result, varied), text=text)
@@ -231,7 +231,7 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
     for name, value in values.items():
         away = _SPREAD * abs(value)
         try:
-            other, _ = spec.problem.recipe.plant(_changed(result, {name: value + away}), _OVER)
+            other, _ = spec.problem.parametric.at(_changed(result, {name: value + away}), _OVER)
         except PwatrackError as refusal:
             hint = "say under simulation.ensemble.parameters which parameters vary, and how far"
             raise type(refusal)(*(replace(p, hint=hint) for p in refusal.problems)) from None

@@ -97,7 +97,7 @@ def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]
         "format": FORMAT,
         "claim": _CLAIM,
         "spec_sha256": spec.sha256,
-        "set": {name: str(value) for name, value in spec.problem.recipe.overrides.items()},
+        "set": {name: str(value) for name, value in spec.overrides.items()},
         **subject_content(spec),
         "K": decimals(K),
         "L": decimals(L),

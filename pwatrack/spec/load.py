@@ -13,6 +13,8 @@ from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.spec.build import build_plant, build_reference
+from pwatrack.spec.entries import Context
+from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.problems import (
     condition_problems,
     goal_problems,
@@ -25,9 +27,8 @@ from pwatrack.spec.problems import (
     start_problems,
     validation_problems,
 )
-from pwatrack.spec.recipe import PlantRecipe, evaluated
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
-from pwatrack.spec.schema import Context, ExpectSection, SpecFile
+from pwatrack.spec.schema import ExpectSection, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
@@ -78,11 +79,12 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
     simulation = file.simulation
-    recipe = PlantRecipe(
-        parameters=document.data.get("parameters", {}),
-        system=document.data["system"],
+    parametric = ParametricPlant.of(
+        document.data.get("parameters", {}),
+        parameters or {},
+        nominal=file.system,
+        written=document.data["system"],
         names=context,
-        overrides=parameters or {},
         tolerance=file.tolerance.continuity,
     )
     try:
@@ -90,7 +92,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
         conditions = build_conditions(simulation, plant, path.parent)
         if simulation.plant is not None:
-            running, changed = recipe.plant(simulation.plant.parameters, ("simulation", "plant", "parameters"))
+            running, changed = parametric.at(simulation.plant.parameters, ("simulation", "plant", "parameters"))
             conditions = replace(conditions, plant=running, parameters=changed)
     except PwatrackError as error:
         raise error.located(document.places) from None
@@ -99,7 +101,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         path=path,
         sha256=digest,
         parameters={name: float(value) for name, value in values.items() if value is not None},
-        problem=TrackingProblem(plant=plant, units=file.system.units, reference=reference, recipe=recipe),
+        overrides=parameters or {},
+        problem=TrackingProblem(plant=plant, units=file.system.units, reference=reference, parametric=parametric),
         objectives=build_objectives(file.design),
         scenario=build_scenario(simulation, plant.states, conditions),
         expected_exit=file.expect.exit if file.expect else 0,

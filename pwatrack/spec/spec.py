@@ -15,7 +15,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
-from pwatrack.spec.recipe import PlantRecipe
+from pwatrack.spec.parametric import ParametricPlant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +26,13 @@ class TrackingProblem:
         plant: The system (1).
         units: Unit of each state, input and output that has one.
         reference: What to track.
-        recipe: What makes the plant from its parameters.
+        parametric: The plant as a function of the parameters.
     """
 
     plant: PWASystem
     units: Mapping[str, str]
     reference: Reference
-    recipe: PlantRecipe
+    parametric: ParametricPlant
 
     @property
     def tracking(self) -> Literal["output", "state"]:
@@ -94,6 +94,7 @@ class Spec:
         path: The file.
         sha256: Of the file's bytes.
         parameters: Values of the parameters.
+        overrides: What was set from outside the file, as it was written.
         problem: What is controlled, and what it is to track.
         objectives: What the gains are to achieve.
         scenario: What is simulated.
@@ -105,6 +106,7 @@ class Spec:
     path: Path
     sha256: str
     parameters: Mapping[str, float]
+    overrides: Mapping[str, float | str]
     problem: TrackingProblem
     objectives: Objectives
     scenario: Scenario
