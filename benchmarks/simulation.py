@@ -95,7 +95,7 @@ def from_spec(name: str) -> Case:
     """Return the closed loop of a spec."""
     spec = load_spec(ROOT / "specs" / f"{name}.yaml")
     result = simulate(spec)
-    return Case(name, result.loop.flow, result.response.trace.z[0], spec.duration, spec.sample_time)
+    return Case(name, result.loop.flow, result.response.trace.z[0], spec.scenario.duration, spec.scenario.sample_time)
 
 
 @njit
@@ -493,7 +493,11 @@ def many() -> None:
     def run(workers: int) -> float:
         start = time.perf_counter()
         simulate_ensemble(
-            members.__getitem__, len(members), duration=spec.duration, sample_time=spec.sample_time, workers=workers
+            members.__getitem__,
+            len(members),
+            duration=spec.scenario.duration,
+            sample_time=spec.scenario.sample_time,
+            workers=workers,
         )
         return time.perf_counter() - start
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pwatrack.pipeline import simulate as simulate
     from pwatrack.report.files import write_design as write_design
     from pwatrack.report.files import write_result as write_result
-    from pwatrack.spec.load import Spec as Spec
     from pwatrack.spec.load import load_spec as load_spec
+    from pwatrack.spec.spec import Spec as Spec
     from pwatrack.variation import ensemble as ensemble
 
 _HOME = {
@@ -32,7 +32,7 @@ _HOME = {
     "OutsideTheory": "pwatrack.errors",
     "PwatrackError": "pwatrack.errors",
     "Result": "pwatrack.pipeline",
-    "Spec": "pwatrack.spec.load",
+    "Spec": "pwatrack.spec.spec",
     "design": "pwatrack.pipeline",
     "ensemble": "pwatrack.variation",
     "load_spec": "pwatrack.spec.load",

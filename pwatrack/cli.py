@@ -65,7 +65,7 @@ def check(
         report, refusal, reference, name = None, None, "", ""
         try:
             spec = load_spec(spec_path, assignments(parameters or []))
-            name, report = spec.name, applicability(spec.plant)
+            name, report = spec.name, applicability(spec.problem.plant)
             reference = check_reference(spec, report.form)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error

@@ -39,7 +39,7 @@ from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace, Unresolved, last_tenth
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import Spec
 
 _MOST_KEPT = 250_000  # samples
 _LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
@@ -78,16 +78,17 @@ class Result:
         """What was noticed and changes no verdict."""
         S = self.controller.trajectory.exosystem.S
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
-        remarks = list(dict.fromkeys(self.spec.plant.remarks + self.loop.plant.remarks))
-        if fastest * self.spec.sample_time > 2 * np.pi / 10:
+        remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
+        duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
+        if fastest * step > 2 * np.pi / 10:
             remarks.append(
-                f"sample_time {self.spec.sample_time:g} s is too long for a reference with a period of "
+                f"sample_time {step:g} s is too long for a reference with a period of "
                 f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
             )
-        if self.end < self.spec.duration * (1 - 1e-9):
+        if self.end < duration * (1 - 1e-9):
             remarks.append(
-                f"the run ends with the last sample, at t = {self.end:.9g} s: the duration, {self.spec.duration:g} s, "
-                f"is no multiple of the sample time, {self.spec.sample_time:g} s"
+                f"the run ends with the last sample, at t = {self.end:.9g} s: the duration, {duration:g} s, "
+                f"is no multiple of the sample time, {step:g} s"
             )
         remarks += _unresolved(self.response.trace)
         return tuple(remarks)
@@ -115,7 +116,8 @@ class Result:
     @property
     def end(self) -> float:
         """The time of the last sample in s, whether it was kept or not."""
-        return (sample_count(self.spec.duration, self.spec.sample_time) - 1) * self.spec.sample_time
+        step = self.spec.scenario.sample_time
+        return (sample_count(self.spec.scenario.duration, step) - 1) * step
 
     @property
     def generator_start_fixed(self) -> bool:
@@ -190,10 +192,11 @@ def design(spec: Spec) -> Controller:
     """
     with spec.located():
         trajectory, generator = _desired(spec)  # (15)–(17), or (3)
-        plant = spec.plant if generator is None else generator.form.plant
-        gains = synthesize(plant, controller=spec.controller, observer=spec.observer, solver=spec.solver)  # (8), (9)
+        plant = spec.problem.plant if generator is None else generator.form.plant
+        goals, solver = spec.objectives, spec.objectives.solver
+        gains = synthesize(plant, controller=goals.controller, observer=goals.observer, solver=solver)  # (8), (9)
         _check_timing(spec, trajectory, generator, gains)
-        proofs = prove_design(plant, gains, generator, solver=spec.solver)
+        proofs = prove_design(plant, gains, generator, solver=solver)
         return Controller(  # (18), (19)
             plant=plant,
             design=gains,
@@ -219,15 +222,15 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """
     controller = controller or design(spec)
     with spec.located():
-        loop = closed_loop(controller, spec.conditions)
-        n, p = spec.plant.A.shape[1], controller.trajectory.rate.shape[1]
-        fixed = controller.trajectory.eta0
-        if spec.eta_hat0 is not None and _start_fixed(spec, controller):
+        loop = closed_loop(controller, spec.scenario.conditions)
+        n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
+        fixed, initial = controller.trajectory.eta0, spec.scenario.initial
+        if initial.generator is not None and _start_fixed(spec, controller):
             raise start_given_twice(("simulation", "initial", "generator"))
         start = loop.start(
-            plant=_initial(spec.x0, n, "plant"),
-            observer=_initial(spec.x_hat0, n, "observer"),
-            generator=fixed if fixed is not None else _initial(spec.eta_hat0, p, "generator"),
+            plant=_initial(initial.plant, n, "plant"),
+            observer=_initial(initial.observer, n, "observer"),
+            generator=fixed if fixed is not None else _initial(initial.generator, p, "generator"),
         )
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and _starts_periodic(spec):
@@ -255,15 +258,15 @@ def start_given_twice(subject: Subject) -> InvalidSpec:
 
 def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome, Spool | None]:
     """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
-    samples = sample_count(spec.duration, spec.sample_time)
-    watch = Watch(loop, samples, units=spec.units)
+    times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
+    samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
+    watch = Watch(loop, samples, units=spec.problem.units)
     step, kept = -(-samples // _MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
-    times = {"duration": spec.duration, "sample_time": spec.sample_time}
 
     def blocks() -> Iterator[Response]:
         number = 0
-        for trace in trace_blocks(loop.flow, start, **times, resets=loop.resets(spec.duration), most=_MOST_KEPT):
+        for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=_MOST_KEPT):
             kept.append(trace if spool is None else trace.every(step, number))
             if spool is not None:
                 spool.add(trace)
@@ -294,29 +297,32 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         >>> check_reference(load_spec("specs/two_mass_backlash.yaml"))
         'y_d is bounded and smooth enough for relative degree 2'
     """
+    problem = spec.problem
     with spec.located():
-        if isinstance(spec.reference, OutputReference):
-            form = form or normal_form(spec.plant)
-            _output_signal(spec.reference, form.r)
+        if isinstance(problem.reference, OutputReference):
+            form = form or normal_form(problem.plant)
+            _output_signal(problem.reference, form.r)
             return f"y_d is bounded and smooth enough for relative degree {form.r}"
         _state_desired(spec)
-        if isinstance(spec.reference, SetPoint):
+        if isinstance(problem.reference, SetPoint):
             return "x_d is an equilibrium with the wanted outputs"
-        if isinstance(spec.reference, InputReference):
+        if isinstance(problem.reference, InputReference):
             return "u_ff is bounded; x_d is the response of the plant"
         return "x_d is bounded and satisfies (3)"
 
 
 def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
     """Return the desired trajectory, and for output tracking the generator it comes from."""
-    if not isinstance(spec.reference, OutputReference):
+    plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
+    if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
-        if not isinstance(spec.reference, InputReference) or spec.reference.start is None:
+        if not isinstance(reference, InputReference) or reference.start is None:
             return trajectory, None
-        return bounded_response(spec.plant, trajectory, horizon=spec.duration, solver=spec.solver, subject=where), None
-    form = normal_form(spec.plant)
-    y_d = _output_signal(spec.reference, form.r)
-    generator = trajectory_generator(form, solver=spec.solver)
+        horizon = spec.scenario.duration
+        return bounded_response(plant, trajectory, horizon=horizon, solver=solver, subject=where), None
+    form = normal_form(plant)
+    y_d = _output_signal(reference, form.r)
+    generator = trajectory_generator(form, solver=solver)
     return output_trajectory(generator, exosystem([y_d])), generator
 
 
@@ -328,7 +334,7 @@ def _output_signal(reference: OutputReference, r: int) -> Signal:
 
 def _state_desired(spec: Spec) -> DesiredTrajectory:
     """Return the desired trajectory of state tracking."""
-    plant, reference = spec.plant, spec.reference
+    plant, reference = spec.problem.plant, spec.problem.reference
     if isinstance(reference, SetPoint):
         return set_point(plant, reference.y, subject=("reference", "setpoint"))
     assert not isinstance(reference, OutputReference)
@@ -343,20 +349,20 @@ def _state_desired(spec: Spec) -> DesiredTrajectory:
         return input_trajectory(plant, u_ff, reference.start)
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
-    return realised(plant, x_d, horizon=spec.duration, subject=("reference", "state"))  # (3)
+    return realised(plant, x_d, horizon=spec.scenario.duration, subject=("reference", "state"))  # (3)
 
 
 def _check_timing(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
 ) -> None:
     """Refuse a reference whose breaks cannot be timed well enough."""
-    n, reference = spec.plant.A.shape[1], spec.reference
+    plant, reference = spec.problem.plant, spec.problem.reference
     smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
     check_timing(
-        spec.plant,
+        plant,
         gains.K,
         trajectory,
-        outputs=np.eye(n) if generator is None else spec.plant.C,
+        outputs=np.eye(len(plant.states)) if generator is None else plant.C,
         smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
         subject=("reference", "state" if generator is None else "output"),
     )
@@ -364,9 +370,10 @@ def _check_timing(
 
 def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
     """Return the proved bounds of the costs that were asked for."""
-    parts = ((CONTROLLER, spec.controller, gains.K), (OBSERVER, spec.observer, gains.L))
+    plant, goals = spec.problem.plant, spec.objectives
+    parts = ((CONTROLLER, goals.controller, gains.K), (OBSERVER, goals.observer, gains.L))
     return {
-        role.name: cost_bound(Task.of(spec.plant, role, spec.solver), role.oriented(gain), goal.Q, goal.R)
+        role.name: cost_bound(Task.of(plant, role, goals.solver), role.oriented(gain), goal.Q, goal.R)
         for role, goal, gain in parts
         if isinstance(goal, LeastCost)
     }
@@ -384,14 +391,14 @@ def _start_fixed(spec: Spec, controller: Controller) -> bool:
 
 
 def _starts_periodic(spec: Spec) -> bool:
-    return isinstance(spec.reference, InputReference) and spec.reference.start is None
+    return isinstance(spec.problem.reference, InputReference) and spec.problem.reference.start is None
 
 
 def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:
     """Return a period of the generator's steady state, where it has one; any time is a period of a constant."""
     trajectory = controller.trajectory
     p, system = trajectory.rate.shape[1], trajectory.exosystem
-    period = system.period if not system.constant else spec.duration if _starts_periodic(spec) else None
+    period = system.period if not system.constant else spec.scenario.duration if _starts_periodic(spec) else None
     if not p or period is None or not (controller.generator or _starts_periodic(spec)):
         return None
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period

@@ -99,7 +99,7 @@ def ensemble(
         ((4, 6001), True)
     """
     spec = result.spec
-    samples = sample_count(spec.duration, spec.sample_time)
+    samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
         raise InvalidSpec(
@@ -112,8 +112,8 @@ def ensemble(
         kept = simulate_ensemble(
             variation.member,
             count,
-            duration=spec.duration,
-            sample_time=spec.sample_time,
+            duration=spec.scenario.duration,
+            sample_time=spec.scenario.sample_time,
             workers=workers,
             progress=progress,
         )
@@ -127,9 +127,9 @@ def other_starts(result: Result, count: int, seed: int) -> Variation:
         InvalidSpec: If there is a region for a generator whose start is fixed or has another number of entries.
     """
     loop, spec = result.loop, result.spec
-    regions = dict(spec.regions) or _around(result)
+    regions = dict(spec.scenario.regions) or _around(result)
     places = {"plant": loop.at.x, "observer": loop.at.x_hat, "generator": loop.at.eta_hat}
-    states, etas = spec.plant.states, range(loop.at.eta_hat.stop - loop.at.eta_hat.start)
+    states, etas = spec.problem.plant.states, range(loop.at.eta_hat.stop - loop.at.eta_hat.start)
     names = {
         "plant": tuple(states),
         "observer": tuple(f"{state}_hat" for state in states),
@@ -147,7 +147,7 @@ def other_starts(result: Result, count: int, seed: int) -> Variation:
     member = _member(result, loop)
     return Variation(
         over="initial",
-        given=bool(spec.regions),
+        given=bool(spec.scenario.regions),
         regions=regions,
         names=names,
         values={name: x for part, at in places.items() for name, x in zip(names[part], starts[:, at].T, strict=True)},
@@ -163,7 +163,7 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
         PwatrackError: If the plant is not of class (1) with other values; so does `member`.
     """
     loop, spec = result.loop, result.spec
-    intervals = dict(spec.intervals) or _near(result)
+    intervals = dict(spec.scenario.intervals) or _near(result)
     names = tuple(intervals)
     low, high = np.array(list(intervals.values())).T
     box = Box(low=low, high=high)
@@ -171,14 +171,14 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
 
     def member(number: int) -> Member:
         values = dict(zip(names, drawn[number].tolist(), strict=True))
-        plant, _ = spec.recipe.plant(_changed(result, values), _OVER)
+        plant, _ = spec.problem.parametric.at(_changed(result, values), _OVER)
         varied = closed_loop(loop.controller, replace(loop.conditions, plant=plant))
         text = "with " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
         return replace(_member(result, varied), text=text)
 
     return Variation(
         over="parameters",
-        given=bool(spec.intervals),
+        given=bool(spec.scenario.intervals),
         regions={"plant": box},
         names={"plant": names},
         values=dict(zip(names, drawn.T, strict=True)),
@@ -196,14 +196,14 @@ def other_noise(result: Result, count: int, seed: int) -> Variation:
     noise = loop.conditions.noise
     if noise is None:
         message = "the spec has no simulation.noise: without it all members are the same"
-        hint = f"for example noise: {{std: {{{result.spec.plant.outputs[0]}: 1e-3}}, sample_time: 0.01}}"
+        hint = f"for example noise: {{std: {{{result.spec.problem.plant.outputs[0]}: 1e-3}}, sample_time: 0.01}}"
         raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
     seeds = np.random.default_rng([seed, 4]).integers(2**53, size=count)
     first = _member(result, loop)
 
     def member(number: int) -> Member:
         conditions = replace(loop.conditions, noise=replace(noise, seed=int(seeds[number])))
-        return replace(first, resets=tuple(replace(loop, conditions=conditions).resets(result.spec.duration)))
+        return replace(first, resets=tuple(replace(loop, conditions=conditions).resets(result.spec.scenario.duration)))
 
     return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
 
@@ -212,7 +212,7 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 
 
 def _member(result: Result, loop: ClosedLoop) -> Member:
-    resets = tuple(loop.resets(result.spec.duration))
+    resets = tuple(loop.resets(result.spec.scenario.duration))
     return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets)
 
 
@@ -231,7 +231,7 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
     for name, value in values.items():
         away = _SPREAD * abs(value)
         try:
-            other, _ = spec.recipe.plant(_changed(result, {name: value + away}), _OVER)
+            other, _ = spec.problem.parametric.at(_changed(result, {name: value + away}), _OVER)
         except PwatrackError as refusal:
             hint = "say under simulation.ensemble.parameters which parameters vary, and how far"
             raise type(refusal)(*(replace(p, hint=hint) for p in refusal.problems)) from None

@@ -193,9 +193,13 @@ def test_the_spec_without_a_fault_is_read(tmp_path: Path) -> None:
 
 
 def test_initial_states_by_name_are_those_in_order(tmp_path: Path) -> None:
-    by_name = load_spec(written(tmp_path, ("{plant: [gap, 0]}", "{plant: {z: gap}, observer: {v: -1}}")))
-    in_order = load_spec(written(tmp_path, ("{plant: [gap, 0]}", "{plant: [gap, 0], observer: [0, -1]}")))
-    for one, other in ((by_name.x0, in_order.x0), (by_name.x_hat0, in_order.x_hat0)):
+    by_name = load_spec(
+        written(tmp_path, ("{plant: [gap, 0]}", "{plant: {z: gap}, observer: {v: -1}}"))
+    ).scenario.initial
+    in_order = load_spec(
+        written(tmp_path, ("{plant: [gap, 0]}", "{plant: [gap, 0], observer: [0, -1]}"))
+    ).scenario.initial
+    for one, other in ((by_name.plant, in_order.plant), (by_name.observer, in_order.observer)):
         assert one is not None
         assert other is not None
         assert one.tolist() == other.tolist()
@@ -207,7 +211,7 @@ def test_any_name_of_a_state_will_do(tmp_path: Path, names: str) -> None:
     path.write_text(
         re.sub(r"\bz\b", "names", path.read_text(encoding="utf-8")).replace("plant: [0, 0]", names), encoding="utf-8"
     )
-    x0 = load_spec(path).x0
+    x0 = load_spec(path).scenario.initial.plant
     assert x0 is not None
     assert x0.tolist() == [0.1, 2.0]
 

@@ -53,7 +53,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
             reference = check_reference(spec)
         except PwatrackError as error:
             reference = str(error)
-        summary.print_plant(console, spec.name, applicability(spec.plant), reference)
+        summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference)
         controller = design(spec)
         result = simulate(spec, controller)
         summary.print_design(console, spec, controller)

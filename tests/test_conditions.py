@@ -18,6 +18,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.plots import draw
 from pwatrack.simulation.actuator import Actuator
+from tests.scenarios import in_scenario
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
 
@@ -170,12 +171,14 @@ def test_a_sampled_controller_approaches_the_continuous_one_with_the_first_order
     method: Any, paper_spec: Spec, paper: Result
 ) -> None:
     """The held input is late by half a sample time on the average, so the difference halves with the sample time."""
-    short = replace(paper_spec, duration=3.0)
+    short = in_scenario(paper_spec, duration=3.0)
     exact = simulate(short, paper.controller).response.x
     gaps = []
     for step in (4e-3, 2e-3, 1e-3, 5e-4):
         conditions = Conditions(sampling=Sampling(sample_time=step, method=method))
-        gaps.append(np.abs(simulate(replace(short, conditions=conditions), paper.controller).response.x - exact).max())
+        gaps.append(
+            np.abs(simulate(in_scenario(short, conditions=conditions), paper.controller).response.x - exact).max()
+        )
     np.testing.assert_allclose(np.divide(gaps[:-1], gaps[1:]), 2.0, atol=0.15)
     assert gaps[-1] < 2e-3
 
@@ -186,7 +189,7 @@ def test_limits_at_infinity_change_no_bit(paper_spec: Spec, paper: Result, tmp_p
 
 
 def test_limits_out_of_reach_change_nothing_but_rounding(paper_spec: Spec, paper: Result) -> None:
-    far = replace(paper_spec, conditions=Conditions(limits=np.array([[-1e3, 1e3]])))
+    far = in_scenario(paper_spec, conditions=Conditions(limits=np.array([[-1e3, 1e3]])))
     trace = simulate(far, paper.controller).response.trace
     np.testing.assert_allclose(trace.z, paper.response.trace.z, atol=1e-11)
     assert [e.after[:3] for e in trace.events] == [e.after for e in paper.response.trace.events]
@@ -196,7 +199,7 @@ def test_a_limited_input_stays_at_its_limit_and_events_say_when(
     paper_spec: Spec, paper: Result, tmp_path: Path
 ) -> None:
     limits = np.array([[-2.0, 1.5]])
-    result = simulate(replace(paper_spec, conditions=Conditions(limits=limits)), paper.controller)
+    result = simulate(in_scenario(paper_spec, conditions=Conditions(limits=limits)), paper.controller)
     u, part = result.response.u[:, 0], result.loop.flow.parts[3]
     names = np.array(part.cells)[result.response.trace.modes[:, 3]]
     assert u.min() == -2.0
@@ -220,19 +223,19 @@ def test_a_limited_input_stays_at_its_limit_and_events_say_when(
 
 def test_two_inputs_are_limited_each_by_its_own_limits(specs: Path) -> None:
     spec = load_spec(specs / "gallery/two_driven_carts.yaml")
-    assert len(spec.plant.inputs) == 2
+    assert len(spec.problem.plant.inputs) == 2
     free = simulate(spec)
     sizes = np.abs(free.response.u).max(axis=0)
     limits = np.array([[-np.inf, np.inf], [-0.5 * sizes[1], 0.5 * sizes[1]]])
-    result = simulate(replace(spec, conditions=Conditions(limits=limits)), free.controller)
+    result = simulate(in_scenario(spec, conditions=Conditions(limits=limits)), free.controller)
     assert np.abs(result.response.u[:, 1]).max() == pytest.approx(0.5 * sizes[1])
-    assert [part.name for part in result.loop.flow.parts][3:] == [f"actuator {spec.plant.inputs[1]}"]
+    assert [part.name for part in result.loop.flow.parts][3:] == [f"actuator {spec.problem.plant.inputs[1]}"]
 
 
 def test_noise_is_seeded_and_has_its_deviation(paper_spec: Spec, paper: Result) -> None:
     runs = [
         simulate(
-            replace(paper_spec, conditions=Conditions(noise=Noise(std=np.array([0.02]), sample_time=0.01, seed=s))),
+            in_scenario(paper_spec, conditions=Conditions(noise=Noise(std=np.array([0.02]), sample_time=0.01, seed=s))),
             paper.controller,
         )
         for s in (3, 3, 4)
@@ -252,7 +255,7 @@ def test_noise_is_seeded_and_has_its_deviation(paper_spec: Spec, paper: Result) 
 def test_a_disturbance_leaves_no_more_error_than_its_bounds_say(paper_spec: Spec, paper: Result) -> None:
     """What two of them leave adds up."""
     push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, 0.01, 0.0, -0.02)])
-    response = simulate(replace(paper_spec, conditions=Conditions(disturbance=push)), paper.controller).response
+    response = simulate(in_scenario(paper_spec, conditions=Conditions(disturbance=push)), paper.controller).response
     first, second = (paper.controller.bounds[k].sizes for k in (1, 3))
     most = {signal: 0.01 * first[signal] + 0.02 * second[signal] for signal in first}
     assert 1e-3 < np.abs(response.y - response.y_d)[-500:].max() < most["output", 0]
@@ -327,7 +330,7 @@ def test_a_plant_that_the_gains_do_not_hold_is_said_to_be_unstable(specs: Path, 
     path.write_text(path.read_text(encoding="utf-8").replace("{d1: -60}", "{d1: -0.5}"), encoding="utf-8")
     result = simulate(load_spec(path))
     with pytest.raises(CheckFailed, match=r"member 1, with d1 = -6.*: the closed loop is unstable: a state"):
-        ensemble(replace(result, spec=replace(result.spec, intervals={"d1": (-65.0, -60.0)})), 2, over="parameters")
+        ensemble(replace(result, spec=in_scenario(result.spec, intervals={"d1": (-65.0, -60.0)})), 2, over="parameters")
 
 
 @pytest.mark.parametrize(
@@ -359,7 +362,7 @@ def test_the_last_sample_of_a_run_is_that_of_a_longer_one(extra: str, specs: Pat
     ["noise: {std: {y: 0}, sample_time: 0.1}", "disturbance: {v1: 0}", "actuator: {limits: {u: [-.inf, .inf]}}"],
 )
 def test_a_condition_of_size_0_is_none(extra: str, paper_spec: Spec, tmp_path: Path) -> None:
-    assert loaded(paper_spec, tmp_path, f"  {extra}\n").conditions.nominal
+    assert loaded(paper_spec, tmp_path, f"  {extra}\n").scenario.conditions.nominal
 
 
 @pytest.mark.parametrize("part", ["noise: {std: {y: 1}, sample_time: 1e-9}", "controller: {sample_time: 1e-9}"])

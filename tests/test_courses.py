@@ -33,7 +33,7 @@ def refused(path: Path) -> list[Problem]:
 
 
 def values(path: Path, times: np.ndarray, r: int = 0) -> np.ndarray:
-    reference = load_spec(path).reference
+    reference = load_spec(path).problem.reference
     assert isinstance(reference, OutputReference)
     signal, system = reference.signal(r), exosystem([reference.signal(r)])
     found = np.array([signal(float(t)) for t in times])
@@ -188,7 +188,7 @@ def test_a_long_table_and_many_trapezoids_are_built_in_seconds(tmp_path: Path) -
     shape = "{trapezoid: {high: 1, rise: 0.2, fall: 0.2, rest: 0.1, smooth: 0.05}}"
     for spec in (path, None):
         begun = time.perf_counter()
-        reference = load_spec(spec or write(tmp_path, shape, duration=2_000)).reference
+        reference = load_spec(spec or write(tmp_path, shape, duration=2_000)).problem.reference
         assert isinstance(reference, OutputReference)
         signal = reference.signal(2)
         system = exosystem([signal])

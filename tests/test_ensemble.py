@@ -20,6 +20,7 @@ from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.variation import EnsembleResult, Over, other_starts
 from tests.plants import reset
+from tests.scenarios import in_scenario
 from tests.test_cli import call, refused, shortened
 
 seeds = st.integers(0, 2**32)
@@ -42,7 +43,7 @@ def members_of(result: Result, count: int) -> list[Member]:
         "observer": Ellipsoid(center=np.zeros(4), radii=np.array([0.1, 0.2, 0.0, 0.3])),
         "generator": Box(low=np.array([0.0, -0.1]), high=np.array([0.3, 0.1])),
     }
-    variation = other_starts(replace(result, spec=replace(result.spec, regions=regions)), count, seed=7)
+    variation = other_starts(replace(result, spec=in_scenario(result.spec, regions=regions)), count, seed=7)
     return [variation.member(number) for number in range(count)]
 
 

@@ -31,7 +31,7 @@ def test_a_plant_that_must_be_refused_is_refused(path: Path) -> None:
 
 
 def test_the_gallery_shows_what_it_should() -> None:
-    plants = {path.stem: load_spec(path).plant for path in WORKING}
+    plants = {path.stem: load_spec(path).problem.plant for path in WORKING}
     orders = {name: plant.A.shape[1] for name, plant in plants.items()}
     cells = {name: len(plant.cell_names) for name, plant in plants.items()}
     assert len(WORKING) >= 12

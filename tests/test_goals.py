@@ -38,7 +38,7 @@ seeds = st.integers(0, 10_000)
 
 @pytest.fixture(scope="module")
 def plant(specs: Path) -> PWASystem:
-    return load_spec(specs / "two_mass_backlash.yaml").plant
+    return load_spec(specs / "two_mass_backlash.yaml").problem.plant
 
 
 def test_a_rate_that_is_asked_is_the_rate_that_is_proved(specs: Path) -> None:
@@ -203,7 +203,7 @@ def test_entries_of_any_size_end_in_a_verdict(size: float) -> None:
 @pytest.mark.parametrize("rate", [0.2501, 0.3, 1.0])
 def test_a_rate_out_of_reach_is_proved_to_be(specs: Path, rate: float) -> None:
     spec = load_spec(specs / "two_mass_backlash.yaml")
-    for task in (Task.of(spec.plant, CONTROLLER), Task.of(spec.plant, OBSERVER)):
+    for task in (Task.of(spec.problem.plant, CONTROLLER), Task.of(spec.problem.plant, OBSERVER)):
         with pytest.raises(Infeasible, match=rf"at a rate of {rate:g} 1/s is infeasible: cells .* conflict") as refusal:
             gain(task, AtLeast(rate=rate))
         evidence = refusal.value.evidence
@@ -252,8 +252,9 @@ def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path)
         controller = controller or design(spec)
         result = simulate(spec, controller)
         e, u = result.response.x - result.response.x_d, result.response.u - result.response.u_ff
-        assert isinstance(spec.controller, LeastCost)
-        Q, R = spec.controller.Q, spec.controller.R
+        goal = spec.objectives.controller
+        assert isinstance(goal, LeastCost)
+        Q, R = goal.Q, goal.R
         rate = np.einsum("ti,ij,tj->t", e, Q, e) + np.einsum("ti,ij,tj->t", u, R, u)
         cost = float(np.trapezoid(rate, result.response.t))
         bound = float(e[0] @ controller.costs["controller"] @ e[0])

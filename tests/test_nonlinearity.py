@@ -134,7 +134,7 @@ def test_the_three_ways_of_writing_a_plant_give_the_same_system(tmp_path: Path) 
     plants = []
     for name, way in WAYS.items():
         (tmp_path / f"{name}.yaml").write_text(SYSTEM % way)
-        plants.append(load_spec(tmp_path / f"{name}.yaml").plant)
+        plants.append(load_spec(tmp_path / f"{name}.yaml").problem.plant)
     first = plants[0]
     for other in plants[1:]:
         np.testing.assert_allclose(other.A, first.A, atol=1e-15)

@@ -13,6 +13,7 @@ from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.errors import Infeasible, OutsideTheory
+from tests.scenarios import in_scenario
 
 STATES = [  # t, y − y_d, ‖x − x̂‖, η̂_1: as printed, so half a unit of the last digit is allowed
     (0, "2.500e-01", "2.500e-01", "0.2"),
@@ -131,14 +132,15 @@ def test_fewer_printed_digits_of_the_gains_keep_a_rate_of_six_hundredths(paper_s
     def printed(X: Array) -> Array:
         return np.array([[float(f"{v:.{digits - 1}e}") for v in row] for row in X])
 
-    assert isinstance(paper_spec.controller, Given)
-    assert isinstance(paper_spec.observer, Given)
+    controller, observer = paper_spec.objectives.controller, paper_spec.objectives.observer
+    assert isinstance(controller, Given)
+    assert isinstance(observer, Given)
     given = replace(
-        paper_spec,
-        controller=Given(gain=printed(paper_spec.controller.gain)),
-        observer=Given(gain=printed(paper_spec.observer.gain)),
+        paper_spec.objectives,
+        controller=Given(gain=printed(controller.gain)),
+        observer=Given(gain=printed(observer.gain)),
     )
-    proofs = design(given).proofs
+    proofs = design(replace(paper_spec, objectives=given)).proofs
     for part in ("controller", "observer"):
         assert max(proof.rate for proof in proofs if proof.role.name == part) >= 0.06
 
@@ -162,9 +164,11 @@ def test_the_gains_as_printed_are_destabilising(specs: Path) -> None:
 
 
 def test_the_observer_gain_as_printed_is_destabilising(paper_spec: Spec) -> None:
-    assert isinstance(paper_spec.observer, Given)
+    observer = paper_spec.objectives.observer
+    assert isinstance(observer, Given)
+    wrong = replace(paper_spec.objectives, observer=Given(gain=-observer.gain))
     with pytest.raises(Infeasible) as refusal:
-        design(replace(paper_spec, observer=Given(gain=-paper_spec.observer.gain)))
+        design(replace(paper_spec, objectives=wrong))
     text = str(refusal.value)
     assert "(9)" in text
     for figure in ("+1.746 in cell 'upper spring'", "+1.879 in cell 'gap'", "+1.746 in cell 'lower spring'"):
@@ -186,7 +190,7 @@ def test_A_1_as_printed_is_refused_with_cells_facet_jump_and_line(specs: Path) -
 
 
 def test_seven_is_not_feasible_because_the_gap_has_a_zero_eigenvalue(paper_spec: Spec) -> None:
-    plant = paper_spec.plant
+    plant = paper_spec.problem.plant
     with pytest.raises(Infeasible, match="'gap' not stable"):
         prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names)
 
@@ -199,8 +203,8 @@ def test_seventeen_turns_infeasible_between_068_and_070(specs: Path) -> None:
 
 
 def test_the_designed_gains_are_small_and_track(specs: Path) -> None:
-    spec = replace(load_spec(specs / "two_mass_backlash.yaml"), duration=150.0)
-    assert spec.controller == spec.observer == DEFAULT
+    spec = in_scenario(load_spec(specs / "two_mass_backlash.yaml"), duration=150.0)
+    assert spec.objectives.controller == spec.objectives.observer == DEFAULT
     controller = design(spec)
     assert np.linalg.norm(controller.design.K, 2) < 10
     assert np.linalg.norm(controller.design.L, 2) < 10
@@ -211,7 +215,7 @@ def test_the_designed_gains_are_small_and_track(specs: Path) -> None:
 
 
 def test_cvxopt_agrees_with_clarabel(paper_spec: Spec) -> None:
-    other = design(replace(paper_spec, solver="cvxopt"))
+    other = design(replace(paper_spec, objectives=replace(paper_spec.objectives, solver="cvxopt")))
     ours = design(paper_spec)
     assert other.design.controller.rate == pytest.approx(ours.design.controller.rate, rel=2e-3)
     assert generator_of(other).certificate.rate == pytest.approx(generator_of(ours).certificate.rate, rel=2e-3)

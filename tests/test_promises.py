@@ -1,6 +1,5 @@
 """What the certificates promise, held against simulations; and what must not depend on how a plant is written."""
 
-from dataclasses import replace
 from fractions import Fraction
 from itertools import product as product_of
 from pathlib import Path
@@ -25,9 +24,10 @@ from pwatrack.real import Real
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import InitialStates, Spec
 from tests.plants import random_plant
 from tests.promises import disturbed, joint_system, judge, random_loop, run, track, worst
+from tests.scenarios import in_scenario
 
 
 def exact(X: Array) -> list[list[Fraction]]:
@@ -62,10 +62,10 @@ def test_no_error_is_ever_above_what_the_proofs_promise(seed: int) -> None:
 def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: Path, path: str) -> None:
     spec = load_spec(specs / f"{path}.yaml")
     controller = design(spec)
-    n = spec.plant.A.shape[1]
+    n = spec.problem.plant.A.shape[1]
     for seed in range(4):
         x0, x_hat0 = np.random.default_rng(seed).normal(size=(2, n))
-        result = simulate(replace(spec, x0=x0, x_hat0=x_hat0), controller)
+        result = simulate(in_scenario(spec, initial=InitialStates(plant=x0, observer=x_hat0)), controller)
         verdict = judge(result.loop, result.response)
         assert max(verdict.output, verdict.state, verdict.observer, verdict.later) <= 1
         assert verdict.decay <= 1 + 1e-9

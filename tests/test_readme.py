@@ -16,7 +16,7 @@ def test_the_spec_in_the_readme_is_a_whole_one_and_tracks(tmp_path: Path) -> Non
     (tmp_path / "cart.yaml").write_text(textwrap.dedent(block.group()))
     result = simulate(load_spec(tmp_path / "cart.yaml"))
     assert result.final_error < 1e-9
-    assert result.spec.plant.cell_names == ("stop off", "stop on")
+    assert result.spec.problem.plant.cell_names == ("stop off", "stop on")
 
 
 def test_the_summary_in_the_readme_is_what_is_printed(tmp_path: Path) -> None:

@@ -30,9 +30,11 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import period_map_derivative, periodic_state
 from pwatrack.simulation.trace import Unresolved
 from pwatrack.spec.expression import formula
+from pwatrack.spec.spec import InitialStates
 from tests.grazing import near_grazing
 from tests.plants import random_plant, reset
 from tests.precise import precise
+from tests.scenarios import in_scenario
 
 seeds = st.integers(0, 10_000)
 
@@ -84,7 +86,7 @@ def test_the_sample_time_moves_no_event(sample_time: float) -> None:
 
 
 def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, paper_spec: Spec) -> None:
-    finer = simulate(replace(paper_spec, sample_time=0.005), paper.controller).response
+    finer = simulate(in_scenario(paper_spec, sample_time=0.005), paper.controller).response
     ours, theirs = paper.response.trace, finer.trace
     assert [e.after for e in ours.events] == [e.after for e in theirs.events]
     np.testing.assert_allclose([e.t for e in ours.events], [e.t for e in theirs.events], atol=1e-12)
@@ -362,7 +364,7 @@ def test_relative_degree_equal_to_the_number_of_states_needs_no_generator() -> N
 
 def test_a_generator_start_of_the_wrong_length_is_refused_with_its_place(paper_spec: Spec) -> None:
     with pytest.raises(PwatrackError, match=r"simulation.initial.generator: 3 entries, expected 2") as refusal:
-        simulate(replace(paper_spec, eta_hat0=np.zeros(3)), design(paper_spec))
+        simulate(in_scenario(paper_spec, initial=InitialStates(generator=np.zeros(3))), design(paper_spec))
     assert refusal.value.problems[0].place is not None
 
 

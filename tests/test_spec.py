@@ -8,7 +8,8 @@ from pwatrack import simulate
 from pwatrack.control.goal import DEFAULT
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.reference import OutputReference
-from pwatrack.spec.load import Spec, expected_exit, load_spec
+from pwatrack.spec.load import expected_exit, load_spec
+from pwatrack.spec.spec import Spec
 
 SPEC = """\
 name: Mass on two springs
@@ -86,19 +87,21 @@ def at(problem: Problem) -> str:
 def test_a_spec_is_read_with_its_expressions(write: Write) -> None:
     spec = load_spec(write())
     assert spec.parameters == {"m": 2.0, "k": 0.5, "stiff": 1.5, "gap": 0.1}
-    assert spec.plant.A.tolist() == [[[0, 1], [-0.25, -1]], [[0, 1], [-1.0, -1]]]
-    assert spec.plant.b.tolist() == [[0, 0], [0, 0.075]]
-    assert spec.plant.B.tolist() == [[0], [0.5]]
-    assert spec.x0 is not None
-    assert spec.x0.tolist() == [0.1, 0]
-    assert (spec.x_hat0, spec.eta_hat0, spec.controller, spec.observer) == (None, None, DEFAULT, DEFAULT)
-    assert (spec.duration, spec.sample_time, spec.expected_exit) == (2.0, 0.01, 0)
+    assert spec.problem.plant.A.tolist() == [[[0, 1], [-0.25, -1]], [[0, 1], [-1.0, -1]]]
+    assert spec.problem.plant.b.tolist() == [[0, 0], [0, 0.075]]
+    assert spec.problem.plant.B.tolist() == [[0], [0.5]]
+    assert (spec.objectives.controller, spec.objectives.observer) == (DEFAULT, DEFAULT)
+    initial = spec.scenario.initial
+    assert initial.plant is not None
+    assert initial.plant.tolist() == [0.1, 0]
+    assert (initial.observer, initial.generator) == (None, None)
+    assert (spec.scenario.duration, spec.scenario.sample_time, spec.expected_exit) == (2.0, 0.01, 0)
 
 
 def test_the_order_of_the_sections_does_not_matter(write: Write) -> None:
     head, tail = SPEC.split("system:\n")
     moved = load_spec(write(text=f"system:\n{tail}{head}"))
-    assert moved.plant.A.tolist() == load_spec(write()).plant.A.tolist()
+    assert moved.problem.plant.A.tolist() == load_spec(write()).problem.plant.A.tolist()
 
 
 @pytest.mark.parametrize(
@@ -122,7 +125,7 @@ def test_what_yaml_would_guess_into_a_number_is_refused(write: Write, text: str)
 @pytest.mark.parametrize("name", ["no", "yes", "on", "off", "y1", "n", "e", "_", "j"])
 def test_a_name_that_yaml_would_read_as_a_truth_value_is_a_name(write: Write, name: str) -> None:
     spec = load_spec(write(("[z, v]", f"[z, {name}]"), ("k: 0.5", f"k: 0.5\n  off_{name}: 1")))
-    assert spec.plant.states == ("z", name)
+    assert spec.problem.plant.states == ("z", name)
 
 
 @pytest.mark.parametrize("name", ["2z", "z-1", "z 1", "z.1", "ż", "''", "pi", "sin", "1e-3"])
@@ -137,7 +140,7 @@ def test_a_word_that_is_no_name_is_refused_as_one(write: Write, name: str) -> No
 def test_a_name_is_refused_where_it_is_declared_or_can_be_used(write: Write, name: str) -> None:
     declared, used = ("gap: 1e-1", f"gap: 1e-1\n  {name}: 1"), ("duration: 2", f"duration: 2*{name}")
     try:
-        assert load_spec(write(declared, used)).duration == 2.0
+        assert load_spec(write(declared, used)).scenario.duration == 2.0
     except InvalidSpec as error:
         assert next(p.place.line for p in error.problems if p.place) == 7  # noqa: PT017
 
@@ -384,7 +387,7 @@ def test_a_path_that_is_no_readable_file_is_refused(tmp_path: Path, name: str) -
 def test_a_parameter_that_is_set_changes_those_that_depend_on_it(write: Write) -> None:
     spec = load_spec(write(), {"k": 0.25, "gap": "k/2"})
     assert spec.parameters == {"m": 2.0, "k": 0.25, "stiff": 0.75, "gap": 0.125}
-    assert spec.plant.A[0, 1, 0] == -0.125
+    assert spec.problem.plant.A[0, 1, 0] == -0.125
 
 
 def test_a_parameter_set_as_a_number_keeps_every_bit(write: Write) -> None:
@@ -423,7 +426,7 @@ def test_more_samples_than_the_limit_are_refused_with_the_place(write: Write, du
 
 
 def test_as_many_samples_as_the_limit_are_read(write: Write) -> None:
-    assert load_spec(write(("duration: 2", "duration: 1e7"), ("0.01", "1"))).duration == 1e7
+    assert load_spec(write(("duration: 2", "duration: 1e7"), ("0.01", "1"))).scenario.duration == 1e7
 
 
 def test_a_jump_across_a_facet_is_refused_at_the_cell(write: Write) -> None:
@@ -457,7 +460,7 @@ def test_a_single_sine_may_stand_without_a_list(write: Write) -> None:
     def read(output: str) -> Spec:
         return load_spec(write((line, f"  output: {output}")))
 
-    first, second = read(one).reference, read(listed).reference
+    first, second = read(one).problem.reference, read(listed).problem.reference
     assert isinstance(first, OutputReference)
     assert isinstance(second, OutputReference)
     assert first.signal(2)(0.3) == second.signal(2)(0.3) != 0.0

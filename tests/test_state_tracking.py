@@ -43,7 +43,7 @@ def write(folder: Path, reference: str) -> Path:
 def test_a_closed_form_is_tracked_and_its_feedforward_solves_equation_3(tmp_path: Path) -> None:
     path = write(tmp_path, '{state: ["0.3*sin(t)", "0.3*cos(t)", "0.2*cos(2*t)", "-0.4*sin(2*t)"]}')
     result = simulate(load_spec(path))
-    t, plant, response = result.response.t, result.spec.plant, result.response
+    t, plant, response = result.response.t, result.spec.problem.plant, result.response
     np.testing.assert_allclose(response.x_d[:, 0], 0.3 * np.sin(t), atol=1e-11)
     rate = np.column_stack([0.3 * np.cos(t), -0.3 * np.sin(t), -0.4 * np.sin(2 * t), -0.8 * np.cos(2 * t)])
     for k in range(0, len(t), 50):
@@ -83,7 +83,7 @@ def test_the_periodic_response_to_a_given_input_starts_where_it_ends(tmp_path: P
 def test_the_steady_state_under_a_constant_input_is_an_equilibrium(tmp_path: Path) -> None:
     result = simulate(load_spec(write(tmp_path, '{input: ["0.5", "-0.3"], start: periodic}')))
     response = result.response
-    np.testing.assert_allclose(result.spec.plant.field(response.x_d[0], response.u_ff[0]), 0.0, atol=1e-10)
+    np.testing.assert_allclose(result.spec.problem.plant.field(response.x_d[0], response.u_ff[0]), 0.0, atol=1e-10)
     np.testing.assert_allclose(response.x_d[-1], response.x_d[0], atol=1e-9)
 
 
@@ -104,7 +104,7 @@ def test_a_period_too_long_to_follow_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("wanted", [(0.5, 0.0), (-0.3, 0.4)])
 def test_a_set_point_is_an_equilibrium_in_its_own_cell(tmp_path: Path, wanted: tuple[float, float]) -> None:
     result = simulate(load_spec(write(tmp_path, f"{{setpoint: {{y1: {wanted[0]}, y2: {wanted[1]}}}}}")))
-    response, plant = result.response, result.spec.plant
+    response, plant = result.response, result.spec.problem.plant
     np.testing.assert_allclose(plant.field(response.x_d[0], response.u_ff[0]), 0.0, atol=1e-12)
     np.testing.assert_allclose(response.y[-1], wanted, atol=1e-9)
     touching = plant.cell_names[plant.partition.locate(response.x_d[0])] == "buffer on"

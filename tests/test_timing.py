@@ -46,7 +46,7 @@ def test_the_estimated_error_is_that_of_a_simulation(
 ) -> None:
     monkeypatch.setattr(timing, "_ALLOWED", np.inf)
     result = simulate(load_spec(chain(tmp_path, r, size, at, smooth)))
-    controller, plant = result.controller, result.spec.plant
+    controller, plant = result.controller, result.spec.problem.plant
     estimate, time = timing_error(plant, controller.design.K, controller.trajectory, outputs=plant.C)
     assert time == pytest.approx(at, abs=smooth)
     assert estimate / 100 < result.figures.largest_tracking_error / size < 2 * estimate

@@ -216,7 +216,7 @@ def test_a_missing_b_is_proposed_and_the_plant_with_it_is_continuous(
     if hint.startswith("b: "):
         b = f", {hint.partition(' in cell')[0]}"
         found = {"free": free, "touching": touching} | ({"free": b} if "'free'" in hint else {"touching": b})
-        assert load_spec(written(tmp_path, CELLS.format(**found))).plant.b.shape == (2, 2)
+        assert load_spec(written(tmp_path, CELLS.format(**found))).problem.plant.b.shape == (2, 2)
 
 
 _VECTORS = st.lists(st.integers(-9, 9).map(float), min_size=3, max_size=3).map(np.array)

@@ -32,7 +32,7 @@ class Applicability:
 
         Example:
             >>> from pwatrack import load_spec
-            >>> plant = load_spec("specs/two_mass_backlash.yaml").plant
+            >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
             >>> applicability(plant).theorems()["Theorem 3"]
             'applies if (8), (9) and (17) are feasible; every cell by itself is minimum phase'
         """
@@ -53,7 +53,7 @@ def applicability(plant: PWASystem) -> Applicability:
 
     Example:
         >>> from pwatrack import load_spec
-        >>> applicability(load_spec("specs/two_mass_backlash.yaml").plant).form.r
+        >>> applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant).form.r
         2
     """
     try:

@@ -59,7 +59,7 @@ def synthesize(
 
     Example:
         >>> from pwatrack import load_spec
-        >>> plant = load_spec("specs/two_mass_backlash.yaml").plant
+        >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
         >>> design = synthesize(plant, controller=Smallest(rate=0.1))
         >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
         (True, True)

@@ -344,11 +344,11 @@ def _exact_multipliers(
         V.append(_rounded(T @ U_i @ T.T))
     if R.ncols():
         ends = [(N_i * A_i, N_i * A_i * R, N_i * R) for N_i, A_i in zip(N, A, strict=True)]
-        rows = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
+        lists = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
         unknowns = [(i, j, k) for i, V_i in enumerate(V) for j in range(V_i.nrows()) for k in range(j, V_i.nrows())]
         columns = []
         for i, j, k in unknowns:
-            N_i, NA, NAR, NR = rows[i]
+            N_i, NA, NAR, NR = lists[i]
             pairs = [(N_i[j], NAR[k]), (NA[j], NR[k])] + ([(N_i[k], NAR[j]), (NA[k], NR[j])] if j != k else [])
             columns.append(_outer(pairs).entries())
         residual = _sum(

@@ -18,7 +18,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import Spec
 
 _CLAIM = (
     "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "
@@ -37,7 +37,7 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     """Return the content of certificate.json."""
     proofs: list[dict[str, Any]] = [_proof(proof) for proof in controller.proofs]
     for of, X in controller.costs.items():
-        goal = getattr(spec, of)
+        goal = getattr(spec.objectives, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
     bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
     return _content(spec, controller.design.K, controller.design.L, proofs) | {"bounds": bounds}
@@ -45,7 +45,7 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
     """Return the content of refusal.json."""
-    goals = {CONTROLLER: spec.controller, OBSERVER: spec.observer}
+    goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
     known = {role: goal.gain for role, goal in goals.items() if role is evidence.role and isinstance(goal, Given)}
     Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
     proofs = [{"of": evidence.role.name, "rate": _decimal(evidence.rate), "Z": Z}]
@@ -54,10 +54,10 @@ def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
 
 def subject_content(spec: Spec) -> dict[str, Any]:
     """Return the part of either that the spec alone decides: what is proved something of."""
-    form = normal_form(spec.plant) if spec.tracking == "output" else None
+    form = normal_form(spec.problem.plant) if spec.problem.tracking == "output" else None
     return {
-        "tracking": spec.tracking,
-        "plant": _plant(spec.plant if form is None else form.plant),
+        "tracking": spec.problem.tracking,
+        "plant": _plant(spec.problem.plant if form is None else form.plant),
         "generator": None if form is None else _generator(form),
     }
 
@@ -97,7 +97,7 @@ def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]
         "format": FORMAT,
         "claim": _CLAIM,
         "spec_sha256": spec.sha256,
-        "set": {name: str(value) for name, value in spec.recipe.overrides.items()},
+        "set": {name: str(value) for name, value in spec.overrides.items()},
         **subject_content(spec),
         "K": decimals(K),
         "L": decimals(L),

@@ -10,7 +10,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.pipeline import Result
 from pwatrack.simulation.region import Box, Region
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 
 
@@ -25,9 +25,9 @@ def measures(result: Result) -> dict[str, float]:
 
 def error_unit(result: Result) -> str:
     """Return the unit of the tracking error, or '' if its entries differ in unit."""
-    plant = result.spec.plant
+    plant = result.spec.problem.plant
     names = plant.outputs if result.controller.generator is not None else plant.states
-    units = {result.spec.units.get(name, "") for name in names}
+    units = {result.spec.problem.units.get(name, "") for name in names}
     return units.pop() if len(units) == 1 else ""
 
 
@@ -96,7 +96,7 @@ def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
 def declared(spec: Spec, channel: Channel) -> bool:
     """Whether the simulation has this disturbance or noise."""
     kind, k = channel
-    disturbance, noise = spec.conditions.disturbance, spec.conditions.noise
+    disturbance, noise = spec.scenario.conditions.disturbance, spec.scenario.conditions.noise
     if kind == "noise":
         return noise is not None and bool(noise.std[k])
     return disturbance is not None and bool(disturbance.Q[k].any())
@@ -105,18 +105,18 @@ def declared(spec: Spec, channel: Channel) -> bool:
 def channel_text(spec: Spec, channel: Channel) -> tuple[str, str]:
     """Return where a disturbance or noise enters, and its unit: on dv/dt it is that of v per second."""
     kind, k = channel
-    name = spec.plant.outputs[k] if kind == "noise" else spec.plant.states[k]
-    unit = spec.units.get(name, "")
+    name = spec.problem.plant.outputs[k] if kind == "noise" else spec.problem.plant.states[k]
+    unit = spec.problem.units.get(name, "")
     return (f"measured {name}", unit) if kind == "noise" else (f"d{name}/dt", per_second(unit))
 
 
 def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
     """Return a signal that is bounded, as text, and its unit."""
     kind, k = signal
-    plant = spec.plant
+    plant = spec.problem.plant
     name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
     texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
-    return texts.get(kind, f"{name} - {name}_d"), spec.units.get(name, "")
+    return texts.get(kind, f"{name} - {name}_d"), spec.problem.units.get(name, "")
 
 
 def per_second(unit: str) -> str:

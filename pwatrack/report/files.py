@@ -24,7 +24,7 @@ from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 from pwatrack.version import __version__
 
@@ -103,7 +103,7 @@ def write_result(
         more: dict[str, Any] = {
             "figures": figures,
             "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
-            "conditions": result.loop.conditions.texts(result.spec.plant),
+            "conditions": result.loop.conditions.texts(result.spec.problem.plant),
             "remarks": list(result.remarks),
             "bounds": bound_content(result.spec, result.controller),
         }
@@ -163,7 +163,7 @@ def write_refusal(
         "versions": _versions(),
     }
     if spec is not None:
-        index = _index(spec, seconds) | {"remarks": list(spec.plant.remarks)}
+        index = _index(spec, seconds) | {"remarks": list(spec.problem.plant.remarks)}
     with run_folder(folder) as run:
         proof = refusal.evidence if spec is not None and isinstance(refusal.evidence, Impossibility) else None
         if spec is not None and proof is not None:
@@ -208,7 +208,7 @@ def _signals(run: RunFolder, result: Result) -> None:
 
 def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
     """Return the names and values of all signals."""
-    plant = result.spec.plant
+    plant = result.spec.problem.plant
     return (
         (["t"], response.t),
         (plant.states, response.x),
@@ -265,7 +265,7 @@ def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
         "verdict": "proved",
         "simulation": None,
         "exit": int(ExitCode.DONE),
-        "solver": spec.solver,
+        "solver": spec.objectives.solver,
         "seconds": dict(seconds or {}),
         "versions": _versions(),
     }

@@ -47,14 +47,14 @@ def draw(result: Result) -> dict[str, Figure]:
         figures["internal_states.png"] = internal_states(result)
     if result.steady_state is not None:
         figures["steady_state.png"] = steady_state(result)
-    for k, forms in enumerate(result.spec.portraits):
+    for k, forms in enumerate(result.spec.scenario.portraits):
         figures[f"portrait_{k + 1}.png"] = portrait(result, forms)
     return figures
 
 
 def tracking_error(result: Result) -> Figure:
     """Draw the tracking error over time, linear and logarithmic with its proved bound (Figure 2)."""
-    plant = result.spec.plant
+    plant = result.spec.problem.plant
     names = plant.outputs if result.controller.generator is not None else plant.states
     error = result.response.tracking_error
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
@@ -75,7 +75,7 @@ def outputs(result: Result) -> Figure:
     """Draw each output with its desired value, whole and at both ends."""
     response = result.response
     labels = ("output", "desired")
-    return _pairs(result, "Outputs", result.spec.plant.outputs, response.y, response.y_d, labels)
+    return _pairs(result, "Outputs", result.spec.problem.plant.outputs, response.y, response.y_d, labels)
 
 
 def control_input(result: Result) -> Figure:
@@ -83,7 +83,7 @@ def control_input(result: Result) -> Figure:
     response = result.response
     output = result.controller.generator is not None
     labels = ("input (19)", "its feedforward part (16)") if output else ("input (10)", "its feedforward part")
-    return _pairs(result, "Control input", result.spec.plant.inputs, response.u, response.u_ff, labels)
+    return _pairs(result, "Control input", result.spec.problem.plant.inputs, response.u, response.u_ff, labels)
 
 
 def internal_states(result: Result) -> Figure:
@@ -208,7 +208,7 @@ def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
         axes.contour(grid[..., 0], grid[..., 1], grid @ normals[k] + offsets[k], levels=[0.0], **style)
     axes.plot([], [], color="0.35", linewidth=0.9, linestyle=":", label="facets") if seen.any() else None
     axes.set_ylim(*limits[1])
-    units = [{result.spec.units.get(plant.states[j], "") for j in np.flatnonzero(row)} for row in rows]
+    units = [{result.spec.problem.units.get(plant.states[j], "") for j in np.flatnonzero(row)} for row in rows]
     labels = [
         f"{name} ({min(unit)})" if len(unit) == 1 and min(unit) else name
         for name, unit in zip(names, units, strict=True)
@@ -346,7 +346,7 @@ def _canvas(
     """Return a figure and its panels in the order of their numbers in the mosaic."""
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
-    conditions = "; ".join(result.loop.conditions.texts(result.spec.plant))
+    conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant))
     lines = [*textwrap.wrap(result.spec.name, 90), *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
     figure.suptitle(_plain("\n".join(lines)), fontsize=10)
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
@@ -394,5 +394,5 @@ def _plain(text: str) -> str:
 
 
 def _labelled(result: Result, name: str) -> str:
-    unit = result.spec.units.get(name, "")
+    unit = result.spec.problem.units.get(name, "")
     return f"{name} ({unit})" if unit else name

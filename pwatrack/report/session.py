@@ -18,7 +18,8 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
-from pwatrack.spec.load import Spec, assignments, load_spec
+from pwatrack.spec.load import assignments, load_spec
+from pwatrack.spec.spec import Spec
 from pwatrack.variation import Over, ensemble
 
 
@@ -55,7 +56,7 @@ def run(
         try:
             with _timed(seconds, "load"):
                 spec = load_spec(path, assignments(parameters))
-                spec = replace(spec, solver=solver) if solver else spec
+                spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
             status.update("Solving the matrix inequalities")
             with _timed(seconds, "design"):
                 controller = pipeline.design(spec)
@@ -126,8 +127,8 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
     gains = controller.design
     return [
-        pareto(Task.of(spec.plant, CONTROLLER, spec.solver), gains.K, gains.controller.rate),
-        pareto(Task.of(spec.plant, OBSERVER, spec.solver), gains.L.T, gains.observer.rate),
+        pareto(Task.of(spec.problem.plant, CONTROLLER, spec.objectives.solver), gains.K, gains.controller.rate),
+        pareto(Task.of(spec.problem.plant, OBSERVER, spec.objectives.solver), gains.L.T, gains.observer.rate),
     ]
 
 

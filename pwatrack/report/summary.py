@@ -23,7 +23,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.pipeline import Result
 from pwatrack.report.figures import channel_text, declared, ensemble_measures, error_unit, measures, signal_text
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
-from pwatrack.spec.load import Spec
+from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
@@ -128,11 +128,11 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     promised = controller.guarantees
     for claim, proved, letter, gain, goal in (
-        ("(8) controller", promised.controller, "K", design.K, spec.controller),
-        ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.observer),
+        ("(8) controller", promised.controller, "K", design.K, spec.objectives.controller),
+        ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.objectives.observer),
     ):
-        table.add_row(claim, f"proved for all {len(spec.plant.A)} cells, {_rate(proved)}")
-        acts = bool((spec.plant.B if letter == "K" else spec.plant.C).any())
+        table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells, {_rate(proved)}")
+        acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
         size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
@@ -157,9 +157,9 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
             "∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from x̂(0) = x(0), for any switching; e = x − x_d, v = u − u_ff, "
             "X in gains.json"
         )
-    X, goal = controller.costs[part], spec.observer
+    X, goal = controller.costs[part], spec.objectives.observer
     assert isinstance(goal, LeastCost)
-    if len(different(spec.plant.exact.A)) == 1:
+    if len(different(spec.problem.plant.exact.A)) == 1:
         return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
     level = noise_level(X, controller.design.L, goal.Q, goal.R)
     return (
@@ -259,14 +259,14 @@ def print_result(console: Console, result: Result) -> None:
     figures = measures(result)
     table = _titled(result.spec.name)
     table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
-    if conditions := result.loop.conditions.texts(result.spec.plant):
+    if conditions := result.loop.conditions.texts(result.spec.problem.plant):
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
     table.add_row(
         "largest input",
-        f"{figures['largest_input']:.4g} {result.spec.units.get(result.spec.plant.inputs[0], '')}",
+        f"{figures['largest_input']:.4g} {result.spec.problem.units.get(result.spec.problem.plant.inputs[0], '')}",
     )
     if (steady := result.steady_state) is not None:
         multipliers = ", ".join(complex_text(complex(value)) for value in steady.multipliers)

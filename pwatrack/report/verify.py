@@ -16,7 +16,8 @@ from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
 from pwatrack.report.certificate import decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
-from pwatrack.spec.load import Spec, load_spec
+from pwatrack.spec.load import load_spec
+from pwatrack.spec.spec import Spec
 
 CERTIFICATE = "certificate.json"
 _LARGEST = 2**28  # bytes of a file that is read
@@ -96,7 +97,7 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
     impossible = any("Z" in proof for proof in content["proofs"])
     for part, letter in (("controller", "K"), ("observer", "L")):
-        goal: Goal = getattr(spec, part)
+        goal: Goal = getattr(spec.objectives, part)
         given = goal.gain if isinstance(goal, Given) else None
         proofs = [proof for proof in content["proofs"] if proof["of"] == part]
         if not impossible:
@@ -137,7 +138,7 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
         subject = content["generator"] or {}
         same = all(_same(generator.get(name), subject.get(name)) for name in ("T", "A_eta"))
         if spec is not None and same:
-            form = normal_form(spec.plant)
+            form = normal_form(spec.problem.plant)
             A_eta, B_eta, _ = tracking_dynamics(form)
             same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, :-1]))
         yield "generator.json", "" if same else "generator.json is not that of this plant"

@@ -1,6 +1,6 @@
 """Checked sections -> the plant (1) and the reference, as the model knows them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.model.cells import Partition
-from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.course import Course
 from pwatrack.model.nonlinearity import Nonlinearity, generate_cells, remarks
 from pwatrack.model.pwa import PWASystem
@@ -21,52 +19,15 @@ from pwatrack.model.reference import (
     Reference,
     SetPoint,
     StateReference,
-    exosystem,
-    total_signal,
 )
 from pwatrack.real import Real
-from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.schema import (
-    CourseSection,
     DeadZoneSection,
-    EllipsoidSection,
-    GoalSection,
     ReferenceSection,
-    SimulationSection,
     SpringSection,
-    StartRegionsSection,
     SystemSection,
 )
-
-
-def build_regions(
-    section: StartRegionsSection | None, states: Sequence[str], nominal: Mapping[str, Array | None]
-) -> dict[str, Region]:
-    """Return where the members of an ensemble start, by part; entries that are not named stay at their nominal value.
-
-    Args:
-        section: None for nothing.
-        states: Names of the states of plant and observer.
-        nominal: Initial states of both by part; None for zero.
-    """
-    regions: dict[str, Region] = {}
-    for part in ("plant", "observer"):
-        asked, start = getattr(section, part, None), nominal[part]
-        if asked is None:
-            continue
-        center = dict(zip(states, [0.0] * len(states) if start is None else start.tolist(), strict=True))
-        if isinstance(asked, EllipsoidSection):
-            center |= asked.ellipsoid.center
-            radii = [asked.ellipsoid.radii.get(name, 0.0) for name in states]
-            regions[part] = Ellipsoid(center=readonly(list(center.values())), radii=readonly(radii))
-        else:
-            bounds = [asked.get(name, [value, value]) for name, value in center.items()]
-            regions[part] = Box(low=readonly([low for low, _ in bounds]), high=readonly([high for _, high in bounds]))
-    if section is not None and section.generator is not None:
-        low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
-        regions["generator"] = Box(low=readonly(low), high=readonly(high))
-    return regions
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
@@ -134,56 +95,6 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if kind == "state":
         return StateReference(tuple(courses))
     return InputReference(tuple(courses), readonly(section.start) if section.start else None)
-
-
-def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path) -> Conditions:
-    """Return what is not as the theorems assume, but for the parameters of the plant.
-
-    Args:
-        section: The section of the file.
-        plant: That of the design.
-        folder: Where table files are looked for.
-
-    Raises:
-        InvalidSpec: If a table cannot be read, or a disturbance ends before the simulation.
-    """
-    limits = noise = disturbance = None
-    if section.actuator is not None:
-        limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
-    if section.noise is not None and any(section.noise.std.values()):
-        std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
-        noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
-    if section.disturbance is not None:
-        signals = []
-        for name in plant.states:
-            subject: Subject = ("simulation", "disturbance", name)
-            course = section.disturbance.get(name, CourseSection())
-            signals.append(total_signal(build_courses(course, folder, section.duration, subject), 0))
-        found = exosystem(signals)
-        disturbance = found if found.Q.any() else None
-    return Conditions(
-        limits=limits if limits is not None and np.isfinite(limits).any() else None,
-        disturbance=disturbance,
-        noise=noise,
-        sampling=Sampling(sample_time=section.controller.sample_time, method=section.controller.method)
-        if section.controller
-        else None,
-    )
-
-
-def build_goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
-    """Return what a gain is to achieve; `given` is K or L itself."""
-    rate, gain = section.rate, section.gain
-    if given is not None:
-        return Given(gain=readonly(given))
-    if section.cost is not None:
-        return LeastCost(Q=readonly(section.cost.Q), R=readonly(section.cost.R))
-    bound = gain if isinstance(gain, float) else np.inf
-    if rate == "largest" or (rate is None and gain is not None):
-        return Fastest(bound=bound)
-    if gain == "smallest":
-        return Smallest(rate=rate or 0.0)
-    return AtLeast(rate=rate or 0.0, bound=bound)
 
 
 def _refuse_other_B(system: SystemSection) -> None:

@@ -9,6 +9,7 @@ from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,29 @@ class UnknownName(ExpressionError):
 
 
 Parameters = Mapping[str, Real | float | None]  # None: in error
+
+
+@dataclass(frozen=True)
+class Expression:
+    """An expression that is parsed, to be evaluated as often as is asked.
+
+    Attributes:
+        text: As it is written.
+        tree: What it says.
+
+    Example:
+        >>> square = parsed("k**2")
+        >>> [float(real(square, {"k": Real.of(k)})) for k in (1, 2, 3)]
+        [1.0, 4.0, 9.0]
+    """
+
+    text: str
+    tree: ast.expr
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """All names in it."""
+        return frozenset(node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name))
 
 
 @dataclass(frozen=True)
@@ -127,7 +151,7 @@ class LinearForm:
     __pow__ = __rpow__ = __rtruediv__
 
 
-def real(text: str, parameters: Parameters) -> Real:
+def real(text: str | Expression, parameters: Parameters) -> Real:
     """Return the value of an expression in the parameters, exactly where it is rational.
 
     Raises:
@@ -137,7 +161,7 @@ def real(text: str, parameters: Parameters) -> Real:
         >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
         Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
     """
-    if _PLAIN.fullmatch(text):  # most entries of most files
+    if isinstance(text, str) and _PLAIN.fullmatch(text):  # most entries of most files
         return Real(Fraction(text))
     value: Real = _evaluate(text, _names(parameters))
     return value
@@ -156,7 +180,7 @@ def number(text: str, parameters: Parameters) -> float:
     return float(real(text, parameters))
 
 
-def linear_form(text: str, states: Sequence[str], parameters: Parameters) -> LinearForm:
+def linear_form(text: str | Expression, states: Sequence[str], parameters: Parameters) -> LinearForm:
     """Return an expression as row · x + constant.
 
     Raises:
@@ -171,7 +195,7 @@ def linear_form(text: str, states: Sequence[str], parameters: Parameters) -> Lin
     return value if isinstance(value, LinearForm) else LinearForm((_ZERO,) * len(states), value)
 
 
-def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> list[LinearForm]:
+def inequalities(text: str | Expression, states: Sequence[str], parameters: Parameters) -> list[LinearForm]:
     """Return the linear forms that a comparison, or a chain of them, says are ≥ 0.
 
     Raises:
@@ -181,7 +205,8 @@ def inequalities(text: str, states: Sequence[str], parameters: Parameters) -> li
         >>> [f.row.tolist() + [f.constant] for f in inequalities("-1 < z <= 2", ["z"], {})]
         [[1.0, 1.0], [-1.0, 2.0]]
     """
-    tree = _parse(text)
+    expression = parsed(text)
+    text, tree = expression.text, expression.tree
     if isinstance(tree, ast.BoolOp):
         raise ExpressionError(f"{shown(text)}: each inequality is an entry of its own in the list; all of them hold")
     if not isinstance(tree, ast.Compare):
@@ -213,8 +238,7 @@ def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
         >>> round(formula("a*sin(2*t)**2", {"a": 3.0})(0.25), 6)
         0.689547
     """
-    reader = _Reader(text, _names({TIME: ExponentialPolynomial.time()}, parameters), exact=False)
-    value = reader.read(_parse(text))
+    value = _evaluate(text, _names({TIME: ExponentialPolynomial.time()}, parameters), exact=False)
     return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)
 
 
@@ -231,8 +255,9 @@ def _units(states: Sequence[str]) -> dict[str, LinearForm]:
     return {name: LinearForm(row, _ZERO) for name, row in zip(states, rows, strict=True)}
 
 
-def _evaluate(text: str, names: Mapping[str, Any]) -> Any:
-    return _Reader(text, names).read(_parse(text))
+def _evaluate(text: str | Expression, names: Mapping[str, Any], *, exact: bool = True) -> Any:
+    expression = parsed(text)
+    return _Reader(expression.text, names, exact=exact).read(expression.tree)
 
 
 def _log(x: Real, *base: Real) -> Real:
@@ -260,7 +285,14 @@ _EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x
 }
 
 
-def _parse(text: str) -> ast.expr:
+def parsed(text: str | Expression) -> Expression:
+    """Parse an expression, or a comparison of expressions; one that is parsed stays as it is.
+
+    Raises:
+        ExpressionError: If the text is none.
+    """
+    if isinstance(text, Expression):
+        return text
     if len(text) > _LONGEST:
         raise ExpressionError(f"expression of {len(text)} characters, at most {_LONGEST} are read")
     if not text.strip():
@@ -270,7 +302,7 @@ def _parse(text: str) -> ast.expr:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the compiler's remarks on odd literals, which are refused below
-            return ast.parse(text.strip(), mode="eval").body
+            return Expression(text, ast.parse(text.strip(), mode="eval").body)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ExpressionError(f"{shown(text)} is not a number or an expression") from None
 

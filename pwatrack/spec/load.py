@@ -4,24 +4,17 @@ import hashlib
 import re
 import stat
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import ValidationError
 
-from pwatrack.arrays import Array, readonly
-from pwatrack.control.goal import Goal
-from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
-from pwatrack.lmi.inequality import Solver
-from pwatrack.model.conditions import Conditions
-from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Reference
-from pwatrack.simulation.region import Region
-from pwatrack.spec.build import build_conditions, build_goal, build_plant, build_reference, build_regions
-from pwatrack.spec.expression import LinearForm
+from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
+from pwatrack.spec.build import build_plant, build_reference
+from pwatrack.spec.entries import Context
+from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.problems import (
     condition_problems,
     goal_problems,
@@ -34,71 +27,13 @@ from pwatrack.spec.problems import (
     start_problems,
     validation_problems,
 )
-from pwatrack.spec.recipe import PlantRecipe, evaluated
-from pwatrack.spec.schema import Context, ExpectSection, SpecFile
+from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
+from pwatrack.spec.schema import ExpectSection, SpecFile
+from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spec:
-    """What one file asks for.
-
-    Attributes:
-        name: Title of the problem.
-        path: The file.
-        sha256: Of the file's bytes.
-        parameters: Values of the parameters.
-        plant: The system (1).
-        units: Unit of each state, input and output that has one.
-        tracking: "output" (Theorem 3) or "state" (Theorem 2).
-        controller, observer: What K and Lᵀ are to achieve.
-        solver: Which interior-point solver to ask.
-        reference: What to track.
-        duration, sample_time: In s.
-        x0, x_hat0, eta_hat0: Initial states of plant, observer and generator; None for zero.
-        conditions: What is not as the theorems assume when it is simulated.
-        portraits: Pairs of linear forms of the states to draw against each other.
-        regions: Where the members of an ensemble start, by part; empty where the file says nothing.
-        intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
-        recipe: What makes the plant from its parameters.
-        expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
-        places: Where each part of the description stands in the file.
-    """
-
-    name: str
-    path: Path
-    sha256: str
-    parameters: Mapping[str, float]
-    plant: PWASystem
-    units: Mapping[str, str]
-    tracking: Literal["output", "state"]
-    controller: Goal
-    observer: Goal
-    solver: Solver
-    reference: Reference
-    duration: float
-    sample_time: float
-    x0: Array | None
-    x_hat0: Array | None
-    eta_hat0: Array | None
-    conditions: Conditions
-    portraits: tuple[tuple[LinearForm, LinearForm], ...]
-    regions: Mapping[str, Region]
-    intervals: Mapping[str, tuple[float, float]]
-    recipe: PlantRecipe
-    expected_exit: int
-    places: Mapping[Subject, Place]
-
-    @contextmanager
-    def located(self) -> Iterator[None]:
-        """Give every refusal raised inside the place in the file that it is about."""
-        try:
-            yield
-        except PwatrackError as error:
-            raise error.located(self.places) from None
 
 
 def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:
@@ -114,7 +49,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
 
     Example:
         >>> spec = load_spec("specs/two_mass_backlash.yaml", {"k2": 0.3})
-        >>> spec.plant.cell_names
+        >>> spec.problem.plant.cell_names
         ('upper spring', 'gap', 'lower spring')
     """
     path = Path(path)
@@ -143,13 +78,13 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         problems += condition_problems(file, values)
     if problems:
         raise InvalidSpec(*problems).located(document.places).sorted()
-    simulation, initial = file.simulation, file.simulation.initial
-    x0, x_hat0 = (_initial(values, file.system.states) for values in (initial.plant, initial.observer))
-    recipe = PlantRecipe(
-        parameters=document.data.get("parameters", {}),
-        system=document.data["system"],
+    simulation = file.simulation
+    parametric = ParametricPlant.of(
+        document.data.get("parameters", {}),
+        parameters or {},
+        nominal=file.system,
+        written=document.data["system"],
         names=context,
-        overrides=parameters or {},
         tolerance=file.tolerance.continuity,
     )
     try:
@@ -157,7 +92,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
         conditions = build_conditions(simulation, plant, path.parent)
         if simulation.plant is not None:
-            running, changed = recipe.plant(simulation.plant.parameters, ("simulation", "plant", "parameters"))
+            running, changed = parametric.at(simulation.plant.parameters, ("simulation", "plant", "parameters"))
             conditions = replace(conditions, plant=running, parameters=changed)
     except PwatrackError as error:
         raise error.located(document.places) from None
@@ -166,23 +101,10 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         path=path,
         sha256=digest,
         parameters={name: float(value) for name, value in values.items() if value is not None},
-        plant=plant,
-        units=file.system.units,
-        tracking=file.design.tracking,
-        controller=build_goal(file.design.controller, file.design.controller.K),
-        observer=build_goal(file.design.observer, file.design.observer.L),
-        solver=file.design.solver,
-        reference=reference,
-        duration=simulation.duration,
-        sample_time=simulation.sample_time,
-        x0=x0,
-        x_hat0=x_hat0,
-        eta_hat0=None if initial.generator is None else readonly(initial.generator),
-        conditions=conditions,
-        portraits=tuple((first, second) for first, second in simulation.portraits),
-        regions=build_regions(simulation.ensemble.initial, plant.states, {"plant": x0, "observer": x_hat0}),
-        intervals={name: (low, high) for name, (low, high) in simulation.ensemble.parameters.items()},
-        recipe=recipe,
+        overrides=parameters or {},
+        problem=TrackingProblem(plant=plant, units=file.system.units, reference=reference, parametric=parametric),
+        objectives=build_objectives(file.design),
+        scenario=build_scenario(simulation, plant.states, conditions),
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
@@ -258,10 +180,3 @@ def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
     system = data.get("system")
     names = system.get(name) if isinstance(system, dict) else None
     return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()
-
-
-def _initial(values: Mapping[str, float] | Sequence[float] | None, states: Sequence[str]) -> Array | None:
-    """Return initial values in the order of the states; those that are not named are 0."""
-    if values is None:
-        return None
-    return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from pwatrack.errors import Problem, Subject
+from pwatrack.spec.entries import Context
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.schema import (
-    Context,
     CostSection,
     GoalSection,
     Section,

@@ -1,26 +1,8 @@
-"""The sections of a spec file as pydantic models: structure, numbers and shapes."""
+"""The sections of a spec file as pydantic models: structure and shapes."""
 
-import keyword
-import re
-from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from fractions import Fraction
-from math import inf
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    PlainValidator,
-    Tag,
-    ValidationInfo,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.conditions import Method
@@ -33,234 +15,39 @@ from pwatrack.model.nonlinearity import (
     spring,
 )
 from pwatrack.model.pwa import ROUNDING
-from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
-from pwatrack.spec.expression import RESERVED, LinearForm, formula, inequalities, linear_form, number, real
-from pwatrack.spec.wording import odd_character, shown
+from pwatrack.spec.entries import (
+    Exact,
+    ExactRows,
+    ExactVector,
+    ExitNumber,
+    Form,
+    FormPair,
+    Inequalities,
+    Interval,
+    Label,
+    Limits,
+    Name,
+    Names,
+    Normal,
+    NotNegative,
+    Number,
+    PeriodicOrVector,
+    Positive,
+    PositiveOrLargest,
+    PositiveOrSmallest,
+    Rounding,
+    Rows,
+    Start,
+    Time,
+    Whole,
+    as_course,
+    listed,
+    region_kind,
+)
 
-_LARGEST = 1e60  # products of a few entries stay finite, and those of the smallest do not vanish
-_LONGEST_NAME = 100
-_COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
-_LONGEST_LABEL = 200  # of a title, or the name of a cell
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
 _MOST_PORTRAITS = 50
-_INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
-
-
-@dataclass(frozen=True)
-class Context:
-    """What the rest of the file is read with.
-
-    Attributes:
-        parameters: Their values; None for one that is itself in error.
-        states, inputs, outputs: The names declared under `system`.
-    """
-
-    parameters: Mapping[str, Real | None]
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-
-def _number(value: Any, info: ValidationInfo[Context]) -> float:
-    if isinstance(value, float):
-        return value
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    result = number(value, info.context.parameters)
-    _sized(result)
-    return result
-
-
-def _sized(value: float | Fraction) -> None:
-    size = abs(float(value))
-    if size > _LARGEST:
-        raise ValueError(f"{float(value):g} is larger than {_LARGEST:g}")
-    if value != 0 and size < 1 / _LARGEST:
-        raise ValueError(f"{float(value):g} is smaller than {1 / _LARGEST:g} but not 0: write 0, or use other units")
-
-
-def _sized_form(form: LinearForm) -> LinearForm:
-    for value in (*form.coefficients, form.offset):
-        _sized(value.centre)
-    return form
-
-
-def _real(value: Any, info: ValidationInfo[Context]) -> Real:
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    result = real(value, info.context.parameters)
-    _sized(result.centre)
-    return result
-
-
-def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
-    if not isinstance(value, str):
-        raise ValueError("a linear form of the states such as 'z2 - z1' is expected")
-    form = linear_form(value, info.context.states, info.context.parameters)
-    if not form.row.any():
-        raise ValueError(f"'{value}' does not depend on any state")
-    return _sized_form(form)
-
-
-def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
-    if not isinstance(value, str):
-        raise ValueError("an expression in t is expected")
-    signal = formula(value, info.context.parameters)
-    try:
-        signal.check_size()
-    except NotRepresentable as error:
-        raise ValueError(f"'{value}' {error}") from None
-    return signal
-
-
-def _start(value: Any, info: ValidationInfo[Context]) -> list[float]:
-    if value == "periodic":
-        return []
-    if not isinstance(value, list) or not value:
-        raise ValueError("a list of numbers, one for each state, or 'periodic' is expected")
-    return [_number(entry, info) for entry in value]
-
-
-def _as_course(value: Any) -> Any:
-    if value == {}:
-        raise ValueError("nothing is given: write a formula in t, or entries such as constant, sine, step, table")
-    return {"formula": value} if isinstance(value, str) else value
-
-
-def _positive(value: float) -> float:
-    if value <= 0:
-        raise ValueError(f"{value:g} is not positive")
-    return value
-
-
-def _no_crash(code: int) -> int:
-    if code == 1:
-        raise ValueError("1 is a crash, which is never as it should be: 0, or 2 to 6")
-    return code
-
-
-def _pair(values: list[LinearForm]) -> list[LinearForm]:
-    if len(values) != 2:
-        raise ValueError("two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]")
-    if np.linalg.matrix_rank([form.row for form in values]) < 2:
-        raise ValueError("the two forms are multiples of each other: all is on one line")
-    return values
-
-
-def _not_negative(value: float) -> float:
-    if value < 0:
-        raise ValueError(f"{value:g} is negative")
-    return value
-
-
-def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError("a lower and an upper limit such as [-1, 1] are expected; .inf for none")
-    low, high = (_INFINITE[v] if v in _INFINITE else _number(v, info) for v in value)
-    if not low < high:
-        raise ValueError(f"the lower limit {low:g} is not below the upper one, {high:g}")
-    return [low, high]
-
-
-def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | str]:
-    """Return a validator of a positive number, or of one word."""
-
-    def validate(value: Any, info: ValidationInfo[Context]) -> float | str:
-        return word if value == word else _positive(_number(value, info))
-
-    return validate
-
-
-def _not_all_zero(values: list[Real]) -> list[Real]:
-    if not any(value.centre for value in values):
-        raise ValueError("all entries are 0: this is no hyperplane")
-    return values
-
-
-def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
-    if not isinstance(value, str):
-        raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
-    return [_sized_form(form) for form in inequalities(value, info.context.states, info.context.parameters)]
-
-
-def _name(value: str) -> str:
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", value):
-        odd = f"; it has the character {odd_character(value)}" if odd_character(value) else ""
-        raise ValueError(f"{shown(value)} is not a name: use letters, digits and _, not starting with a digit{odd}")
-    if len(value) > _LONGEST_NAME:
-        raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_NAME} are read")
-    if value in RESERVED or keyword.iskeyword(value):
-        raise ValueError(f"'{value}' has a meaning of its own in expressions: choose another name")
-    return value
-
-
-def _label(value: str) -> str:
-    """Return a title or a cell's name without spaces around it: it is printed, so it is one line of visible text."""
-    value = value.strip()
-    hidden = next((c for c in value if not c.isprintable()), None)
-    if hidden:
-        raise ValueError(f"{odd_character(hidden) or 'a line end'} is in it: a name is one line of visible text")
-    if len(value) > _LONGEST_LABEL:
-        raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_LABEL} are read")
-    return value
-
-
-def _whole(value: Any) -> int:
-    if isinstance(value, int):
-        return value
-    if not isinstance(value, str) or not re.fullmatch(r"-?(0|[1-9][0-9]{0,17})", value):
-        raise ValueError("a whole number such as 1 is expected")
-    return int(value)
-
-
-def _names(values: tuple[str, ...]) -> tuple[str, ...]:
-    if not values:
-        raise ValueError("at least one name is expected")
-    doubles = sorted(name for name, times in Counter(values).items() if times > 1)
-    if doubles:
-        raise ValueError(f"'{doubles[0]}' stands in the list twice")
-    return values
-
-
-def _interval(values: list[float]) -> list[float]:
-    if len(values) != 2:
-        raise ValueError("two numbers [low, high] are expected")
-    if values[0] > values[1]:
-        raise ValueError(f"low {values[0]:g} is above high {values[1]:g}")
-    return values
-
-
-def _region_kind(value: Any) -> str:
-    """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
-    return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
-
-
-def _start_kind(value: Any) -> str:
-    return "by name" if isinstance(value, dict) else "in order"
-
-
-def _listed(value: Any) -> Any:
-    return [value] if isinstance(value, dict) else value
-
-
-Number = Annotated[float, BeforeValidator(_number)]
-Exact = Annotated[Real, PlainValidator(_real)]
-Positive = Annotated[Number, AfterValidator(_positive)]
-NotNegative = Annotated[Number, AfterValidator(_not_negative)]
-Name = Annotated[str, AfterValidator(_name)]
-Label = Annotated[str, AfterValidator(_label)]
-Whole = Annotated[int, BeforeValidator(_whole)]
-Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
-Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
-Vector = list[Number]
-Rows = list[list[Number]]
-ExactVector = list[Exact]
-ExactRows = list[list[Exact]]
-Start = Annotated[
-    Annotated[dict[str, Number], Tag("by name")] | Annotated[Vector, Tag("in order")], Discriminator(_start_kind)
-]
-Interval = Annotated[list[Number], AfterValidator(_interval)]
 
 
 class Section(BaseModel):
@@ -273,7 +60,7 @@ class CellSection(Section):
     """One cell: where it is, and A, b there. A cell has no B of its own in class (1)."""
 
     name: Label
-    where: list[Annotated[list[LinearForm], PlainValidator(_inequalities)]] | None = None
+    where: list[Inequalities] | None = None
     signs: list[Literal["+", "-", "0"]] | None = None
     A: ExactRows
     b: ExactVector | None = None
@@ -283,7 +70,7 @@ class CellSection(Section):
 class HyperplaneSection(Section):
     """The set H x + h = 0."""
 
-    H: Annotated[ExactVector, AfterValidator(_not_all_zero)]
+    H: Normal
     h: Exact = Real.of(0)
 
 
@@ -291,7 +78,7 @@ class ElementSection(Section):
     """What all scalar nonlinearities have: s = of, and d(state)/dt += factor φ(s) for each state in `into`."""
 
     name: Label
-    of: Annotated[LinearForm, PlainValidator(_form)]
+    of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
 
@@ -393,8 +180,8 @@ class CostSection(Section):
 class GoalSection(Section):
     """What a gain is to achieve; with nothing said, an LQR or Kalman gain is found."""
 
-    rate: Annotated[float | Literal["largest"] | None, PlainValidator(_positive_or("largest"))] = None
-    gain: Annotated[float | Literal["smallest"] | None, PlainValidator(_positive_or("smallest"))] = None
+    rate: PositiveOrLargest | None = None
+    gain: PositiveOrSmallest | None = None
     cost: CostSection | None = None
 
 
@@ -466,16 +253,16 @@ class CourseSection(Section):
     """A signal of time: the sum of everything that is given."""
 
     constant: Number = 0.0
-    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(_listed)] = []
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
     formula: Time | None = None
     until: Positive | None = None
-    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(_listed)] = []
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
     trapezoid: TrapezoidSection | None = None
     polyline: PolylineSection | None = None
     table: TableSection | None = None
 
 
-Signal = Annotated[CourseSection, BeforeValidator(_as_course)]
+Signal = Annotated[CourseSection, BeforeValidator(as_course)]
 
 
 class ReferenceSection(Section):
@@ -484,7 +271,7 @@ class ReferenceSection(Section):
     output: Signal | None = None
     state: list[Signal] | None = None
     input: list[Signal] | None = None
-    start: Annotated[list[float] | None, PlainValidator(_start)] = None
+    start: PeriodicOrVector | None = None
     """x_d(0); an empty list where it is the periodic steady state."""
     setpoint: dict[str, Number] | None = None
 
@@ -506,7 +293,7 @@ class PlantSection(Section):
 class ActuatorSection(Section):
     """Lower and upper limit of inputs, by name."""
 
-    limits: Annotated[dict[str, Annotated[list[float], PlainValidator(_limits)]], Field(min_length=1)]
+    limits: Annotated[dict[str, Limits], Field(min_length=1)]
 
 
 class NoiseSection(Section):
@@ -539,7 +326,7 @@ class EllipsoidSection(Section):
 
 Region = Annotated[
     Annotated[dict[str, Interval], Tag("a box")] | Annotated[EllipsoidSection, Tag("an ellipsoid")],
-    Discriminator(_region_kind),
+    Discriminator(region_kind),
 ]
 
 
@@ -570,28 +357,22 @@ class SimulationSection(Section):
     noise: NoiseSection | None = None
     controller: SampledSection | None = None
     portraits: Annotated[
-        list[Annotated[list[Annotated[LinearForm, PlainValidator(_form)]], AfterValidator(_pair)]],
+        list[FormPair],
         Field(max_length=_MOST_PORTRAITS),
     ] = []
     ensemble: EnsembleSection = EnsembleSection()
 
 
-def _rounding(value: float) -> float:
-    if value > _COARSEST:
-        raise ValueError(f"{value:g} is more than data are rounded by in print: at most {_COARSEST:g} is accepted")
-    return value
-
-
 class ToleranceSection(Section):
     """Rounding in the data that is repaired, relative to the terms of each equation at a facet."""
 
-    continuity: Annotated[Positive, AfterValidator(_rounding)] = ROUNDING
+    continuity: Rounding = ROUNDING
 
 
 class ExpectSection(Section):
     """How a run of this spec should end."""
 
-    exit: Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
+    exit: ExitNumber
 
 
 class SpecFile(Section):

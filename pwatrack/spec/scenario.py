@@ -1,0 +1,137 @@
+"""Checked sections -> the objectives of a design, and the scenario that is simulated."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
+from pwatrack.errors import Subject
+from pwatrack.model.conditions import Conditions, Noise, Sampling
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import exosystem, total_signal
+from pwatrack.simulation.region import Box, Ellipsoid, Region
+from pwatrack.spec.courses import build_courses
+from pwatrack.spec.schema import (
+    CourseSection,
+    DesignSection,
+    EllipsoidSection,
+    GoalSection,
+    SimulationSection,
+    StartRegionsSection,
+)
+from pwatrack.spec.spec import InitialStates, Objectives, Scenario
+
+
+def build_objectives(section: DesignSection) -> Objectives:
+    """Return what the gains are to achieve."""
+    return Objectives(
+        controller=_goal(section.controller, section.controller.K),
+        observer=_goal(section.observer, section.observer.L),
+        solver=section.solver,
+    )
+
+
+def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
+    """Return what a gain is to achieve; `given` is K or L itself."""
+    rate, gain = section.rate, section.gain
+    if given is not None:
+        return Given(gain=readonly(given))
+    if section.cost is not None:
+        return LeastCost(Q=readonly(section.cost.Q), R=readonly(section.cost.R))
+    bound = gain if isinstance(gain, float) else np.inf
+    if rate == "largest" or (rate is None and gain is not None):
+        return Fastest(bound=bound)
+    if gain == "smallest":
+        return Smallest(rate=rate or 0.0)
+    return AtLeast(rate=rate or 0.0, bound=bound)
+
+
+def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path) -> Conditions:
+    """Return what is not as the theorems assume, but for the parameters of the plant.
+
+    Args:
+        section: The section of the file.
+        plant: That of the design.
+        folder: Where table files are looked for.
+
+    Raises:
+        InvalidSpec: If a table cannot be read, or a disturbance ends before the simulation.
+    """
+    limits = noise = disturbance = None
+    if section.actuator is not None:
+        limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
+    if section.noise is not None and any(section.noise.std.values()):
+        std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
+        noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
+    if section.disturbance is not None:
+        signals = []
+        for name in plant.states:
+            subject: Subject = ("simulation", "disturbance", name)
+            course = section.disturbance.get(name, CourseSection())
+            signals.append(total_signal(build_courses(course, folder, section.duration, subject), 0))
+        found = exosystem(signals)
+        disturbance = found if found.Q.any() else None
+    return Conditions(
+        limits=limits if limits is not None and np.isfinite(limits).any() else None,
+        disturbance=disturbance,
+        noise=noise,
+        sampling=Sampling(sample_time=section.controller.sample_time, method=section.controller.method)
+        if section.controller
+        else None,
+    )
+
+
+def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
+    """Return what is simulated under given conditions."""
+    plant, observer = (_ordered(values, states) for values in (section.initial.plant, section.initial.observer))
+    generator = section.initial.generator
+    initial = InitialStates(
+        plant=plant, observer=observer, generator=None if generator is None else readonly(generator)
+    )
+    return Scenario(
+        duration=section.duration,
+        sample_time=section.sample_time,
+        initial=initial,
+        conditions=conditions,
+        regions=_regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
+        intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
+        portraits=tuple((first, second) for first, second in section.portraits),
+    )
+
+
+def _ordered(values: Mapping[str, float] | Sequence[float] | None, states: Sequence[str]) -> Array | None:
+    """Return initial values in the order of the states; those that are not named are 0."""
+    if values is None:
+        return None
+    return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)
+
+
+def _regions(
+    section: StartRegionsSection | None, states: Sequence[str], nominal: Mapping[str, Array | None]
+) -> dict[str, Region]:
+    """Return where the members of an ensemble start, by part; entries that are not named stay at their nominal value.
+
+    Args:
+        section: None for nothing.
+        states: Names of the states of plant and observer.
+        nominal: Initial states of both by part; None for zero.
+    """
+    regions: dict[str, Region] = {}
+    for part in ("plant", "observer"):
+        asked, start = getattr(section, part, None), nominal[part]
+        if asked is None:
+            continue
+        center = dict(zip(states, [0.0] * len(states) if start is None else start.tolist(), strict=True))
+        if isinstance(asked, EllipsoidSection):
+            center |= asked.ellipsoid.center
+            radii = [asked.ellipsoid.radii.get(name, 0.0) for name in states]
+            regions[part] = Ellipsoid(center=readonly(list(center.values())), radii=readonly(radii))
+        else:
+            bounds = [asked.get(name, [value, value]) for name, value in center.items()]
+            regions[part] = Box(low=readonly([low for low, _ in bounds]), high=readonly([high for _, high in bounds]))
+    if section is not None and section.generator is not None:
+        low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
+        regions["generator"] = Box(low=readonly(low), high=readonly(high))
+    return regions

@@ -1,0 +1,122 @@
+"""What one file asks for: a tracking problem, the objectives of its design, and the scenario that is simulated."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pwatrack.arrays import Array
+from pwatrack.control.goal import Goal
+from pwatrack.errors import Place, PwatrackError, Subject
+from pwatrack.lmi.inequality import Solver
+from pwatrack.model.conditions import Conditions
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import OutputReference, Reference
+from pwatrack.simulation.region import Region
+from pwatrack.spec.expression import LinearForm
+from pwatrack.spec.parametric import ParametricPlant
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingProblem:
+    """A plant, and what it is to track.
+
+    Attributes:
+        plant: The system (1).
+        units: Unit of each state, input and output that has one.
+        reference: What to track.
+        parametric: The plant as a function of the parameters.
+    """
+
+    plant: PWASystem
+    units: Mapping[str, str]
+    reference: Reference
+    parametric: ParametricPlant
+
+    @property
+    def tracking(self) -> Literal["output", "state"]:
+        """What follows the reference: the output (Theorem 3) or the state (Theorem 2)."""
+        return "output" if isinstance(self.reference, OutputReference) else "state"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objectives:
+    """What the design is to achieve.
+
+    Attributes:
+        controller, observer: Goals of K and Lᵀ.
+        solver: Which interior-point solver to ask.
+    """
+
+    controller: Goal
+    observer: Goal
+    solver: Solver
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitialStates:
+    """Where a simulation starts: plant (n,), observer (n,), generator (p,); None for zero."""
+
+    plant: Array | None = None
+    observer: Array | None = None
+    generator: Array | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """What is simulated, and how it may vary.
+
+    Attributes:
+        duration, sample_time: In s.
+        initial: Where it starts.
+        conditions: What is not as the theorems assume.
+        regions: Where the members of an ensemble start, by part; empty where the file says nothing.
+        intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
+        portraits: Pairs of linear forms of the states to draw against each other.
+    """
+
+    duration: float
+    sample_time: float
+    initial: InitialStates
+    conditions: Conditions
+    regions: Mapping[str, Region]
+    intervals: Mapping[str, tuple[float, float]]
+    portraits: tuple[tuple[LinearForm, LinearForm], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spec:
+    """What one file asks for.
+
+    Attributes:
+        name: Title of the problem.
+        path: The file.
+        sha256: Of the file's bytes.
+        parameters: Values of the parameters.
+        overrides: What was set from outside the file, as it was written.
+        problem: What is controlled, and what it is to track.
+        objectives: What the gains are to achieve.
+        scenario: What is simulated.
+        expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
+        places: Where each part of the description stands in the file.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+    parameters: Mapping[str, float]
+    overrides: Mapping[str, float | str]
+    problem: TrackingProblem
+    objectives: Objectives
+    scenario: Scenario
+    expected_exit: int
+    places: Mapping[Subject, Place]
+
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Give every refusal raised inside the place in the file that it is about."""
+        try:
+            yield
+        except PwatrackError as error:
+            raise error.located(self.places) from None
