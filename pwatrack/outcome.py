@@ -21,7 +21,10 @@ _ROUNDING = 8 * float(
     np.finfo(np.float64).eps
 )  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
 _RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
-_STEADY = 1.1, 7  # likewise, where each of so many last tenths is above the one before it: noise is so once in 5,000 runs
+_STEADY = (
+    1.1,
+    7,
+)  # likewise, where each of so many last tenths is above the one before it: noise is so once in 5,000 runs
 _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a shorter run tells nothing
 
 

@@ -75,7 +75,7 @@ def test_what_grows_exponentially_is_seen_when_it_has_grown(
 
 
 def is_largest_at_the_end(signal: Array, size: float) -> bool:
-    """The largest size in the last tenth is above that of every tenth before it, and above the size: no more is asked."""
+    """The largest size in the last tenth is above that of every tenth before it, and above the size."""
     *before, last = (np.abs(part).max() for part in np.split(signal, tenths(len(signal))[1:-1]))
     return bool(last > max(size, *before))
 
