@@ -9,9 +9,10 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from pwatrack.arrays import Array
+from pwatrack.control.bounds import Channel, Form
 from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.trace import tenths
+from pwatrack.simulation.trace import Trace, tenths
 
 Kind = Literal["tracks", "off", "grows", "above its bound"]
 
@@ -20,6 +21,10 @@ _ROUNDING = 8 * float(
     np.finfo(np.float64).eps
 )  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
 _RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
+_STEADY = (
+    1.1,
+    7,
+)  # likewise, where each of so many last tenths is above the one before it: noise is so once in 5,000 runs
 _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a shorter run tells nothing
 
 
@@ -47,9 +52,9 @@ def grows(high: Array, low: Array, size: float) -> bool:
     """Say whether a signal grows without bound, as far as a finite trace can tell.
 
     Its largest size in the last tenth of the time is above that in every tenth before and above `size`; it is at least
-    half more than in the first half, which noise and steady oscillations do not do by chance; and on the side where it
-    is largest, the last three tenths add no less than nine tenths of what the three before them added, so that it does
-    not settle.
+    half more than in the first half, which noise and steady oscillations do not do by chance, or a tenth more where it
+    rises from each of the last seven tenths to the next; and on the side where it is largest, the last three tenths add
+    no less than nine tenths of what the three before them added, so that it does not settle.
 
     Args:
         high, low: Largest and smallest value in each tenth of the time, (10,).
@@ -63,9 +68,12 @@ def grows(high: Array, low: Array, size: float) -> bool:
     """
     if not np.isfinite([high, low]).all():
         return False  # less than ten samples
-    largest = np.maximum.accumulate(np.maximum(high, -low))
+    each = np.maximum(high, -low)
+    largest = np.maximum.accumulate(each)
     side = np.maximum.accumulate(high if high[-1] >= -low[-1] else -low)
-    rises = largest[9] > largest[8] and largest[9] >= _RISE * largest[4]
+    slowly, tenths_of_it = _STEADY
+    least = slowly if (np.diff(each[-tenths_of_it:]) > 0).all() else _RISE
+    rises = largest[9] > largest[8] and largest[9] >= least * largest[4]
     return bool(largest[9] > size and rises and side[9] - side[6] >= _FADING * (side[6] - side[3]))
 
 
@@ -107,6 +115,7 @@ class Watch:
         self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
         self._scale, self._speed = _balanced(loop)
         self._size = 0.0  # of the largest state so far, balanced
+        self._acting: dict[Channel, float] = {}  # largest size of each disturbance and noise so far
         self._first: Response | None = None
         self._end = 0.0  # time of the last sample so far in s
         self._broken = ""
@@ -123,6 +132,7 @@ class Watch:
         self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
         largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
         self._size = max(self._size, float((largest / self._scale).max()))
+        self._disturbed(block.trace)
         if self._loop.conditions.nominal and not self._broken:
             self._broken = self._above_its_bound(block, norm)
 
@@ -151,6 +161,30 @@ class Watch:
                 )
         return ""
 
+    def _disturbed(self, trace: Trace) -> None:
+        """Take what disturbs into account."""
+        conditions, at, z = self._loop.conditions, self._loop.at, trace.z
+        signals: list[tuple[Literal["disturbance", "noise"], Array]] = []
+        if conditions.disturbance is not None:
+            signals.append(("disturbance", z[:, at.d] @ conditions.disturbance.Q.T))
+        if conditions.noise is not None:
+            signals.append(("noise", z[:, at.v]))
+        for kind, values in signals:
+            for k, size in enumerate(np.abs(values).max(axis=0).tolist()):
+                self._acting[kind, k] = max(size, self._acting.get((kind, k), 0.0))
+
+    def _caused(self, k: int) -> float:
+        """What disturbances and noise, as large as they were, can make of an error in the loop as designed, if bounded.
+
+        It is counted as part of what an error may be anyway: a disturbance that comes late makes an error that comes
+        late and is the largest so far, and does not grow without bound.
+        """
+        signal: Form = ("output" if self._output else "state", k)
+        return sum(
+            bounds.sizes.get(signal, 0.0) * self._acting.get(bounds.channel, 0.0)
+            for bounds in (self._loop.controller.bounds if any(self._acting.values()) else ())
+        )
+
     def _growing(self) -> Outcome | None:
         """Say which error grows. Of a loop as designed, but for disturbances and noise, proofs keep it bounded."""
         conditions = self._loop.conditions
@@ -158,7 +192,7 @@ class Watch:
             return None
         sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._error
         for k, name in enumerate(self._names):
-            if error.grows(k, sizes[k]):
+            if error.grows(k, sizes[k]) and error.grows(k, sizes[k] + self._caused(k)):
                 last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
                 text = (
                     f"the error grows: |{name} − {name}_d| up to {last} in the last tenth of the time, more than ever "

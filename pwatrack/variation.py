@@ -7,12 +7,14 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.outcome import Outcome, Watch
 from pwatrack.pipeline import Result, start_given_twice
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.trace import Trace
 
 Over = Literal["initial", "parameters", "noise"]
 
@@ -56,12 +58,27 @@ class EnsembleResult:
         variation: What differs.
         seed: Of the random numbers.
         ensemble: The members; number k in files and messages is index k − 1.
+        outcomes: How each member ended, judged as a single run is.
     """
 
     nominal: Result
     variation: Variation
     seed: int
     ensemble: Ensemble
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def failed(self) -> tuple[int, ...]:
+        """The indices of the members whose error grows without bound or is above its own proved bound."""
+        return tuple(number for number, outcome in enumerate(self.outcomes) if outcome.code != ExitCode.DONE)
+
+    @property
+    def failure(self) -> str:
+        """How many members failed and how the first of them did, in words; '' if none did."""
+        if not self.failed:
+            return ""
+        failed, first = len(self.failed), self.failed[0]
+        return f"{failed:,} of {len(self.outcomes):,} members fail; member {first + 1}: {self.outcomes[first].text}"
 
 
 def ensemble(
@@ -117,7 +134,13 @@ def ensemble(
             workers=workers,
             progress=progress,
         )
-        return EnsembleResult(nominal=result, variation=variation, seed=seed, ensemble=kept)
+        return EnsembleResult(
+            nominal=result,
+            variation=variation,
+            seed=seed,
+            ensemble=kept,
+            outcomes=tuple(verdict for verdict in kept.verdicts if isinstance(verdict, Outcome)),
+        )
 
 
 def other_starts(result: Result, count: int, seed: int) -> Variation:
@@ -213,7 +236,13 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 
 def _member(result: Result, loop: ClosedLoop) -> Member:
     resets = tuple(loop.resets(result.spec.scenario.duration))
-    return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets)
+
+    def judge(trace: Trace) -> Outcome:
+        watch = Watch(loop, len(trace.t), units=result.spec.problem.units)
+        watch.see(loop.response(trace))
+        return watch.outcome()
+
+    return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets, judge=judge)
 
 
 def _around(result: Result) -> dict[str, Region]:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.control.guarantees import Guarantees
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.flow import Flow, SwitchedPart
@@ -22,6 +23,7 @@ from pwatrack.variation import EnsembleResult, Over, other_starts
 from tests.plants import reset
 from tests.scenarios import in_scenario
 from tests.test_cli import call, refused, shortened
+from tests.test_outcome import cart
 
 seeds = st.integers(0, 2**32)
 sizes = st.floats(1e-6, 1e6)
@@ -237,7 +239,7 @@ def test_a_member_outside_the_theory_is_named_with_its_parameters(specs: Path, t
 def of(error: Array) -> Ensemble:
     count = np.zeros(len(error), dtype=np.int64)
     t = np.arange(error.shape[1], dtype=float)
-    return Ensemble(t=t, error=error, mode_changes=count, unresolved=count)
+    return Ensemble(t=t, error=error, mode_changes=count, unresolved=count, verdicts=(None,) * len(error))
 
 
 def test_settling_is_for_good_at_the_sample_after_the_last_large_error() -> None:
@@ -350,3 +352,33 @@ def test_a_region_for_a_generator_whose_start_is_fixed_is_refused(tmp_path: Path
     path.write_text(text.replace("simulation:", "simulation:\n  ensemble: {initial: {generator: [[0, 1]]}}"), "utf-8")
     error = refused(call("simulate", path, "--ensemble", 2, "--out", tmp_path / "out"), 2)
     assert "generator" in error
+
+
+def test_every_member_is_judged_as_a_run_of_its_own_and_one_that_grows_ends_with_6(tmp_path: Path) -> None:
+    """From some stiffness on, the plant pushes harder than gains and stop pull."""
+    path = cart(tmp_path, "ensemble: {parameters: {k: [0, 16]}}", duration=8)
+    many = ensemble(simulate(load_spec(path)), 12, over="parameters")
+    values = many.variation.values["k"].tolist()
+    alone = [simulate(load_spec(cart(tmp_path, f"plant: {{parameters: {{k: {k!r}}}}}", duration=8))) for k in values]
+    assert many.outcomes == tuple(result.outcome for result in alone)
+    grown = [number for number, result in enumerate(alone, 1) if result.outcome.kind == "grows"]
+    assert 0 < len(grown) < 12
+    cart(tmp_path, "ensemble: {parameters: {k: [0, 16]}}", duration=8)
+    run = call("simulate", path, "--ensemble", 12, "--over", "parameters", "--out", tmp_path / "out")
+    said = f"{len(grown)} of 12 members fail; member {grown[0]}: the error grows"
+    assert (run.exit_code, said in run.stderr) == (6, True)
+    assert f"grows: {len(grown)}" in run.stdout
+    index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert (index["exit"], index["simulation"]["outcome"], index["ensemble"]["failed"]) == (6, "tracks", grown)
+    with (tmp_path / "out" / "ensemble.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["outcome"] for row in csv.DictReader(file)] == [outcome.kind for outcome in many.outcomes]
+
+
+def test_a_member_above_its_own_bound_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The starts of members differ, and so do their bounds; here no bound is left."""
+    result = simulate(load_spec(cart(tmp_path, "ensemble: {initial: {plant: {z: [-1, 1]}}}")))
+    assert {outcome.kind for outcome in ensemble(result, 5).outcomes} == {"tracks"}
+    promised = Guarantees.observer_error
+    monkeypatch.setattr(Guarantees, "observer_error", lambda *arguments: 0 * promised(*arguments))
+    many = ensemble(result, 5)
+    assert (many.failed, many.failure[:34]) == ((0, 1, 2, 3, 4), "5 of 5 members fail; member 1: abo")

@@ -74,6 +74,30 @@ def test_what_grows_exponentially_is_seen_when_it_has_grown(
     assert rises(size * np.exp(rate * T) * swing, size)
 
 
+def is_largest_at_the_end(signal: Array, size: float) -> bool:
+    """The largest size in the last tenth is above that of every tenth before it, and above the size."""
+    *before, last = (np.abs(part).max() for part in np.split(signal, tenths(len(signal))[1:-1]))
+    return bool(last > max(size, *before))
+
+
+@given(st.floats(0.25, 1.0), st.floats(200.0, 300.0), st.floats(0.0, 6.28), st.booleans())
+def test_what_grows_slowly_from_its_start_is_seen(rate: float, frequency: float, phase: float, swings: bool) -> None:
+    """x' = εx grows by no more than e^ε; each tenth is above the one before it."""
+    assert rises(np.exp(rate * T) * (np.cos(frequency * T + phase) if swings else 1.0), 1.0)
+
+
+def test_to_be_largest_at_the_end_is_not_to_grow() -> None:
+    """Loops that are held, whose error happens to be largest in the last tenth; and one that is not held."""
+    beat = np.cos(100 * T) + np.cos((100 + np.pi) * T + np.pi)
+    settling = 1 - np.exp(-3 * T)
+    noise = np.random.default_rng(2).normal(size=len(T))
+    for held in (beat, settling, noise, 1 + 0.05 * T):
+        assert is_largest_at_the_end(held, 0.0)
+        assert not rises(held, 0.0)
+    assert is_largest_at_the_end(np.exp(0.25 * T), 1.0)
+    assert rises(np.exp(0.25 * T), 1.0)
+
+
 @given(st.floats(0.0, 300.0), st.floats(0.0, 6.28), st.floats(0.0, 200.0), st.floats(-1.0, 1.0), st.integers(0, 10))
 def test_what_oscillates_decays_or_is_noise_does_not_grow(
     frequency: float, phase: float, rate: float, share: float, seed: int
@@ -149,6 +173,22 @@ def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, con
     index = index_of(tmp_path / "out")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "grows")
     assert {"trace.csv", "certificate.json", "tracking_error.png"} < set(index["files"])
+
+
+LATE = "disturbance: {v: {step: {size: 3, at: 19.5, smooth: 0.1}}}"
+
+
+@pytest.mark.parametrize("other", ["", "  plant: {parameters: {k: 12}}\n"])
+def test_a_disturbance_that_comes_late_does_not_make_a_loop_grow_and_hides_none_that_does(
+    tmp_path: Path, other: str
+) -> None:
+    """In the loop as designed its error is bounded; a little of it is seen, and is by far the largest so far."""
+    path = cart(tmp_path, "controller: {sample_time: 0.001}", LATE, reference="0*t")
+    path.write_text(path.read_text().replace("plant: [0.05, 0]", "plant: [1e-3, 0]") + other, encoding="utf-8")
+    result = simulate(load_spec(path))
+    error = result.response.tracking_error[:, 0]
+    assert rises(error, 1e-3)
+    assert (result.outcome.kind, result.outcome.code) == (("grows", 6) if other else ("off", 0))
 
 
 def test_a_batch_fails_on_what_grows_and_says_what(tmp_path: Path) -> None:

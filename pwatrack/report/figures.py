@@ -1,5 +1,6 @@
 """What is said of a design, a run or an ensemble in figures: the same in run.json, at the terminal and in pictures."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -58,6 +59,8 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
         "settled_below": kept.settled_below,
         "settled": int(np.isfinite(kept.settling_time).sum()),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
+        "outcomes": dict(Counter(outcome.kind for outcome in many.outcomes)),
+        "failed": [number + 1 for number in many.failed],
     }
 
 

@@ -110,7 +110,8 @@ def write_result(
         if many:
             _ensemble(run, many)
             more["ensemble"] = ensemble_measures(many)
-        run.commit(_index(result.spec, seconds) | {"exit": int(result.outcome.code)} | more)
+        code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
+        run.commit(_index(result.spec, seconds) | {"exit": int(code)} | more)
     return Path(folder)
 
 
@@ -242,17 +243,22 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
+_OF_A_MEMBER = ("largest_error", "final_error", "settling_time", "mode_changes", "unresolved", "outcome")
+
+
 def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
     """Write one row for each member; a settling time that never comes is left empty."""
     kept, values = many.ensemble, many.variation.values
     header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow([*header, "largest_error", "final_error", "settling_time", "mode_changes", "unresolved"])
+        writer.writerow([*header, *_OF_A_MEMBER])
         errors = np.column_stack([kept.largest, kept.final, kept.settling_time]).tolist()
         counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
-        for number, (start, values, numbers) in enumerate(zip(drawn, errors, counts, strict=True), 1):
-            writer.writerow([number, *map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers])
+        ends = [outcome.kind for outcome in many.outcomes]
+        for number, (start, values, numbers, end) in enumerate(zip(drawn, errors, counts, ends, strict=True), 1):
+            row = [*map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers]
+            writer.writerow([number, *row, end])
 
 
 def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:

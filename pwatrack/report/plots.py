@@ -27,6 +27,8 @@ _STYLES = ("-", "--", "-.", ":")
 _WIDTH = 7.5  # inches
 _ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
 _COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
+_MOST_ROWS = 40  # of cells in a picture
+_LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again
 _ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 
 
@@ -249,7 +251,8 @@ def active_cells(result: Result) -> Figure:
     stays = trace.stays()
     seen = [{part.cells[mode[k]] for mode, _, _ in stays} for k, part in enumerate(parts)]
     rows = [
-        [name for name in dict.fromkeys(part.cells) if name in names] for part, names in zip(parts, seen, strict=True)
+        _grouped([name for name in dict.fromkeys(part.cells) if name in names], part.cells)
+        for part, names in zip(parts, seen, strict=True)
     ]
     figure, panels = _canvas(
         result,
@@ -259,8 +262,8 @@ def active_cells(result: Result) -> Figure:
         ratios=[max(0.9, 0.3 + 0.22 * len(names)) for names in rows],
     )
     for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
-        for row, name in enumerate(names):
-            bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] == name])
+        for row, group in enumerate(names.values()):
+            bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] in group])
             axes.broken_barh(
                 joined(bars, trace.t[-1] / _COLUMNS), (row - 0.4, 0.8), color=_ACTUAL["color"], linewidth=0
             )
@@ -268,6 +271,17 @@ def active_cells(result: Result) -> Figure:
         axes.set_ylim(len(names) - 0.4, -0.6)
         _label(axes, "time t (s)" if k == len(parts) - 1 else "", part.name, _span(trace.t))
     return figure
+
+
+def _grouped(names: Sequence[str], cells: Sequence[str]) -> dict[str, set[str]]:
+    """Return the rows of a picture, each with the cells that it shows: so many that there is room for them."""
+    shown = names if len(names) <= _MOST_ROWS else names[: _MOST_ROWS - 1]
+    rows = {
+        name if len(name) <= _LONGEST else f"{name[:_LONGEST]}… (cell {cells.index(name) + 1})": {name}
+        for name in shown
+    }
+    others = set(names[len(shown) :])
+    return rows | ({f"{len(others):,} other cells": others} if others else {})
 
 
 def joined(bars: Array, dot: float) -> list[tuple[float, float]]:

@@ -48,7 +48,8 @@ def run(
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
-        CheckFailed: After all is written and printed, if the loop grows without bound or contradicts its proof.
+        CheckFailed: After all is written and printed, if the loop or a member of its ensemble grows without bound or
+            contradicts its proof.
     """
     screen, seconds = console(), dict[str, float]()
     spec, controller, many = None, None, None
@@ -86,8 +87,10 @@ def run(
     if many:
         summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
-    if simulated and result.outcome.code != ExitCode.DONE:
-        raise CheckFailed(Problem(message=f"{path}: {result.outcome.text}", subject=None))
+    said = [result.outcome.text] if simulated and result.outcome.code != ExitCode.DONE else []
+    said += [many.failure] if many and many.failed else []
+    if said:
+        raise CheckFailed(*(Problem(message=f"{path}: {text}", subject=None) for text in said))
 
 
 def _keep(

@@ -325,6 +325,9 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
             "parameters": "each parameter that matters to the plant is within 5 % of its value; what is 0 stays 0",
         }
         table.add_row("", f"the spec has no simulation.ensemble.{figures['over']}: {defaults[figures['over']]}")
+    table.add_row("outcomes", ", ".join(f"{kind}: {count:,}" for kind, count in figures["outcomes"].items()))
+    if many.failed:
+        table.add_row("", many.failure)
     console.print(table)
     spread = Table(box=None, padding=(0, 2, 0, 0))
     spread.add_column("")

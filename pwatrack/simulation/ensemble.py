@@ -12,7 +12,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.errors import PwatrackError
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
-from pwatrack.simulation.trace import last_tenth
+from pwatrack.simulation.trace import Trace, last_tenth
 
 _SETTLED = 0.01  # of the median of the largest errors
 
@@ -27,6 +27,7 @@ class Member:
         error: Rows with e = error z, whose norm is kept, (q, N).
         resets: As for `simulate_flow`.
         text: What is said of it where it fails.
+        judge: What says how it went, from any thread; see `Ensemble.verdicts`.
     """
 
     flow: Flow
@@ -34,6 +35,7 @@ class Member:
     error: Array
     resets: tuple[StateResets, ...] = ()
     text: str = ""
+    judge: Callable[[Trace], object] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +47,14 @@ class Ensemble:
         error: ‖e‖ at each sample, (M, K).
         mode_changes: How many there were, (M,).
         unresolved: Touches of a guard that rounding could not decide, (M,).
+        verdicts: What each member's `judge` said of it, None without one, (M,).
     """
 
     t: Array
     error: Array
     mode_changes: IntArray
     unresolved: IntArray
+    verdicts: tuple[object, ...]
 
     @property
     def largest(self) -> Array:
@@ -111,6 +115,7 @@ def simulate_ensemble(
     """
     samples = sample_count(duration, sample_time)
     error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)
+    verdicts: list[object] = [None] * count
     with _named("member 1"):
         first = member(0).flow
     shared = Propagator(first, duration=duration, sample_time=sample_time)
@@ -126,6 +131,8 @@ def simulate_ensemble(
             walk = propagator.walk(one.z0, one.resets)
         walk.norms(one.error, error[number])
         mode_changes[number], unresolved[number] = walk.events, walk.unresolved
+        if one.judge is not None:
+            verdicts[number] = one.judge(walk.trace())
 
     pool = ThreadPoolExecutor(workers or _cores())
     try:
@@ -140,6 +147,7 @@ def simulate_ensemble(
         error=error,
         mode_changes=mode_changes,
         unresolved=unresolved,
+        verdicts=tuple(verdicts),
     )
 
 

@@ -73,7 +73,8 @@ def simulate_flow(
         InvalidSpec: If an entry of the flow is not finite, or floating point cannot resolve the run: it has more than
             2⁵² finest steps, or more than 2³² radians of an oscillation that lasts.
         CheckFailed: If more than 1,000 events happen without progress in time, z grows beyond all bounds, or the
-            run takes more than 20 million steps and 10 for each sample, or has more than a million events.
+            run takes more than 20 million steps and 10 for each sample, has more than a million events, or enters
+            more modes than there is room for.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -243,7 +244,8 @@ class Walk:
             if stop == kernel.DONE:
                 return self._check_bounded()
             if stop == kernel.NEW_MODE:
-                modes.number(tuple((cells - first).tolist()))
+                if modes.number(tuple((cells - first).tolist())) is None:
+                    raise self._too_much(f"enters more than {modes.most:,} joint modes")
             elif stop == kernel.FULL:
                 if max(self.events, int(self.state[0]["nears"])) > _MOST_EVENTS:
                     raise self._too_much(f"has more than {_MOST_EVENTS:,} mode changes")

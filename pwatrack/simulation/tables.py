@@ -12,10 +12,15 @@ _EPS = float(np.finfo(np.float64).eps)
 _NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _LARGEST = 1e100  # of an entry
+_MOST_BYTES = 2**30  # of tables
 
 
 class Tables:
-    """What is precomputed for each mode, as the kernel wants it; there is always room for one more."""
+    """What is precomputed for each mode, as the kernel wants it.
+
+    Attributes:
+        most: How many modes there is room for.
+    """
 
     def __init__(self, flow: Flow, h: float, doublings: int) -> None:
         from pwatrack.simulation.kernel import Modes
@@ -24,6 +29,7 @@ class Tables:
         (N, K), D = self.guards.shape, doublings + 1
         self.first = np.cumsum([0, *(len(part.cells) for part in flow.parts)])[:-1]
         self.met: list[Mode] = []
+        self.numbers: dict[Mode, int] = {}
         self._lock = Lock()
         self.arrays = Modes(
             cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
@@ -38,23 +44,27 @@ class Tables:
             rounding=np.zeros((1, N, K)),
             jumps=np.zeros((1, len(flow.clock.maps) if flow.clock else 0, N, N)),
         )
+        self.most = max(2, _MOST_BYTES // sum(a.nbytes for a in self.arrays))
 
     def known(self) -> tuple[Any, int]:
         """Return the arrays, and how many modes are filled in; what is filled in later changes none of these."""
         with self._lock:
             return self.arrays, len(self.met)
 
-    def number(self, mode: Mode) -> int:
-        """Return the number of a mode; one that is new is filled in first."""
+    def number(self, mode: Mode) -> int | None:
+        """Return the number of a mode, None if there is no room for it; one that is new is filled in first."""
         with self._lock:
-            if mode not in self.met:
+            if mode not in self.numbers:
+                if len(self.met) == self.most:
+                    return None
                 self._add(mode)
-            return self.met.index(mode)
+            return self.numbers[mode]
 
     def _add(self, mode: Mode) -> None:
         m = len(self.met)
         if m == len(self.arrays.cells):
-            self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a)]) for a in self.arrays))
+            more = min(m, self.most - m)
+            self.arrays = type(self.arrays)(*(np.concatenate([a, np.zeros_like(a[:more])]) for a in self.arrays))
         arrays, guards, u = self.arrays, np.abs(self.guards), unit(len(self.guards))
         F = self.flow.matrix(mode).T * self.h
         terms = taylor(F)
@@ -85,6 +95,7 @@ class Tables:
                 growth = 2 * growth + growth @ growth
             if not np.max([second.max(), first.max(), off.max(), reach.max()]) < _LARGEST:
                 break  # an unstable mode takes shorter steps
+        self.numbers[mode] = m
         self.met.append(mode)
 
 
