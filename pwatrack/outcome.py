@@ -34,8 +34,9 @@ class Outcome:
 
     Attributes:
         kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
-            its reference, start and largest error. "off": one is. "grows": as `grows` says. "above its bound": the
-            loop is the one that the proofs are about, and an error is larger than they allow.
+            its reference, start and largest error. "off": one is. "grows": an error does, see `grows`, or the desired
+            trajectory. "above its bound": the loop is the one that the proofs are about, and an error is larger than
+            they allow.
         text: In words and figures.
     """
 
@@ -138,6 +139,8 @@ class Watch:
 
     def outcome(self) -> Outcome:
         """Say how the run went, the worst first."""
+        if (growth := self._loop.controller.trajectory.growth) is not None:
+            return Outcome(kind="grows", text=growth.message)
         if self._broken:
             return Outcome(kind="above its bound", text=self._broken)
         return self._growing() or self._settled()

@@ -1,7 +1,7 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem, Subject
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import (
@@ -175,14 +175,19 @@ class Figures:
         return figures
 
 
-def design(spec: Spec) -> Controller:
+def design(spec: Spec, *, growing: bool = False) -> Controller:
     """Find the gains and prove that the closed loop tracks: Theorem 2 or 3.
+
+    Args:
+        spec: What is asked.
+        growing: Whether to design also where x_d, the response to given inputs, is seen to grow without bound: the
+            proofs hold, and the theorem does not speak of it. For a look at how it grows.
 
     Raises:
         OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable.
         Infeasible: If (8), (9) or (17) is proved to have no solution.
         Undecided: If neither is proved.
-        CheckFailed: If x_d, the response to given inputs, is seen to grow without bound.
+        CheckFailed: If x_d, the response to given inputs, is seen to grow without bound, unless `growing`.
 
     Example:
         >>> from pwatrack import load_spec
@@ -191,7 +196,7 @@ def design(spec: Spec) -> Controller:
         [[1.0, 0.0], [0.0, 0.0]]
     """
     with spec.located():
-        trajectory, generator = _desired(spec)  # (15)–(17), or (3)
+        trajectory, generator = _desired(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, solver = spec.objectives, spec.objectives.solver
         gains = synthesize(plant, controller=goals.controller, observer=goals.observer, solver=solver)  # (8), (9)
@@ -214,13 +219,14 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
 
     Args:
         spec: What to simulate.
-        controller: What `design(spec)` returned; designed first if not given.
+        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
+            the outcome says.
 
     Raises:
         PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
             generator's initial state has the wrong length, or a long run does not fit on the disk.
     """
-    controller = controller or design(spec)
+    controller = controller or design(spec, growing=True)
     with spec.located():
         loop = closed_loop(controller, spec.scenario.conditions)
         n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
@@ -311,7 +317,7 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         return "x_d is bounded and satisfies (3)"
 
 
-def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
+def _desired(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
     """Return the desired trajectory, and for output tracking the generator it comes from."""
     plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
     if not isinstance(reference, OutputReference):
@@ -319,7 +325,12 @@ def _desired(spec: Spec) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]
         if not isinstance(reference, InputReference) or reference.start is None:
             return trajectory, None
         horizon = spec.scenario.duration
-        return bounded_response(plant, trajectory, horizon=horizon, solver=solver, subject=where), None
+        try:
+            return bounded_response(plant, trajectory, horizon=horizon, solver=solver, subject=where), None
+        except CheckFailed as growth:
+            if not growing:
+                raise
+            return replace(trajectory, bounded=False, growth=growth.problems[0]), None
     form = normal_form(plant)
     y_d = _output_signal(reference, form.r)
     generator = trajectory_generator(form, solver=solver)

@@ -272,10 +272,19 @@ simulation: {duration: 8, sample_time: 0.01}
 """,
         encoding="utf-8",
     )
-    run = call("simulate", path, "--out", tmp_path / "out")
-    assert (run.exit_code, run.stdout) == (6, "")
-    assert (index_of(tmp_path / "out")["verdict"], index_of(tmp_path / "out")["exit"]) == ("check failed", 6)
-    assert "grows without bound" in index_of(tmp_path / "out")["reasons"][0]["message"]
+    for command in ("design", "simulate"):
+        run = call(command, path, "--out", tmp_path / command)
+        assert run.exit_code == 6, run.output
+        assert re.match(rf"error: {path}:\d+:\d+: x_d grows without bound, as far as can be seen: \|", run.stderr)
+    assert index_of(tmp_path / "design")["verdict"] == "check failed"
+    _title, first, second, third, *_ = lines(run.stdout)
+    assert first.startswith("simulated 8 s: x_d grows without bound, as far as can be seen")
+    assert second == "proofs are about a desired trajectory that stays bounded, which this one does not"
+    assert third.startswith("(8) controller")
+    index = index_of(tmp_path / "simulate")
+    assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "grows")
+    assert {"trace.csv", "outputs.png"} < set(index["files"])
+    assert run_batch(tmp_path, tmp_path / "batch")[0].exit == 6
 
 
 def test_the_outcome_does_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

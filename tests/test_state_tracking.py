@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pwatrack import OutsideTheory, Partition, PWASystem, load_spec, simulate
+from pwatrack import OutsideTheory, Partition, PWASystem, design, load_spec, simulate
 from pwatrack.control.set_point import set_point
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec
@@ -466,4 +466,4 @@ def test_the_file_says_where_a_response_that_grows_starts(tmp_path: Path) -> Non
     path = tmp_path / "plant.yaml"
     path.write_text(SMALL % (PENDULUM, "{input: [0.2*sin(t)], start: [0, 0]}"))
     with pytest.raises(CheckFailed, match=r"plant.yaml:11:\d+: x_d grows without bound"):
-        simulate(load_spec(path))
+        design(load_spec(path))

@@ -6,6 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.errors import Problem
 from pwatrack.model.reference import Exosystem
 
 
@@ -25,6 +26,7 @@ class DesiredTrajectory:
         eta0: η̂(0) where it is fixed by the trajectory, else None.
         until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
         bounded: Whether x_d is proved to stay bounded.
+        growth: How x_d is seen to grow without bound, where it is.
     """
 
     exosystem: Exosystem
@@ -37,6 +39,7 @@ class DesiredTrajectory:
     eta0: Array | None = None
     until: float | None = None
     bounded: bool = True
+    growth: Problem | None = None
 
 
 def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> DesiredTrajectory:

@@ -15,12 +15,13 @@ from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.pipeline import Result
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.variation import Over, ensemble
+from pwatrack.variation import EnsembleResult, Over, ensemble
 
 
 def run(
@@ -60,7 +61,7 @@ def run(
                 spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
             status.update("Solving the matrix inequalities")
             with _timed(seconds, "design"):
-                controller = pipeline.design(spec)
+                controller = pipeline.design(spec, growing=simulated)
             if simulated:
                 status.update("Simulating the closed loop")
                 with _timed(seconds, "simulate"):
@@ -87,10 +88,20 @@ def run(
     if many:
         summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
-    said = [result.outcome.text] if simulated and result.outcome.code != ExitCode.DONE else []
-    said += [many.failure] if many and many.failed else []
-    if said:
-        raise CheckFailed(*(Problem(message=f"{path}: {text}", subject=None) for text in said))
+    with spec.located():
+        _check(result if simulated else None, many)
+
+
+def _check(result: Result | None, many: EnsembleResult | None) -> None:
+    """Refuse a loop, or a member of its ensemble, that grows without bound or contradicts its proof."""
+    found: list[Problem] = []
+    if result is not None and result.outcome.code != ExitCode.DONE:
+        growth = result.controller.trajectory.growth
+        found.append(growth or Problem(message=f"{result.spec.path}: {result.outcome.text}", subject=None))
+    if many is not None and many.failed:
+        found.append(Problem(message=f"{many.nominal.spec.path}: {many.failure}", subject=None))
+    if found:
+        raise CheckFailed(*found)
 
 
 def _keep(

@@ -261,6 +261,8 @@ def print_result(console: Console, result: Result) -> None:
     table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
     if conditions := result.loop.conditions.texts(result.spec.problem.plant):
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
+    if result.controller.trajectory.growth is not None:
+        table.add_row("proofs", "are about a desired trajectory that stays bounded, which this one does not")
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
