@@ -44,9 +44,7 @@ def program_of(kind: str, n: int, cells: int) -> Program:
         like = state_feedback(Q.T @ A @ Q, np.zeros((n - m, m)))
         program = least_violation(replace(like, M=Q.T @ A @ reached))
     rough = solve(program, gap=0.1)
-    unit = (
-        1.0 if rough is None else abs(rough.t)
-    )  # of t: most solvers mean an absolute gap where the objective is small
+    unit = 1.0 if rough is None else 2.0 ** round(np.log2(abs(rough.t)))  # of t: most solvers mean an absolute gap
     return replace(
         program, constraints=tuple(c if c.T is None else replace(c, T=unit * c.T) for c in program.constraints)
     )

@@ -16,9 +16,11 @@ from pwatrack.control import convergence, synthesis
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, primal_dual
+from pwatrack.lmi.blocks import Scaling, step_length
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.inequality import Inequality, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.linear_map import LinearMap
@@ -162,12 +164,20 @@ def test_the_primal_dual_method_and_clarabel_find_the_same_optimum(
         assert abs(ours.gap) <= (1e-6 if build != "least_cost" else 1e-4) * size
 
 
-@given(seed=seeds, n=st.integers(1, 5), m=st.integers(0, 2), cells=st.integers(1, 3), k=st.integers(1, 4))
+@pytest.mark.parametrize("kind", [LinearMap, DenseMap])
+@given(
+    seed=seeds,
+    n=st.integers(1, 5),
+    m=st.integers(0, 2),
+    cells=st.integers(1, 3),
+    k=st.integers(1, 4),
+    weighed=st.booleans(),
+)
 @settings(deadline=None, max_examples=30)
-def test_the_matrix_of_the_newton_step_is_that_of_the_left_hand_sides(
-    seed: int, n: int, m: int, cells: int, k: int
+def test_both_forms_of_the_linear_map_are_the_left_hand_sides(
+    kind: type[LinearMap], seed: int, n: int, m: int, cells: int, k: int, weighed: bool
 ) -> None:
-    """v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i, and the adjoint is one, for coefficients of any kind."""
+    """For coefficients of any kind, the adjoint is one, and what solves the equations of a step does."""
     random = np.random.default_rng(seed)
     shapes = [(cells, k, n), (cells, n, k), (cells, k, m), (cells, n, k)]
     L, R, M, N = (random.normal(size=shape) for shape in shapes)
@@ -178,43 +188,42 @@ def test_the_matrix_of_the_newton_step_is_that_of_the_left_hand_sides(
         replace(state_feedback(A, B), T=symmetric_part(A)),
         of_P(state_feedback(A, B), -1.0, random.normal(size=(k, n))),
     )
-    linear = LinearMap(Program(constraints=inequalities, price=1.0))
-    v, other = random.normal(size=(2, linear.size))
-    roots = [random.normal(size=c.shape) for c in linear.constants]
-    W = [root @ np.swapaxes(root, 1, 2) for root in roots]
-    sides, others = linear.apply(v), linear.apply(other)
-    form = sum(float(np.trace(a @ w @ b @ w, axis1=1, axis2=2).sum()) for a, b, w in zip(sides, others, W, strict=True))
-    H = linear.normal(W)
-    scale = float(np.abs(H).max() * np.abs(v).max() * np.abs(other).max())
-    assert other @ H @ v == pytest.approx(form, abs=1e-11 * scale)
-    P, Y, t = linear.parts(v)
-    for side, c in zip(sides, inequalities, strict=True):
+    V = random.normal(size=(k, n)) if weighed else None
+    linear = kind(Program(constraints=inequalities, price=0.0 if weighed else 1.0, weight=V))
+    v = random.normal(size=linear.size)
+    z = np.concatenate(
+        [symmetric_part(random.normal(size=X.shape)).ravel() for X in linear.blocks.stacks(linear.constant)]
+    )
+    sides, (P, Y, t) = linear.apply(v), linear.parts(v)
+    for side, c in zip(linear.blocks.parts(sides), inequalities, strict=False):
         expected = c.evaluate(P, Y) - c.constant + (0 if c.T is None else t * c.T)
-        np.testing.assert_allclose(side, expected, atol=1e-12 * scale)
-    product = sum(float(np.vdot(side, w)) for side, w in zip(sides, W, strict=True))
-    assert linear.adjoint(W) @ v == pytest.approx(product, abs=1e-11 * scale)
+        np.testing.assert_allclose(side, expected, atol=1e-10)
+    assert linear.adjoint(z) @ v == pytest.approx(float(sides @ z), abs=1e-9)
+    roots = [random.normal(size=X.shape) for X in linear.blocks.stacks(linear.constant) for _ in range(2)]
+    definite = [root @ root.transpose(0, 2, 1) + np.eye(root.shape[1]) for root in roots]
+    scalings = [Scaling.of(S, Z) for S, Z in zip(definite[::2], definite[1::2], strict=True)]
+    step = linear.step(scalings)
+    images = step.apply(v)
+    for image, X, scaling in zip(images, linear.blocks.stacks(sides), scalings, strict=True):
+        np.testing.assert_allclose(image, scaling.E @ X @ scaling.E.transpose(0, 2, 1), atol=1e-9)
+    for image, other in zip(images, step.apply(step.solve(step.adjoint(images))), strict=True):
+        np.testing.assert_allclose(other, image, atol=1e-4)
 
 
-@given(seed=seeds, n=st.integers(1, 4), cells=st.integers(1, 3), k=st.integers(1, 4))
-@settings(deadline=None, max_examples=20)
-def test_the_matrix_that_bounds_the_cost_is_eliminated_exactly(seed: int, n: int, cells: int, k: int) -> None:
-    """What is found solves the equations with W in them."""
+@given(seeds, st.integers(1, 12), st.integers(1, 3))
+@settings(deadline=None, max_examples=30)
+def test_a_scaling_makes_both_matrices_one_and_a_step_ends_before_the_boundary(seed: int, N: int, cells: int) -> None:
     random = np.random.default_rng(seed)
-    inequality = weighted(random.normal(size=(cells, n, n)), np.eye(n))
-    program = Program(constraints=(inequality,), price=0.0, weight=random.normal(size=(k, n)))
-    linear = LinearMap(program)
-    W = [
-        root @ np.swapaxes(root, 1, 2) + np.eye(c.shape[1])
-        for c in linear.constants
-        for root in [random.normal(size=c.shape)]
-    ]
-    unknown = symmetric_part(random.normal(size=(k, k)))
-    v = np.concatenate([random.normal(size=n * (n + 1) // 2), [0.0], unknown.ravel()])
-    right = linear.adjoint([w @ side @ w for w, side in zip(W, linear.apply(v), strict=True)])
-    main = linear.without_W(right, W)
-    H = linear.normal(W)
-    np.testing.assert_allclose(H @ v[: len(main)], main, atol=1e-9 * np.abs(right).max())
-    np.testing.assert_allclose(linear.with_W(v[: len(main)], right, W), v, atol=1e-9 * np.abs(W[-1]).max())
+    roots = random.normal(size=(2, cells, N, N))
+    S, Z = roots @ roots.transpose(0, 1, 3, 2) + 0.1 * np.eye(N)
+    scaling = Scaling.of(S, Z)
+    D = scaling.d[:, :, None] * np.eye(N)
+    np.testing.assert_allclose(scaling.into(S), D, atol=1e-8 * D.max())
+    np.testing.assert_allclose(scaling.back(D), Z, atol=1e-8 * np.abs(Z).max())
+    change = symmetric_part(random.normal(size=S.shape))
+    length = step_length([change], [scaling], 0.05)
+    assert np.linalg.eigvalsh(D + length * (1 - 1e-9) * change).min() > -1e-9
+    assert length > 1 or np.linalg.eigvalsh(D + 1.06 * length * change).min() < 0
 
 
 @given(seed=seeds, n=st.integers(1, 5), cells=st.integers(1, 4))

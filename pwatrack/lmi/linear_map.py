@@ -6,23 +6,30 @@ For X_i = R_i W_i L_i, V_i = R_i W_i R_iᵀ and U_i = L_iᵀ W_i L_i the part of
 
 O(l n⁴) for all cells together, where a solver that sees n (n + 1) / 2 rows for each cell needs O(l n⁶). The terms with
 Y are alike. Where tr V P⁻¹ Vᵀ is the objective, a matrix W with [W, V; Vᵀ, P] ⪰ 0 is one more unknown, and
-tr W is to be small. It stands in that inequality alone, so it is eliminated by hand: see `without_W`.
+tr W is to be small. It stands in that inequality alone, so it is eliminated by hand: see `Corner`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
+from pwatrack.lmi.blocks import Blocks, Scaling
 from pwatrack.lmi.inequality import Inequality
+from pwatrack.lmi.normal import Normal
 from pwatrack.lmi.program import Program
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Side:
-    """An `Inequality` with None for what is 0 (L with R, M with N, T) or the identity (R or N alone)."""
+class Side:
+    """An `Inequality` with None for what is 0 (L with R, M with N, T) or the identity (R or N alone).
+
+    What all cells have in common is there once.
+    """
 
     L: Array | None
     R: Array | None
@@ -31,227 +38,343 @@ class _Side:
     T: Array | None
 
     @classmethod
-    def of(cls, c: Inequality) -> "_Side":
-        eye = np.eye(c.n)
+    def of(cls, c: Inequality) -> "Side":
+        """Read an inequality."""
+        has_P, has_Y = bool(c.L.any()), bool(c.M.any())
         return cls(
-            L=c.L if c.L.any() else None,
-            R=None if c.R.shape[1:] == eye.shape and (eye == c.R).all() else c.R,
-            M=c.M if c.M.any() else None,
-            N=None if c.N.shape[1:] == eye.shape and (eye == c.N).all() else c.N,
-            T=c.T,
+            L=_once(c.L) if has_P else None,
+            R=_unless_identity(c.R) if has_P else None,
+            M=_once(c.M) if has_Y else None,
+            N=_unless_identity(c.N) if has_Y else None,
+            T=None if c.T is None else _once(c.T),
         )
+
+    def add(self, out: Array, P: Array, Y: Array, t: float) -> None:
+        """Add the left-hand sides without their constants to (l, N, N)."""
+        if self.L is not None:
+            rows = self.L.reshape(-1, self.L.shape[2]) @ P
+            out += symmetric_part(_times(rows.reshape(self.L.shape), self.R))
+        if self.M is not None:
+            out += symmetric_part(_times(self.M @ Y, self.N))
+        if self.T is not None:
+            out += t * self.T
+
+    def of_P(self, Z: Array) -> Array:
+        """Return G with tr G P = ½ Σ tr Z_i A_i(P)."""
+        assert self.L is not None
+        if self.R is None and len(self.L) == len(Z):
+            return np.asarray(Z.reshape(-1, Z.shape[2]).T @ self.L.reshape(-1, self.L.shape[2]))
+        return np.asarray(_front(self.R, _both(Z, self.L, self.R)).sum(axis=0))
+
+    def of_Y(self, Z: Array) -> Array:
+        """Return G (m, n) with Σ G_jk Y_jk = ½ Σ tr Z_i A_i(Y)."""
+        assert self.M is not None
+        return np.asarray(_front(self.N, _both(Z, self.M, self.N)).sum(axis=0).T)
+
+    def of_t(self, Z: Array) -> float:
+        """Return Σ tr Z_i T_i."""
+        assert self.T is not None
+        return float(np.vdot(Z if len(self.T) == len(Z) else Z.sum(axis=0, keepdims=True), self.T))
+
+
+@dataclass(frozen=True)
+class Corner:
+    """W_i of [W, V; Vᵀ, P] ⪰ 0, in blocks: W_11 with its factor, Q = W_11⁻¹ W_12, S = W_22 − W_21 Q.
+
+    A right-hand side (F, f) of W and P leaves f − Qᵀ F Q for P, and then ΔW = W_11⁻¹ F W_11⁻¹ − Q ΔP Qᵀ.
+    """
+
+    factor: Array
+    Q: Array
+    S: Array
+
+    @classmethod
+    def of(cls, W: Array, order: int) -> "Corner":
+        """Split a matrix of which the first block has this order."""
+        whole = np.linalg.cholesky(W)
+        factor, low, last = whole[:order, :order], whole[order:, :order], whole[order:, order:]
+        Q = solve_triangular(factor, low.T, lower=True, trans="T", check_finite=False)
+        return cls(np.asarray(factor), np.asarray(Q, dtype=np.float64), np.asarray(last @ last.T))
+
+    def between(self, F: Array) -> Array:
+        """Return W_11⁻¹ F W_11⁻¹."""
+        pair = self.factor, True
+        return np.asarray(cho_solve(pair, cho_solve(pair, F, check_finite=False).T, check_finite=False))
+
+
+class Triangle:
+    """A symmetric matrix X = T + Tᵀ as the vector of a lower triangle T: half of the diagonal, and what is below it.
+
+    Example:
+        >>> two = Triangle(2)
+        >>> two.matrix(np.array([1.0, 2.0, 3.0])).tolist(), two.row(np.array([[1.0, 2.0], [2.0, 3.0]])).tolist()
+        ([[2.0, 2.0], [2.0, 6.0]], [2.0, 4.0, 6.0])
+    """
+
+    def __init__(self, n: int) -> None:
+        self.n, self.size = n, n * (n + 1) // 2
+        self.rows, self.columns = np.tril_indices(n)
+
+    def matrix(self, v: Array) -> Array:
+        """Return the matrix of a vector."""
+        T = np.zeros((self.n, self.n))
+        T[self.rows, self.columns] = v
+        return T + T.T
+
+    def of(self, X: Array) -> Array:
+        """Return the vector of a matrix."""
+        return np.asarray(np.where(self.rows == self.columns, 0.5, 1.0) * X[self.rows, self.columns])
+
+    def row(self, X: Array) -> Array:
+        """Return the row whose product with the vector of P is tr P X."""
+        return np.asarray((X + X.T)[self.rows, self.columns])
+
+    def of_row(self, row: Array) -> Array:
+        """Return the symmetric matrix of a row."""
+        X = np.empty((self.n, self.n))
+        X[self.rows, self.columns] = X[self.columns, self.rows] = row / 2
+        return X
+
+    def inside(self, X: Array, count: int) -> Array:
+        """Return the first entries of the lower triangle of each of a stack of matrices."""
+        places = self.rows[:count] * X.shape[2] + self.columns[:count]
+        return np.asarray(np.take(X.reshape(len(X), -1), places, axis=1))
+
+
+class Equations(Protocol):
+    """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
+
+    def apply(self, v: Array) -> list[Array]:
+        """Return the scaled left-hand sides without their constants, stack by stack."""
+
+    def adjoint(self, changes: Sequence[Array]) -> Array:
+        """Return A*(Z) for scaled stacks of Z."""
+
+    def solve(self, right: Array) -> Array:
+        """Return v whose scaled left-hand sides have this adjoint."""
 
 
 class LinearMap:
-    """A vector holds the lower triangle of P, then Y, t and, where there is one, all entries of W.
+    """A vector holds the lower triangle of P, then Y, t and, where there is one, the lower triangle of W.
 
     Attributes:
-        constants: C_i of each constraint, the one of W last.
+        blocks: Where the left-hand sides stand in a vector, the one of W last.
+        constant: The C_i.
         cost: Its product with a vector is to be small.
         fixed: (row, value): what its product with a vector must be; None where nothing is asked.
         size: Number of entries.
-        sizes: Of the coefficients of P in each constraint.
     """
 
-    def __init__(self, program: Program) -> None:
-        self.n, self.m = program.n, program.m
-        self._sides = [_Side.of(c) for c in program.constraints]
-        self._rows, self._columns = np.tril_indices(self.n)
-        self._k = len(self._rows)
-        self._main = self._k + self.m * self.n + 1
-        self._halves = np.where(self._rows == self._columns, 0.5, 1.0)
-        self.constants = [c.constant for c in program.constraints]
-        self.V = program.weight
-        order = 0 if self.V is None else len(self.V)
-        self.size = self._main + order**2
-        self._order = order
+    def __init__(self, program: Program, *, padded: bool = False) -> None:
+        """Read a program; padded, all matrices are filled up to the same order, by constraints 0 ≤ 1."""
+        self.n, self.m, self.V = program.n, program.m, program.weight
+        self.sides = [Side.of(c) for c in program.constraints]
+        self.P = Triangle(self.n)
+        self.W = Triangle(0 if self.V is None else len(self.V))
+        self.main = self.P.size + self.m * self.n + 1
+        self.size = self.main + self.W.size
+        constants = [c.constant for c in program.constraints]
         self.cost = np.zeros(self.size)
         if self.V is not None:
-            nothing = np.zeros((order, order)), np.zeros((self.n, self.n))
-            self.constants.append(-np.block([[nothing[0], self.V], [self.V.T, nothing[1]]])[None])
-            self.cost[self._main :] = np.eye(order).ravel()
+            nothing = np.zeros((self.W.n, self.W.n)), np.zeros((self.n, self.n))
+            constants.append(-np.block([[nothing[0], self.V], [self.V.T, nothing[1]]])[None])
+            self.cost[self.main :] = self.W.row(np.eye(self.W.n))
         elif program.price:
-            self.cost[self._main - 1] = program.price
+            self.cost[self.main - 1] = program.price
         else:
-            self.cost[: self._k] = self._lower(np.eye(self.n) if program.cost is None else program.cost)
-        self.sizes = [
-            float(np.sqrt((c.L**2).sum(axis=(1, 2)) * (c.R**2).sum(axis=(1, 2))).max()) for c in program.constraints
-        ]
-        self.sizes += [] if self.V is None else [1.0]
+            self.cost[: self.P.size] = self.P.row(np.eye(self.n) if program.cost is None else program.cost)
+        self.blocks = Blocks([(len(c), c.shape[1]) for c in constants], padded=padded)
+        self.constant = self.blocks.of(constants, beside=-1.0 if padded else 0.0)
         self.fixed: tuple[Array, float] | None = None
         if program.trace is not None:
-            self.fixed = np.append(self._lower(np.eye(self.n)), np.zeros(self.size - self._k)), program.trace
+            self.fixed = np.append(self.P.row(np.eye(self.n)), np.zeros(self.size - self.P.size)), program.trace
+
+    @cached_property
+    def _rooms(self) -> tuple[Array, Array]:
+        """Return memory for H and its factor, used by one step after the other."""
+        return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
 
     def parts(self, v: Array) -> tuple[Array, Array, float]:
         """Return P, Y and t."""
-        P = np.empty((self.n, self.n))
-        P[self._rows, self._columns] = P[self._columns, self._rows] = v[: self._k]
-        return P, v[self._k : self._main - 1].reshape(self.m, self.n), float(v[self._main - 1])
+        return (
+            self.P.matrix(v[: self.P.size]),
+            v[self.P.size : self.main - 1].reshape(self.m, self.n),
+            float(v[self.main - 1]),
+        )
 
-    def apply(self, v: Array) -> list[Array]:
+    def vector(self, P: Array, Y: Array, t: float) -> Array:
+        """Return the vector of P, Y and t, with W = V P⁻¹ Vᵀ where there is one."""
+        v = np.concatenate([self.P.of(P), Y.ravel(), [t]])
+        return v if self.V is None else np.append(v, self.W.of(self.V @ np.linalg.solve(P, self.V.T)))
+
+    def apply(self, v: Array) -> Array:
         """Return A(v): the left-hand sides without their constants."""
         P, Y, t = self.parts(v)
-        results = []
-        for side, constant in zip(self._sides, self.constants, strict=False):
-            total = np.zeros(constant.shape)
-            if side.L is not None:
-                total += symmetric_part(_times(side.L @ P, side.R))
-            if side.M is not None:
-                total += symmetric_part(_times(side.M @ Y, side.N))
-            if side.T is not None:
-                total += t * side.T
-            results.append(total)
+        x = np.zeros(self.blocks.size)
+        places = self.blocks.parts(x)
+        for side, place in zip(self.sides, places, strict=False):
+            side.add(place, P, Y, t)
         if self.V is not None:
-            whole = np.zeros(self.constants[-1].shape)
-            whole[0, : self._order, : self._order] = -v[self._main :].reshape(self._order, self._order)
-            whole[0, self._order :, self._order :] = -P
-            results.append(whole)
-        return results
+            places[-1][0, : self.W.n, : self.W.n] = -self.W.matrix(v[self.main :])
+            places[-1][0, self.W.n :, self.W.n :] = -P
+        return x
 
-    def adjoint(self, Z: Sequence[Array]) -> Array:
+    def adjoint(self, z: Array) -> Array:
         """Return A*(Z): its product with v is Σ tr Z_i A_i(v)."""
-        result = np.zeros(self.size)
-        for side, Z_c in zip(self._sides, Z, strict=False):
-            self._add_adjoint(result, side, Z_c)
+        result, parts = np.zeros(self.size), self.blocks.parts(z)
+        for side, Z in zip(self.sides, parts, strict=False):
+            self._add_adjoint(result, side, Z)
         if self.V is not None:
-            corner = Z[-1][0]
-            result[: self._k] -= self._lower(corner[self._order :, self._order :])
-            result[self._main :] = -corner[: self._order, : self._order].ravel()
+            corner = parts[-1][0]
+            result[: self.P.size] -= self.P.row(corner[self.W.n :, self.W.n :])
+            result[self.main :] = -self.W.row(corner[: self.W.n, : self.W.n])
         return result
 
-    def normal(self, W: Sequence[Array]) -> Array:
-        """Return H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i, for all but W, which is eliminated."""
-        k = self._k
-        H = np.zeros((self._main, self._main))
+    def step(self, scalings: Sequence[Scaling]) -> Equations:
+        """Return the equations of a step, factorized."""
+        return FormEquations(self, scalings, self._rooms)
+
+    def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
+        if side.L is not None:
+            result[: self.P.size] += 2 * self.P.row(side.of_P(Z))
+        if side.M is not None:
+            result[self.P.size : self.main - 1] += 2 * side.of_Y(Z).ravel()
+        if side.T is not None:
+            result[self.main - 1] += side.of_t(Z)
+
+    def normal(self, w: Array, H: Array) -> Corner | None:
+        """Write the lower triangle of H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i; W is eliminated from it."""
+        k, parts = self.P.size, self.blocks.parts(w)
         terms = {name: list[Array]() for name in ("X", "V", "U", "a", "b", "c", "e", "g", "h", "q")}
-        for side, W_c in zip(self._sides, W, strict=False):
+        H[-1] = 0.0
+        for side, W in zip(self.sides, parts, strict=False):
             if side.T is not None:
                 row = np.zeros(self.size)
-                self._add_adjoint(row, side, W_c @ side.T @ W_c)
-                H[-1] += row[: self._main]
-            _add_terms(terms, side, W_c)
+                self._add_adjoint(row, side, W @ side.T @ W)
+                H[-1] += row[: self.main]
+            _add_terms(terms, side, W)
+        corner = None
         if self.V is not None:
-            S, Q = self._split(W[-1][0])
-            terms["V"].append((S / 2 + Q.T @ W[-1][0, : self._order, self._order :])[None])
-            terms["U"].append(S[None])
+            W = parts[-1][0]
+            corner = Corner.of(W, self.W.n)
+            terms["V"].append((corner.S / 2 + corner.Q.T @ W[: self.W.n, self.W.n :])[None])
+            terms["U"].append(corner.S[None])
         if terms["U"]:
-            X = np.concatenate(terms["X"]) if terms["X"] else np.zeros((0, self.n, self.n))
-            self._fill(H, X, np.concatenate(terms["V"]), np.concatenate(terms["U"]))
+            self._fill_P(H, terms)
         if terms["g"]:
-            YY = _paired(terms["g"], terms["g"]).transpose(3, 0, 1, 2)
-            YY = YY + _paired(terms["h"], terms["q"]).transpose(3, 0, 2, 1)
-            H[k:-1, k:-1] = 2 * YY.reshape(self.m * self.n, self.m * self.n)
+            g, h, q = (np.concatenate(terms[name]) for name in "ghq")
+            Y = _paired(g, g).transpose(3, 0, 1, 2) + _paired(h, q).transpose(3, 0, 2, 1)
+            H[k:-1, k:-1] = 2 * Y.reshape(self.m * self.n, self.m * self.n)
         if terms["a"]:
-            PY = _paired(terms["a"], terms["b"]).transpose(3, 0, 1, 2)
-            PY = PY + _paired(terms["c"], terms["e"]).transpose(3, 0, 2, 1)
-            PY = (PY + PY.transpose(1, 0, 2, 3))[self._rows, self._columns].reshape(k, self.m * self.n)
-            H[k:-1, :k] = 2 * (self._halves[:, None] * PY).T
-        below = np.tril(H, -1)
-        below += below.T
-        np.fill_diagonal(below, np.diag(H))
-        return below
+            self._fill_Y(H, terms)
+        return corner
 
-    def _fill(self, H: Array, X: Array, V: Array, U: Array) -> None:
+    def _fill_P(self, H: Array, terms: dict[str, list[Array]]) -> None:
         """Write the rows of P, those with first index a at once; of both orders of (b, c, d) one product has half."""
-        n = self.n
-        Xt = np.swapaxes(X, 1, 2)
-        first, second = np.concatenate([X, Xt, V, U]), np.concatenate([Xt, X, U, V])
-        first, second = (np.ascontiguousarray(stack.transpose(1, 2, 0)) for stack in (first, second))
+        V, U, n = np.concatenate(terms["V"]), np.concatenate(terms["U"]), self.n
+        X = np.concatenate(terms["X"]) if terms["X"] else np.zeros((0, n, n))
+        Xt = X.transpose(0, 2, 1)
+        first, second = 2 * np.concatenate([X, Xt, V, U]).reshape(-1, n * n), np.concatenate([Xt, X, U, V])
         for a in range(n):
-            count = (a + 1) * (a + 2) // 2
-            rows, columns, halves = self._rows[:count], self._columns[:count], self._halves[:count]
-            half = first[: a + 1, : a + 1] @ second[a, : a + 1].T
-            both = half[:, rows, columns] + half[:, columns, rows]
-            own = np.ones(a + 1)
-            own[a] = 0.5
-            both *= 2 * halves
-            both *= own[:, None]
-            H[count - a - 1 : count, :count] = both
+            count, some = (a + 1) * (a + 2) // 2, a + 1
+            half = (first[:, : some * n].T @ second[:, a, :some]).reshape(some, n, some)[:, :some]
+            H[count - some : count, :count] = self.P.inside(half + half.transpose(0, 2, 1), count)
 
-    def _split(self, W: Array) -> tuple[Array, Array]:
-        """Return S = W_22 − W_21 W_11⁻¹ W_12 and W_11⁻¹ W_12."""
-        factor = np.linalg.cholesky(W)
-        corner, low, last = (factor[rows, columns] for rows, columns in _blocks(self._order))
-        return last @ last.T, solve_triangular(corner, low.T, lower=True, trans="T", check_finite=False)
-
-    def without_W(self, right: Array, W: Sequence[Array]) -> Array:
-        """Return the right-hand side that is left for P, Y and t when W is eliminated."""
-        if self.V is None:
-            return right
-        _, Q = self._split(W[-1][0])
-        main = right[: self._main].copy()
-        main[: self._k] -= self._lower(Q.T @ self._tail(right) @ Q)
-        return main
-
-    def with_W(self, main: Array, right: Array, W: Sequence[Array]) -> Array:
-        """Return the whole solution: W_11 ΔW W_11 + W_12 ΔP W_21 is what the right-hand side has there."""
-        if self.V is None:
-            return main
-        _, Q = self._split(W[-1][0])
-        corner = cho_factor(W[-1][0, : self._order, : self._order], check_finite=False)
-        found = cho_solve(corner, cho_solve(corner, self._tail(right), check_finite=False).T, check_finite=False)
-        P = self.parts(np.append(main, np.zeros(self.size - self._main)))[0]
-        return np.append(main, (found - Q @ P @ Q.T).ravel())
-
-    def _tail(self, v: Array) -> Array:
-        return v[self._main :].reshape(self._order, self._order)
-
-    def _add_adjoint(self, result: Array, side: _Side, Z: Array) -> None:
-        if side.L is not None:
-            result[: self._k] += 2 * self._lower(_summed(_front(side.R, Z), side.L))
-        if side.M is not None:
-            result[self._k : self._main - 1] += 2 * _summed(_front(side.N, Z), side.M).T.ravel()
-        if side.T is not None:
-            result[self._main - 1] += np.vdot(Z, side.T)
-
-    def _lower(self, X: Array) -> Array:
-        """Return the row whose product with the lower triangle of P is tr P X."""
-        return np.asarray(self._halves * (X + X.T)[self._rows, self._columns])
+    def _fill_Y(self, H: Array, terms: dict[str, list[Array]]) -> None:
+        """Write where rows of Y, those of one input at once, meet columns of P."""
+        a, b, c, e = (np.concatenate(terms[name]) for name in "abce")
+        n, k = self.n, self.P.size
+        left, right = 2 * np.concatenate([a.transpose(0, 2, 1), e]), np.concatenate([b, c.transpose(0, 2, 1)])
+        for r in range(self.m):
+            half = (left[:, r].T @ right.reshape(-1, n * n)).reshape(n, n, n)
+            both = half.transpose(1, 0, 2) + half.transpose(1, 2, 0)
+            H[k + r * n : k + (r + 1) * n, :k] = self.P.inside(both, k)
 
 
-def _add_terms(terms: dict[str, list[Array]], side: _Side, W: Array) -> None:
+class FormEquations:
+    """`Equations` by the form of the inequalities."""
+
+    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rooms: tuple[Array, Array]) -> None:
+        self._linear, self._scalings = linear, scalings
+        w = np.empty(linear.blocks.size)
+        for W, scaling in zip(linear.blocks.stacks(w), scalings, strict=True):
+            np.matmul(scaling.E.transpose(0, 2, 1), scaling.E, out=W)
+        H, room = rooms
+        self._corner = linear.normal(w, H)
+        self._normal = Normal(H, room)
+
+    def apply(self, v: Array) -> list[Array]:
+        """Return the scaled left-hand sides, stack by stack."""
+        stacks = self._linear.blocks.stacks(self._linear.apply(v))
+        return [scaling.into(X) for X, scaling in zip(stacks, self._scalings, strict=True)]
+
+    def adjoint(self, changes: Sequence[Array]) -> Array:
+        """Return A*(Z) for scaled stacks of Z."""
+        z = np.empty(self._linear.blocks.size)
+        for Z, change, scaling in zip(self._linear.blocks.stacks(z), changes, self._scalings, strict=True):
+            Z[:] = scaling.back(change)
+        return self._linear.adjoint(z)
+
+    def solve(self, right: Array) -> Array:
+        """Return v whose scaled left-hand sides have this adjoint."""
+        linear, corner = self._linear, self._corner
+        if corner is None:
+            return self._normal.solve(right)
+        F, main = linear.W.of_row(right[linear.main :]), right[: linear.main].copy()
+        main[: linear.P.size] -= linear.P.row(corner.Q.T @ F @ corner.Q)
+        found = self._normal.solve(main)
+        P = linear.parts(found)[0]
+        return np.append(found, linear.W.of(corner.between(F) - corner.Q @ P @ corner.Q.T))
+
+
+def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:
     """Append the factors of H that a constraint has."""
-    RW, NW = _front(side.R, W), _front(side.N, W)
     if side.L is not None:
         WL = W @ side.L
+        RW = _front(side.R, W)
         terms["X"].append(_front(side.R, WL))
         terms["V"].append(_back(RW, side.R))
-        terms["U"].append(np.swapaxes(side.L, 1, 2) @ WL)
+        terms["U"].append(side.L.transpose(0, 2, 1) @ WL)
     if side.M is not None:
         WM = W @ side.M
         terms["g"].append(_front(side.N, WM))
-        terms["h"].append(_back(NW, side.N))
-        terms["q"].append(np.swapaxes(side.M, 1, 2) @ WM)
+        terms["h"].append(_back(_front(side.N, W), side.N))
+        terms["q"].append(side.M.transpose(0, 2, 1) @ WM)
         if side.L is not None:
             terms["a"].append(_front(side.R, WM))
             terms["b"].append(_front(side.N, WL))
             terms["c"].append(_back(RW, side.N))
-            terms["e"].append(np.swapaxes(side.M, 1, 2) @ WL)
+            terms["e"].append(side.M.transpose(0, 2, 1) @ WL)
 
 
-def _blocks(order: int) -> tuple[tuple[slice, slice], ...]:
-    """Return where the blocks 11, 21, 22 are."""
-    first, rest = slice(order), slice(order, None)
-    return (first, first), (rest, first), (rest, rest)
+def _once(X: Array) -> Array:
+    """Return a stack, or its first matrix if all are the same."""
+    return np.ascontiguousarray(X[:1] if len(X) > 1 and (X[1:] == X[0]).all() else X)
+
+
+def _unless_identity(X: Array) -> Array | None:
+    once = _once(X)
+    return None if len(once) == 1 and np.array_equal(once[0], np.eye(X.shape[1])) else once
+
+
+def _both(Z: Array, X: Array, front: Array | None) -> Array:
+    """Return Z_i X_i, or their sum, (1, …), where what stands before and after them is the same for all cells."""
+    alike = len(X) == 1 and (front is None or len(front) == 1)
+    return np.asarray((Z.sum(axis=0, keepdims=True) if alike else Z) @ X)
 
 
 def _front(E: Array | None, X: Array) -> Array:
-    return X if E is None else E @ X
+    return X if E is None else np.asarray(E @ X)
 
 
 def _times(X: Array, E: Array | None) -> Array:
-    return X if E is None else X @ E
+    return X if E is None else np.asarray(X @ E)
 
 
 def _back(X: Array, E: Array | None) -> Array:
-    return X if E is None else X @ np.swapaxes(E, 1, 2)
+    return X if E is None else np.asarray(X @ E.transpose(0, 2, 1))
 
 
-def _summed(first: Array, second: Array) -> Array:
-    """Return Σ_k first_k second_k: one matrix product."""
-    return np.asarray(np.tensordot(first, second, axes=([0, 2], [0, 1])))
-
-
-def _paired(first: Sequence[Array], second: Sequence[Array]) -> Array:
+def _paired(first: Array, second: Array) -> Array:
     """Return Σ_k first_k[a, b] second_k[c, d] as (a, b, c, d): one matrix product."""
-    return np.asarray(np.tensordot(np.concatenate(first), np.concatenate(second), axes=([0], [0])))
+    return np.asarray(np.tensordot(first, second, axes=([0], [0])))
