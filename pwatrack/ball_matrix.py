@@ -1,9 +1,9 @@
 """Matrices whose entries are exact, or known to within a radius: what a proof is about."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 from pwatrack.arrays import Array, readonly
@@ -104,7 +104,7 @@ class BallMatrix:
         """Return the transpose."""
         return BallMatrix(self.centre.transpose(), None if self.radius is None else self.radius.transpose())
 
-    @property
+    @cached_property
     def texts(self) -> list[list[str]]:
         """The centre as decimals and fractions."""
         return texts(self.centre)
@@ -126,8 +126,16 @@ def beside(one: BallMatrix, other: BallMatrix) -> BallMatrix:
     return above(one.transpose(), other.transpose()).transpose()
 
 
+def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
+    """Apply a function to matrices, once to each object: cells that share a matrix still share it afterwards."""
+    found = {id(X): X for X in matrices}
+    results = {key: function(X) for key, X in found.items()}
+    return [results[id(X)] for X in matrices]
+
+
 def different(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
     """Return the matrices without repetitions: equal cells say the same."""
+    matrices = list({id(X): X for X in matrices}.values())
     alike: dict[bytes, list[BallMatrix]] = {}
     for X in matrices:
         others = alike.setdefault(X.floats.tobytes(), [])
@@ -151,6 +159,7 @@ def texts(X: Rational) -> list[list[str]]:
     return [[text(fraction_of(v)) for v in row] for row in X.tolist()]
 
 
+@lru_cache(maxsize=1 << 14)
 def text(value: Fraction) -> str:
     """Return a rational number as text that no reader rounds."""
     shown = repr(float(value)) if abs(value) < 1e300 else ""

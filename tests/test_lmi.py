@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
+from scipy.optimize import linprog
 
 from benchmarks.corpus import feasible
 from pwatrack.arrays import Array, symmetric_part
@@ -24,7 +25,7 @@ from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.inequality import Inequality, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute, refutes
 from pwatrack.lmi.linear_map import LinearMap
-from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.presolve import corners, distinct
 from pwatrack.lmi.program import (
     Program,
     Solution,
@@ -519,6 +520,36 @@ def test_an_unreachable_unstable_mode_is_named() -> None:
     A = np.diag([1.5, -1.0])[None]
     with pytest.raises(Infeasible, match=r"no gain moves the eigenvalue 1\.5 in cell 'only'"):
         synthesis.gain(Task(A=A, B=np.array([[0.0], [1.0]]), cells=["only"]))
+
+
+def in_hull(X: Array, points: Array) -> bool:
+    """Say by a linear program whether X is a convex combination of points."""
+    equations = np.vstack([points.reshape(len(points), -1).T, np.ones(len(points))])
+    return bool(linprog(np.zeros(len(points)), A_eq=equations, b_eq=np.append(X.ravel(), 1.0)).status == 0)
+
+
+@settings(deadline=None)
+@given(seeds, st.integers(1, 4), st.integers(1, 5), st.integers(2, 24))
+def test_every_cell_lies_in_the_hull_of_those_that_are_solved_for(seed: int, n: int, k: int, count: int) -> None:
+    random = np.random.default_rng(seed)
+    slopes, directions = random.integers(0, 4, size=(count, k)) / 4, random.normal(size=(k, n, n))
+    A = random.normal(size=(n, n)) + np.einsum("ck,kij->cij", slopes, directions)
+    kept = corners(A)
+    assert len(kept) <= len(distinct(A)[0])
+    assert all(in_hull(X, A[kept]) for X in A)
+
+
+@settings(deadline=None)
+@given(seeds, st.integers(1, 5), st.integers(2, 4))
+def test_of_a_box_of_slopes_only_the_corners_are_solved_for(seed: int, k: int, slopes: int) -> None:
+    random, n = np.random.default_rng(seed), k + 2
+    rows, directions = random.normal(size=(k, n)), np.eye(n)[random.permutation(n)[:k]]
+    steps = np.sort(random.uniform(1, 2, size=(k, slopes)).round(3) + np.arange(slopes))
+    grid = np.array(np.meshgrid(*steps, indexing="ij")).reshape(k, -1).T
+    order = random.permutation(len(grid))
+    A = random.normal(size=(n, n)) + np.einsum("ck,ki,kj->cij", grid, directions, rows)
+    ends = ((grid == steps[:, 0]) | (grid == steps[:, -1])).all(axis=1)
+    assert sorted(order[corners(A[order])].tolist()) == np.flatnonzero(ends).tolist()
 
 
 def test_equal_cells_are_solved_once() -> None:

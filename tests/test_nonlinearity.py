@@ -84,6 +84,7 @@ def test_three_dead_zones_make_27_cells_with_readable_names() -> None:
     assert len(plant.cell_names) == 27
     assert "e0 below, e1 inside, e2 above" in plant.cell_names
     assert len(plant.partition.facets) == 54
+    assert len({id(A_i) for A_i in plant.exact.A}) == 8, "cells of equal slopes share their matrix"
 
 
 def test_elements_of_the_same_form_make_no_impossible_cells() -> None:

@@ -30,7 +30,7 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
-from pwatrack.lmi.exact import Proof, unpacked
+from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import floats, identity
@@ -208,7 +208,7 @@ class _Loops:
 
 def _inner(proof: Proof, *, invert: bool) -> Inner:
     """Return the Q of a proof: (8) is stated for it, (9) for its inverse."""
-    P = unpacked(proof.integers, proof.exponents)
+    P = proof.P
     return Inner(Q=floats(P.inv() if invert else P), most=2 * _KEPT * proof.rate)
 
 

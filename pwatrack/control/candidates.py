@@ -11,7 +11,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.task import Task
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
-from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
 from pwatrack.lmi.solve import solve
 
@@ -45,7 +45,7 @@ class Candidates:
 
     Attributes:
         task: The inequality.
-        A: Its different cells, (l, n, n).
+        A: The corners of the convex hull of its cells, (l, n, n).
         at: Balanced units, in which the weights of a cost are one.
     """
 
@@ -56,7 +56,7 @@ class Candidates:
     @classmethod
     def of(cls, task: Task) -> "Candidates":
         """Prepare the search for a task."""
-        return cls(task=task, A=distinct(task.A)[0], at=Coordinates.balanced(task.A, task.B))
+        return cls(task=task, A=extreme(task.A), at=Coordinates.balanced(task.A, task.B))
 
     def nothing(self) -> Candidate:
         """Return the gain 0."""

@@ -12,7 +12,7 @@ from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, refute
-from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
@@ -38,7 +38,7 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    matrices, at = distinct(M)[0], _near(M, start)
+    matrices, at = extreme(M), _near(M, start)
     best = None if start is None else prove(M, start)
     ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
     trial, margins = 0.0 if best is None else best.rate, list[tuple[float, float]]()
@@ -98,7 +98,7 @@ def least_overshoot_certificate(
         1.0
     """
     at = _near(M, start)
-    inequality = lyapunov(at.system(distinct(M)[0]), rate / at.speed)
+    inequality = lyapunov(at.system(extreme(M)), rate / at.speed)
     try:
         candidate = solve(least_condition(inequality, at.driven(np.eye(M.shape[1]))), solver)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision

@@ -12,7 +12,7 @@ from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
-from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite, scalar
@@ -56,7 +56,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     """
     closed, weight = task.closed(K), Q + K.T @ R @ K
     exact = task.exactly_closed(K)
-    matrices = np.swapaxes(distinct(closed)[0], 1, 2)
+    matrices = np.swapaxes(extreme(closed), 1, 2)
     slack = 1e-9 * float(np.trace(weight)) / len(Q) * np.eye(len(Q))
     at = Coordinates.balanced(matrices)
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))

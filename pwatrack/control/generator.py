@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import each
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver
@@ -57,7 +58,7 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     certificate = prove_convergence(
         GENERATOR.oriented(A_eta),
-        exact=[GENERATOR.exact(A_i) for A_i in form.exact.A_eta],
+        exact=each(GENERATOR.exact, form.exact.A_eta),
         claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
         role=GENERATOR,

@@ -21,7 +21,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.changes import largest_share
-from pwatrack.lmi.exact import Proof, unpacked, unsure
+from pwatrack.lmi.exact import Proof, unsure
 from pwatrack.lmi.norm import Norm, largest_gain
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
@@ -138,12 +138,10 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> Gua
     for proof in proofs:
         norm, share, n = Norm.of(proof), 0.0, len(proof.exponents)
         if proof.role is CONTROLLER:
-            P = BallMatrix(unpacked(proof.integers, proof.exponents))
-            share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, P, design.K)
+            share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, BallMatrix(proof.P), design.K)
         elif proof.role is OBSERVER:
-            P = BallMatrix(unpacked(proof.integers, proof.exponents))
             slack = [_slack((A_i + L @ exact.C).transpose(), proof) for A_i in A]
-            share = largest_share(slack, P, exact.C.transpose(), design.L)
+            share = largest_share(slack, BallMatrix(proof.P), exact.C.transpose(), design.L)
         from_norm = largest_gain(identity(n), norm, Norm.euclidean(n))
         parts[proof.role.name].append(Contraction(rate=proof.rate, share=share, norm=norm, from_norm=from_norm))
     controller, observer, generator = (tuple(part) for part in parts.values())
@@ -158,9 +156,9 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> Gua
 
 def _slack(M: BallMatrix, proof: Proof) -> Rational:
     """Return −sym(M P) − 2 rate P, or what is below it for every M in the ball."""
-    P, unit = unpacked(proof.integers, proof.exponents), [Fraction(2) ** e for e in proof.exponents]
-    MP = M.centre * P
-    return -(MP + MP.transpose()) - unsure(M.radius, P, unit) - scalar(2 * proof.rate) * P
+    P, MP = proof.P, M.centre * proof.P
+    left = -(MP + MP.transpose()) - scalar(2 * proof.rate) * P
+    return left if M.radius is None else left - unsure(M.radius, P, [Fraction(2) ** e for e in proof.exponents])
 
 
 def _size(X: BallMatrix, of: Norm, to: Norm) -> float:

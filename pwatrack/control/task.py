@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, each
 from pwatrack.errors import Subject
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.exact import RATE_GIVEN
@@ -43,7 +43,7 @@ class Task:
         return cls(
             A=role.oriented(plant.A),
             B=role.oriented(B),
-            exact=([role.exact(A_i) for A_i in plant.exact.A], role.exact(exact_B)),
+            exact=(each(role.exact, plant.exact.A), role.exact(exact_B)),
             role=role,
             cells=plant.cell_names,
             solver=solver,
@@ -67,7 +67,7 @@ class Task:
         """Return A_i + B K in the numbers that proofs are about, K as printed."""
         A, B = self.exact or ([BallMatrix.of(A_i) for A_i in self.A], BallMatrix.of(self.B))
         gain = B @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
-        return [A_i + gain for A_i in A]
+        return each(lambda A_i: A_i + gain, A)
 
     def reached(self, K: Array, P: Array, rate: float) -> Certificate | None:
         """Return the certificate that P gives for a gain, if it shows a rate (1/s)."""

@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,11 @@ class Proof:
     rate: float
     margin: float
     radius: float
+
+    @cached_property
+    def P(self) -> Rational:
+        """The matrix, exactly."""
+        return unpacked(self.integers, self.exponents)
 
 
 def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) -> Proof | None:

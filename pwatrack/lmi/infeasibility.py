@@ -21,6 +21,7 @@ from pwatrack.arrays import Array
 from pwatrack.lmi import primal_dual
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, Solver
+from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import LARGE
@@ -103,7 +104,14 @@ def refute(
     shift = decimals(np.array([[rate]]))[0, 0] * identity(A.shape[1])
     numbers, exact_B = ([decimals(A_i) for A_i in A], decimals(B)) if exact is None else exact
     exact_A = [A_i + shift for A_i in numbers]
-    return _stuck_modes(exact_A, exact_B) or _conflict(A + rate * np.eye(A.shape[1]), B, exact_A, exact_B, solver)
+    found = _stuck_modes(exact_A, exact_B)
+    if found is not None:
+        return found
+    at = corners(A).tolist()
+    conflict = _conflict(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B, solver)
+    if conflict is None:
+        return None
+    return Refutation(Z=_whole({at[i]: Z_i for i, Z_i in conflict.items()}), eigenvalues={})
 
 
 def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational], *, kernel: Rational | None = None) -> bool:
@@ -203,8 +211,10 @@ def _lyapunov_map(M: Rational) -> Rational:
     return X
 
 
-def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, solver: Solver) -> Refutation | None:
-    """Refute by multipliers for several cells, none of which is stuck alone."""
+def _conflict(
+    A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, solver: Solver
+) -> dict[int, Rational] | None:
+    """Return multipliers for several cells, none of which is stuck alone."""
     at = Coordinates.balanced(A, B)
     D = decimals(at.T)
     scaled, exact_A, exact_B = at.system(A), [D.inv() * A_i * D for A_i in exact_A], D.inv() * exact_B
@@ -224,8 +234,7 @@ def _conflict(A: Array, B: Array, exact_A: list[Rational], exact_B: Rational, so
             inside = _multipliers(scaled[some], part[2], floats(R), interior=True, solver=solver)
             Z = None if inside is None else _exact_multipliers(*part, R, inside)
             if Z is not None and refutes(part[0], exact_B, dict(enumerate(Z)), kernel=R):
-                back = {i: D.inv() * Z_i * D.inv() for i, Z_i in zip(some, Z, strict=True)}
-                return Refutation(Z=_whole(back), eigenvalues={})
+                return {i: D.inv() * Z_i * D.inv() for i, Z_i in zip(some, Z, strict=True)}
         R, N = _guessed_faces(scaled, N, bases, dict(zip(cells, U, strict=True)))
         cells = heavy
     return None

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import Proof, unpacked, unsure
+from pwatrack.lmi.exact import Proof, unsure
 from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational
 
 
@@ -31,7 +31,7 @@ class Norm:
 
         From M P + P Mᵀ ⪯ −2αP follows QM + MᵀQ ⪯ −2αQ for Q = P⁻¹; (9) and (17) are stated for M = Aᵀ.
         """
-        P = unpacked(proof.integers, proof.exponents)
+        P = proof.P
         return cls(P if proof.role.transposed else P.inv())
 
     def __call__(self, vector: Array) -> float:

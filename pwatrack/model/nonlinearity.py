@@ -195,12 +195,24 @@ def generate_cells(
     order = np.lexsort(combinations.T[::-1])
     chosen = [tuple(combination) for combination in combinations[order].tolist()]
     names = tuple(", ".join(map(_name, nonlinearities, combination)) for combination in chosen)
-    sums = {(): (constant, rest)}
-    for position, element in enumerate(nonlinearities):
-        steps = _steps(element)
-        grown = dict.fromkeys(combination[: position + 1] for combination in chosen)
-        sums = {c: tuple(old + new for old, new in zip(sums[c[:-1]], steps[c[-1]], strict=True)) for c in grown}
-    return regions.ordered(order, names), [sums[c][0] for c in chosen], [sums[c][1] for c in chosen]
+    slopes = [element.function.slopes for element in nonlinearities]
+    alike = [tuple(all_.index(all_[k]) for all_, k in zip(slopes, c, strict=True)) for c in chosen]
+    steps = [_steps(element) for element in nonlinearities]
+    return (
+        regions.ordered(order, names),
+        _sums(constant, [[along for along, _ in step] for step in steps], alike),  # equal slopes share one matrix
+        _sums(rest, [[across for _, across in step] for step in steps], chosen),
+    )
+
+
+def _sums(
+    start: BallMatrix, steps: Sequence[Sequence[BallMatrix]], chosen: Sequence[tuple[int, ...]]
+) -> list[BallMatrix]:
+    """Return start + steps[0][c_0] + steps[1][c_1] + … for each of the chosen c, in which equal ones are one object."""
+    sums: dict[tuple[int, ...], BallMatrix] = {(): start}
+    for position, step in enumerate(steps):
+        sums = {c: sums[c[:-1]] + step[c[-1]] for c in dict.fromkeys(c[: position + 1] for c in chosen)}
+    return [sums[c] for c in chosen]
 
 
 def _steps(element: Nonlinearity) -> list[tuple[BallMatrix, BallMatrix]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwatrack.arrays import Array, balancing, number_text, readonly
-from pwatrack.ball_matrix import BallMatrix, above, stack
+from pwatrack.ball_matrix import BallMatrix, above, each, stack
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.continuity import Repair
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
@@ -99,7 +99,7 @@ def normal_form(plant: PWASystem) -> NormalForm:
     except ZeroDivisionError:
         raise _unsure(r, delta, abs(delta)) from None
     exact = plant.exact
-    whole = [T @ A_i @ inverse for A_i in exact.A]
+    whole = each(lambda A_i: T @ A_i @ inverse, exact.A)
     A, o = stack(whole), offset.floats[:, 0]
     b = stack([T @ b_i - A_i @ offset for b_i, A_i in zip(exact.b, whole, strict=True)])[:, :, 0]
     etas = range(r, n)
@@ -107,7 +107,7 @@ def normal_form(plant: PWASystem) -> NormalForm:
         plant=plant,
         r=r,
         exact=ExactForm(
-            T=T, offset=offset, A_eta=tuple(A_i.part(etas, etas) for A_i in whole), internal=tuple(internal)
+            T=T, offset=offset, A_eta=tuple(each(lambda A_i: A_i.part(etas, etas), whole)), internal=tuple(internal)
         ),
         T=T.floats,
         offset=readonly(o),

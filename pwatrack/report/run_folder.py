@@ -250,4 +250,15 @@ def _unwritable(what: str, error: OSError, hint: str) -> InvalidSpec:
 
 
 def _json(content: object) -> str:
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+    return _indented(content, "\n") + "\n"
+
+
+def _indented(content: Any, line: str) -> str:
+    """Return JSON as `json.dumps` indents it, but with each row of a matrix on one line."""
+    deeper = line + "  "
+    if isinstance(content, dict) and content:
+        parts = [f"{json.dumps(str(key))}: {_indented(value, deeper)}" for key, value in content.items()]
+        return "{" + deeper + f",{deeper}".join(parts) + line + "}"
+    if isinstance(content, list | tuple) and any(isinstance(value, dict | list | tuple) for value in content):
+        return "[" + deeper + f",{deeper}".join(_indented(value, deeper) for value in content) + line + "]"
+    return json.dumps(content, allow_nan=False)
