@@ -15,10 +15,10 @@ from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.pipeline import Result
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
+from pwatrack.result import Result
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult, Over, ensemble
