@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from pwatrack.errors import PwatrackError as PwatrackError
     from pwatrack.model.cells import Partition as Partition
     from pwatrack.model.pwa import PWASystem as PWASystem
-    from pwatrack.pipeline import Result as Result
     from pwatrack.pipeline import design as design
     from pwatrack.pipeline import simulate as simulate
     from pwatrack.report.files import write_design as write_design
     from pwatrack.report.files import write_result as write_result
+    from pwatrack.result import Result as Result
     from pwatrack.spec.load import load_spec as load_spec
     from pwatrack.spec.spec import Spec as Spec
     from pwatrack.variation import ensemble as ensemble
@@ -31,7 +31,7 @@ _HOME = {
     "PWASystem": "pwatrack.model.pwa",
     "OutsideTheory": "pwatrack.errors",
     "PwatrackError": "pwatrack.errors",
-    "Result": "pwatrack.pipeline",
+    "Result": "pwatrack.result",
     "Spec": "pwatrack.spec.spec",
     "design": "pwatrack.pipeline",
     "ensemble": "pwatrack.variation",

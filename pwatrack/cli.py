@@ -58,9 +58,9 @@ def check(
     with refusals():
         from pwatrack.control.applicability import applicability
         from pwatrack.errors import PwatrackError
-        from pwatrack.pipeline import check_reference
         from pwatrack.report import summary
         from pwatrack.spec.load import assignments, load_spec
+        from pwatrack.tracking import check_reference
 
         report, refusal, reference, name = None, None, "", ""
         try:

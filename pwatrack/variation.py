@@ -9,12 +9,13 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError, Subject
 from pwatrack.outcome import Outcome, Watch
-from pwatrack.pipeline import Result, start_given_twice
+from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
 from pwatrack.simulation.trace import Trace
+from pwatrack.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
 

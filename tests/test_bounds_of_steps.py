@@ -75,7 +75,7 @@ def test_what_a_product_can_be_off_by_covers_its_rounding(seed: int, n: int, k: 
     doubt = np.abs(z) * random.choice([0.0, 1e-12])
     off = doubt * random.uniform(-1, 1, size=n)
     result, after = np.empty(k), np.empty(k)
-    kernel._derived(F, z, doubt, unit(n), result, after)
+    kernel.rounded_product(F, z, doubt, unit(n), result, after)
     for i in range(k):
         true = sum((Fraction(F[j, i]) * (Fraction(z[j]) + Fraction(off[j])) for j in range(n)), Fraction(0))
         assert abs(Fraction(result[i]) - true) <= Fraction(after[i])
@@ -87,4 +87,4 @@ def test_a_slope_that_rounding_hides_does_not_let_a_long_step_pass() -> None:
     far = np.full((1, 1), 1.0)
     for off, clear in ((0.0, True), (1e-16, True), (1e-14, False)):
         slopes = np.array([[-off], [off]])
-        assert kernel._clear(sides, now, slopes, far, np.ones(1), none, np.zeros(1), 1 << 20) is clear
+        assert kernel.stays_clear(sides, now, slopes, far, np.ones(1), none, np.zeros(1), 1 << 20) is clear

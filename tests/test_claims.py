@@ -12,9 +12,9 @@ from rich.console import Console
 from pwatrack import design, load_spec, simulate, write_result
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
-from pwatrack.pipeline import check_reference
 from pwatrack.report import summary
 from pwatrack.report.verify import verify
+from pwatrack.tracking import check_reference
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
 Row = tuple[str, str]

@@ -25,7 +25,7 @@ from pwatrack.model.signal import Signal
 from pwatrack.report.figures import measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import Propagator, Walk, simulate_flow, trace_blocks
+from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import period_map_derivative, periodic_state
 from pwatrack.simulation.trace import Unresolved
@@ -476,19 +476,3 @@ def test_a_crossing_right_at_a_sample_is_one_event_and_not_unresolved() -> None:
     assert [e.t for e in trace.events] == [pytest.approx(0.5, abs=1e-15)]
     assert trace.modes[:, 0].tolist()[3:] == [0, 0]
     assert trace.unresolved == ()
-
-
-@pytest.mark.parametrize("velocity", [1.0, -1.0])
-def test_a_guard_just_crossed_counts_as_zero_however_rounding_leaves_it(velocity: float) -> None:
-    """x is a thousand times the rounding bound on the wrong side: without this rule the walk would go back there."""
-    for settling in (True, False):
-        propagator = Propagator(abs_oscillator(), duration=0.1, sample_time=0.1)
-        assert propagator.modes.number((int(velocity > 0),)) == 0
-        walk = Walk(propagator, np.array([0.0, velocity, 1.0]), [])
-        walk.state["m"] = 0
-        walk.z[0] = -1e-11 * velocity
-        walk.crossed[0] = True
-        walk.state["settling"], walk.state["inside"] = settling, True
-        walk.run()
-        assert walk.state[0]["events"] == 1
-        assert walk.log.event_mode[0] == 0

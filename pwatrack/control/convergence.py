@@ -1,6 +1,7 @@
 """Theorem 1: convergence from the common Lyapunov inequality (7), with the best decay rate."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pwatrack.errors import Infeasible, Problem, Subject, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver, lyapunov
-from pwatrack.lmi.infeasibility import Impossibility, refute
+from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
@@ -149,36 +150,36 @@ def prove_convergence(
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     doubtful = (abscissa > -1e-3 * np.linalg.norm(M, axis=(1, 2))).any()
-    numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(np.zeros((M.shape[1], 0))))
-    refutation = refute(M, np.zeros((M.shape[1], 0)), solver=solver, exact=numbers) if doubtful else None
+    no_input = np.zeros((M.shape[1], 0))
+    numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
+    refutation = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None
     if refutation is None or not refutation.eigenvalues:
         best = best_certificate(M, solver=solver)
         if best is not None:
             return best
-        refutation = refutation or refute(M, np.zeros((M.shape[1], 0)), solver=solver, exact=numbers)
+        refutation = refutation or refute(M, no_input, solver=solver, exact=numbers)
     if refutation is None:
+        undecided = f"{claim} is undecided: found neither a common P nor a proof that none exists; "
         raise Undecided(
             Problem.of_many(
-                lambda most: (
-                    f"{claim} is undecided: found neither a common P nor a proof that none exists; "
-                    + eigenvalue_text(abscissa, cells, most)
-                ),
+                lambda most: undecided + eigenvalue_text(abscissa, cells, most),
                 subject=subject,
                 hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
             )
         )
-    proof = refutation
-    if not proof.eigenvalues:
+    if not refutation.eigenvalues:
         hint = "they differ too much for one quadratic Lyapunov function: bring them closer, or damp them more"
-
-    def tell(most: int | None) -> str:
-        names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
-        conflict = "" if names else conflict_text(proof, cells, most)
-        reason = f"{names} not stable" if names else f"{conflict}, no common P exists for them, though each is stable"
-        alone = "" if names else " by itself"
-        return f"{claim} is infeasible: {reason}{alone}; {eigenvalue_text(abscissa, cells, most)}"
-
     raise Infeasible(
-        Problem.of_many(tell, subject=subject, hint=hint),
-        evidence=Impossibility(role=role, rate=0.0, refutation=proof),
+        Problem.of_many(partial(_conflict_text, claim, refutation, abscissa, cells), subject=subject, hint=hint),
+        evidence=Impossibility(role=role, rate=0.0, refutation=refutation),
     )
+
+
+def _conflict_text(claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], most: int | None) -> str:
+    """Return why a claim is infeasible: cells that are unstable by themselves, or whose conflict is proved."""
+    names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
+    if names:
+        reason = f"{names} not stable"
+    else:
+        reason = f"{conflict_text(proof, cells, most)}, no common P exists for them, though each is stable by itself"
+    return f"{claim} is infeasible: {reason}; {eigenvalue_text(abscissa, cells, most)}"

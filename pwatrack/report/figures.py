@@ -9,7 +9,7 @@ import numpy as np
 
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
-from pwatrack.pipeline import Result
+from pwatrack.result import Result
 from pwatrack.simulation.region import Box, Region
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult

@@ -16,10 +16,10 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.pipeline import Result
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import bound_content, ensemble_measures, gain_figures, measures
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
+from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart

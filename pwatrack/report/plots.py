@@ -13,8 +13,8 @@ from matplotlib.transforms import Bbox
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.pareto import Front
 from pwatrack.model.pwa import linear_form_text
-from pwatrack.pipeline import Result
 from pwatrack.report.figures import error_unit
+from pwatrack.result import Result
 from pwatrack.spec.expression import LinearForm
 from pwatrack.variation import EnsembleResult
 

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.status import Status
@@ -15,10 +15,10 @@ from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.pipeline import Result
 from pwatrack.report import files, summary
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
+from pwatrack.result import Result
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult, Over, ensemble
@@ -52,35 +52,29 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble grows without bound or
             contradicts its proof.
     """
-    screen, seconds = console(), dict[str, float]()
-    spec, controller, many = None, None, None
+    screen, made, many = console(), _Made(path=path, parameters=assignments(parameters)), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
-            with _timed(seconds, "load"):
-                spec = load_spec(path, assignments(parameters))
-                spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
-            status.update("Solving the matrix inequalities")
-            with _timed(seconds, "design"):
-                controller = pipeline.design(spec, growing=simulated)
+            spec, controller = made.design(status, solver, growing=simulated)
             if simulated:
                 status.update("Simulating the closed loop")
-                with _timed(seconds, "simulate"):
+                with made.timed("simulate"):
                     result = pipeline.simulate(spec, controller)
                 if members:
-                    with _timed(seconds, "ensemble"):
+                    with made.timed("ensemble"):
                         many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
             else:
                 status.update("Finding the smallest gains at other rates")
-                with _timed(seconds, "pareto"):
+                with made.timed("pareto"):
                     found = _fronts(spec, controller) if fronts else []
         except PwatrackError as refusal:
-            _keep(refusal, folder, path, assignments(parameters), spec, controller, seconds)
+            made.keep(refusal, folder)
             raise
         status.update("Writing the files")
         if simulated:
-            files.write_result(result, folder, many=many, seconds=seconds)
+            files.write_result(result, folder, many=many, seconds=made.seconds)
         else:
-            files.write_design(spec, controller, folder, fronts=found, seconds=seconds)
+            files.write_design(spec, controller, folder, fronts=found, seconds=made.seconds)
     if simulated:
         summary.print_result(screen, result)
     else:
@@ -90,6 +84,50 @@ def run(
     summary.print_files(screen, folder)
     with spec.located():
         _check(result if simulated else None, many)
+
+
+@dataclass(kw_only=True)
+class _Made:
+    """What a run has made so far, and how long each step took in s: what is left where the next step is refused."""
+
+    path: Path
+    parameters: dict[str, str]
+    seconds: dict[str, float] = field(default_factory=dict)
+    spec: Spec | None = None
+    controller: Controller | None = None
+
+    def design(self, status: Status, solver: Solver | None, *, growing: bool) -> tuple[Spec, Controller]:
+        with self.timed("load"):
+            spec = load_spec(self.path, self.parameters)
+            self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
+        status.update("Solving the matrix inequalities")
+        with self.timed("design"):
+            self.controller = controller = pipeline.design(spec, growing=growing)
+        return spec, controller
+
+    @contextmanager
+    def timed(self, step: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[step] = round(time.perf_counter() - start, 4)
+
+    def keep(self, refusal: PwatrackError, folder: Path) -> None:
+        """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
+        spec, controller, seconds = self.spec, self.controller, self.seconds
+        if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
+            if read_index(folder) is not None:
+                refusal.add_note(f"  the earlier results in {folder!s} are as they were")
+            return
+        try:
+            if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
+                files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
+                refusal.add_note(f"  the design is proved all the same: {folder!s}")
+            elif files.write_refusal(
+                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, seconds=seconds
+            ):
+                refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
+        except InvalidSpec as unwritable:
+            refusal.add_note(f"  {unwritable}")
 
 
 def _check(result: Result | None, many: EnsembleResult | None) -> None:
@@ -102,30 +140,6 @@ def _check(result: Result | None, many: EnsembleResult | None) -> None:
         found.append(Problem(message=f"{many.nominal.spec.path}: {many.failure}", subject=None))
     if found:
         raise CheckFailed(*found)
-
-
-def _keep(
-    refusal: PwatrackError,
-    folder: Path,
-    path: Path,
-    parameters: dict[str, str],
-    spec: Spec | None,
-    controller: Controller | None,
-    seconds: dict[str, float],
-) -> None:
-    """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
-    if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
-        if read_index(folder) is not None:
-            refusal.add_note(f"  the earlier results in {folder!s} are as they were")
-        return
-    try:
-        if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-            files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
-            refusal.add_note(f"  the design is proved all the same: {folder!s}")
-        elif files.write_refusal(refusal, folder, path=path, parameters=parameters, spec=spec, seconds=seconds):
-            refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
-    except InvalidSpec as unwritable:
-        refusal.add_note(f"  {unwritable}")
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:
@@ -144,10 +158,3 @@ def _fronts(spec: Spec, controller: Controller) -> list[Front]:
         pareto(Task.of(spec.problem.plant, CONTROLLER, spec.objectives.solver), gains.K, gains.controller.rate),
         pareto(Task.of(spec.problem.plant, OBSERVER, spec.objectives.solver), gains.L.T, gains.observer.rate),
     ]
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    seconds[step] = round(time.perf_counter() - start, 4)

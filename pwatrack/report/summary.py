@@ -20,9 +20,9 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
-from pwatrack.pipeline import Result
 from pwatrack.report.figures import channel_text, declared, ensemble_measures, error_unit, measures, signal_text
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
+from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 

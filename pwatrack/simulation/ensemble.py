@@ -125,23 +125,14 @@ def simulate_ensemble(
         with _named(label):
             one = member(number)
         with _named(f"{label}, {one.text}" if one.text else label):
-            propagator = shared
-            if one.flow is not first:
-                propagator = Propagator(one.flow, duration=duration, sample_time=sample_time)
-            walk = propagator.walk(one.z0, one.resets)
+            on = shared if one.flow is first else Propagator(one.flow, duration=duration, sample_time=sample_time)
+            walk = on.walk(one.z0, one.resets)
         walk.norms(one.error, error[number])
         mode_changes[number], unresolved[number] = walk.events, walk.unresolved
         if one.judge is not None:
             verdicts[number] = one.judge(walk.trace())
 
-    pool = ThreadPoolExecutor(workers or _cores())
-    try:
-        for number, done in enumerate([pool.submit(run, number) for number in range(count)], 1):
-            done.result()
-            if progress:
-                progress(number)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    _do_all(run, count, workers or _cores(), progress)
     return Ensemble(
         t=sample_time * np.arange(samples, dtype=np.float64),
         error=error,
@@ -149,6 +140,18 @@ def simulate_ensemble(
         unresolved=unresolved,
         verdicts=tuple(verdicts),
     )
+
+
+def _do_all(run: Callable[[int], None], count: int, workers: int, progress: Callable[[int], object] | None) -> None:
+    """Call `run` with each number on so many threads; what the first of them raises ends it."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        for number, done in enumerate([pool.submit(run, number) for number in range(count)], 1):
+            done.result()
+            if progress:
+                progress(number)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 @contextmanager

@@ -43,12 +43,27 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def _jitted(function: Callable[_P, _R], **options: bool) -> Callable[_P, _R]:
+    compiler: Any = njit  # its types do not know every option
     fused = {"contract"}  # a b + c may be rounded once
     try:
-        return njit(cache=True, nogil=True, fastmath=fused)(function)
+        compiled: Callable[_P, _R] = compiler(cache=True, nogil=True, fastmath=fused, **options)(function)
     except RuntimeError:  # no folder for the cache is writable
-        return njit(nogil=True, fastmath=fused)(function)
+        compiled = compiler(nogil=True, fastmath=fused, **options)(function)
+    return compiled
+
+
+def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    return _jitted(function)
+
+
+def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a part of the walk, which allocates nothing.
+
+    Without that, counting references to the arrays of `Room` took twice as long as the steps themselves, and handing
+    them over a third of it.
+    """
+    return _jitted(function, _nrt=False, forceinline=True)
 
 
 class Field(NamedTuple):
@@ -139,6 +154,67 @@ class Log(NamedTuple):
     near_span: Array
 
 
+class Trajectory(NamedTuple):
+    """A trajectory on its way: where it is, and what it goes by.
+
+    Attributes:
+        state: Where the walk is, one record of STATE.
+        z: The state, (N,).
+        near_since: Since when in s each guard is within rounding of 0; infinite where it is not, (K,).
+        crossed: Whether each guard was crossed just now, (K,).
+        cells: The cells that were found last; those of a mode that is new are left here, (P,).
+    """
+
+    state: Any
+    z: Array
+    near_since: Array
+    crossed: Any
+    cells: IntArray
+
+
+class Room(NamedTuple):
+    """Room to work in, so that no step allocates anything.
+
+    Attributes:
+        terms: Taylor terms of the state, (most, N).
+        powers: Those of a guard, (most,).
+        pieces: For `first_crossing`.
+        size, v, following: |z|, what a step adds, and the state after it, (N,).
+        speed, bend: Bounds on |v| and |a|, (N,).
+        off, off_after: What they can be off by, (N,).
+        now, then: The guards before and after a step, (K,).
+        slope, off_slope, slopes: Their derivatives, what these can be off by, and both bounds, (K,) and (2, K).
+        reach: How far a guard may come on a step, (K,).
+        tolerance: The size below which it cannot be told from 0, (K,).
+        beyond: The guards, drawn in towards 0 by it, (K,).
+        touched, near: Where each guard comes within rounding of 0 on a step, and from where it stays so, (K,).
+        vague, sides: When its side is sure, and which that is, (K,).
+    """
+
+    terms: Array
+    powers: Array
+    pieces: Array
+    size: Array
+    v: Array
+    following: Array
+    speed: Array
+    bend: Array
+    off: Array
+    off_after: Array
+    now: Array
+    then: Array
+    slope: Array
+    off_slope: Array
+    slopes: Array
+    reach: Array
+    tolerance: Array
+    beyond: Array
+    touched: Array
+    near: Array
+    vague: Array
+    sides: IntArray
+
+
 STATE = np.dtype(
     [
         ("base", np.int64),  # number of the first sample that the log has room for
@@ -174,12 +250,9 @@ def leading(power: Array, tolerance: float) -> int:
 def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float, float, float]:
     """Return where the polynomial Σ power_j τʲ first becomes negative on [0, 1).
 
-    Leading coefficients within the tolerance count as 0: the trajectory starts
-    on the guard, and the first coefficient beyond decides which side it goes to.
-
-    The tolerance must cover the rounding of the coefficients and of what is done with them here. A Bernstein
-    coefficient is a mean of partial sums, so it is off by no more than Σ |power_j| times n + 1 roundings for degree n;
-    halving a piece adds n roundings of its largest coefficient, which shrinks from piece to piece towards a root.
+    Leading coefficients within the tolerance count as 0: the trajectory starts on the guard, and the first
+    coefficient beyond decides which side it goes to. The tolerance must cover the rounding of the coefficients and
+    of what is done with them: see `_to_bernstein` and `_halve`.
 
     Args:
         power: Power coefficients, (n + 1,).
@@ -187,10 +260,9 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
         pieces: Room to work, (32, n + 3) or more.
 
     Returns:
-        Three places, each infinity if there is none: the first crossing;
-        before it, the first place where the polynomial comes within the
-        tolerance of 0, may or may not be negative, and then is positive again;
-        and the place from which on it stays within the tolerance up to τ = 1, without being 0 all the time.
+        Three places, each infinity if there is none: the first crossing; before it, the first place where the
+        polynomial comes within the tolerance of 0, may or may not be negative, and then is positive again; and the
+        place from which on it stays within the tolerance up to τ = 1, without being 0 all the time.
 
     Example:
         >>> room = np.empty((32, 18))
@@ -211,22 +283,11 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
     if power[start] > rest + tolerance:
         return np.inf, np.inf, np.inf
 
-    LOW, WIDTH = n + 1, n + 2  # behind the Bernstein coefficients of a piece
-    binomial = 1.0
-    for j in range(n + 1):
-        pieces[0, j] = power[start + j] / binomial if start + j <= n else 0.0
-        binomial = binomial * (n - j) / (j + 1)
-    for j in range(1, n + 1):
-        for i in range(n, j - 1, -1):
-            pieces[0, i] += pieces[0, i - 1]
-    pieces[0, LOW], pieces[0, WIDTH] = 0.0, 1.0
+    _to_bernstein(power, start, pieces)
     near, touched, top = np.inf, np.inf, 0
     while top >= 0:
-        b, low, high = pieces[top], pieces[top, LOW], pieces[top, LOW] + pieces[top, WIDTH]
-        least, most, rising, falling = b[0], b[0], True, True
-        for i in range(n):
-            least, most = min(least, b[i + 1]), max(most, b[i + 1])
-            rising, falling = rising and b[i + 1] >= b[i], falling and b[i + 1] <= b[i]
+        b, low, high = pieces[top], pieces[top, n + 1], pieces[top, n + 1] + pieces[top, n + 2]
+        least, most, rising, falling = _extent(b, n)
         first, last, small = b[0], b[n], max(-least, most) <= tolerance
         if least > tolerance:
             top -= 1
@@ -242,18 +303,54 @@ def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float
             if last > tolerance:
                 touched, near = min(touched, near), np.inf
             top -= 1
-        else:  # halve it by de Casteljau's algorithm: the right half stays, the left one goes on top
-            left = pieces[top + 1]
-            left[0] = b[0]
-            for j in range(1, n + 1):
-                for i in range(n + 1 - j):
-                    b[i] = 0.5 * (b[i] + b[i + 1])
-                left[j] = b[0]
-            left[LOW], left[WIDTH] = low, 0.5 * b[WIDTH]
-            b[WIDTH] *= 0.5
-            b[LOW] = low + b[WIDTH]
+        else:
+            _halve(pieces, top, n)
             top += 1
     return np.inf, touched, near
+
+
+@_compiled
+def _to_bernstein(power: Array, start: int, pieces: Array) -> None:
+    """Write Σ power_j τ^(j − start), j ≥ start, in Bernstein's form on [0, 1] to the first piece.
+
+    Behind its coefficients each piece says where it begins, and how wide it is. Each is a mean of partial sums,
+    so it is off by no more than Σ |power_j| times n + 1 roundings for degree n.
+    """
+    n, binomial = len(power) - 1, 1.0
+    for j in range(n + 1):
+        pieces[0, j] = power[start + j] / binomial if start + j <= n else 0.0
+        binomial = binomial * (n - j) / (j + 1)
+    for j in range(1, n + 1):
+        for i in range(n, j - 1, -1):
+            pieces[0, i] += pieces[0, i - 1]
+    pieces[0, n + 1], pieces[0, n + 2] = 0.0, 1.0
+
+
+@_compiled
+def _extent(b: Array, n: int) -> tuple[float, float, bool, bool]:
+    """Return the least and the largest of n + 1 coefficients, and whether they rise or fall throughout."""
+    least, most, rising, falling = b[0], b[0], True, True
+    for i in range(n):
+        least, most = min(least, b[i + 1]), max(most, b[i + 1])
+        rising, falling = rising and b[i + 1] >= b[i], falling and b[i + 1] <= b[i]
+    return least, most, rising, falling
+
+
+@_compiled
+def _halve(pieces: Array, top: int, n: int) -> None:
+    """Halve the top piece by de Casteljau's algorithm: the right half stays, the left one goes on top.
+
+    That adds n roundings of its largest coefficient, which shrinks from piece to piece towards a root.
+    """
+    b, left = pieces[top], pieces[top + 1]
+    left[0] = b[0]
+    for j in range(1, n + 1):
+        for i in range(n + 1 - j):
+            b[i] = 0.5 * (b[i] + b[i + 1])
+        left[j] = b[0]
+    left[n + 1], left[n + 2] = b[n + 1], 0.5 * b[n + 2]
+    b[n + 2] *= 0.5
+    b[n + 1] += b[n + 2]
 
 
 @_compiled
@@ -385,20 +482,8 @@ def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
         z[i] += terms[0, i]
 
 
-@_compiled
-def _sides(
-    F: Array,
-    degree: int,
-    guards: Array,
-    tolerance: Array,
-    crossed: Any,
-    z: Array,
-    terms: Array,
-    seen: Array,
-    sides: IntArray,
-    vague: Array,
-    before: IntArray,
-) -> None:
+@_inlined
+def _sides(F: Array, degree: int, guards: Array, at: Trajectory, before: IntArray, room: Room) -> None:
     """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and when that is sure.
 
     A guard at 0 counts by its first derivative that is not 0: the field is
@@ -407,12 +492,22 @@ def _sides(
     It is 0, too, if where another guard is crossed all terms say that this one goes on leaving to the side it was on
     `before`.
     """
-    open_, elsewhere = len(sides), crossed.any()
+    crossed, tolerance, terms, seen, sides, vague = (
+        at.crossed,
+        room.tolerance,
+        room.terms,
+        room.now,
+        room.sides,
+        room.vague,
+    )
+    open_, elsewhere = len(sides), False
     for k in range(len(sides)):
         sides[k], vague[k] = 0, 0.0
+        elsewhere = elsewhere or crossed[k]
     for j in range(degree + 1):
         if j == 0:
-            terms[0] = z
+            for i in range(len(at.z)):
+                terms[0, i] = at.z[i]
         else:
             _next_term(F, 1.0 / j, terms, j)
         _apply(guards, terms[j], seen)
@@ -476,7 +571,7 @@ def _apart(sides: IntArray, now: Array, then: Array, margin: Array) -> bool:
 
 
 @_compiled
-def _derived(F: Array, z: Array, doubt: Array, unit: float, result: Array, doubt_after: Array) -> None:
+def rounded_product(F: Array, z: Array, doubt: Array, unit: float, result: Array, doubt_after: Array) -> None:
     """Write M z, for M given as its transpose, and by how much that can be off.
 
     Args:
@@ -495,7 +590,7 @@ def _derived(F: Array, z: Array, doubt: Array, unit: float, result: Array, doubt
 
 
 @_compiled
-def _clear(
+def stays_clear(
     sides: IntArray, now: Array, slope: Array, first: Array, speed: Array, second: Array, bend: Array, length: int
 ) -> bool:
     """Say, more carefully, that no guard that bounds the mode can reach 0 on a step.
@@ -527,7 +622,7 @@ def _clear(
     return True
 
 
-@_compiled
+@_inlined
 def _note(state: Any, log: Log, since: float, guard: int, span: float) -> None:
     """Write down that for a while from a time on nobody can say on which side of a guard the trajectory is."""
     s = state[0]
@@ -543,214 +638,289 @@ def matters(span: float, t: float, field: Field) -> bool:
 
 
 @_compiled
-def walk(
-    field: Field,
-    modes: Modes,
-    known: int,
-    resets: Resets,
-    state: Any,
-    z: Array,
-    near_since: Array,
-    crossed: Any,
-    cells: IntArray,
-    log: Log,
-) -> int:
+def _room(N: int, K: int, most: int) -> Room:
+    return Room(
+        np.empty((most, N)),
+        np.empty(most),
+        np.empty((PIECES, most + 2)),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty((2, K)),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K, np.int64),
+    )
+
+
+@_inlined
+def _sample(field: Field, at: Trajectory, log: Log) -> None:
+    """Write down state and mode where this is the time of a sample."""
+    s = at.state[0]
+    if s.k & ((1 << field.doublings) - 1) == 0 and s.done == 0.0:
+        row = (s.k >> field.doublings) - s.base
+        log.mode[row] = s.m
+        for i in range(len(at.z)):
+            log.z[row, i] = at.z[i]
+
+
+@_inlined
+def _enter(field: Field, at: Trajectory, log: Log) -> None:
+    """Write down that a mode was entered. Changes within rounding of each other are one; the start is none."""
+    s = at.state[0]
+    if s.k == 0 and s.done == 0.0 and s.events == 1:
+        log.event_mode[0] = s.m
+    if s.m == log.event_mode[s.events - 1]:
+        return
+    t = (s.k + s.done) * field.h
+    if s.events > 1 and t - log.event_time[s.events - 1] <= SAME_TIME * max(1.0, t):
+        s.events -= 1
+        t = log.event_time[s.events]
+    if s.m != log.event_mode[s.events - 1]:
+        log.event_time[s.events], log.event_mode[s.events] = t, s.m
+        s.events += 1
+
+
+@_inlined
+def _settle(field: Field, modes: Modes, known: int, at: Trajectory, log: Log, room: Room) -> bool:
+    """Find the mode in which the trajectory goes on from where it is; say whether it has one that is filled in.
+
+    It may take some calls: a mode is right once its own field leads to the sides that it is on.
+    """
+    s, m, K = at.state[0], at.state[0].m, len(at.crossed)
+    for i in range(len(at.z)):
+        room.size[i] = abs(at.z[i])
+    _apply(modes.rounding[m], room.size, room.tolerance)
+    was = modes.sides[log.event_mode[s.events - 1]]
+    _sides(modes.F[m], modes.degree[m], field.guards, at, was, room)
+    for p in range(len(at.cells)):
+        at.cells[p] = modes.cells[m, p]
+    if s.tries <= K and fit(field.first, field.signs, room.sides, at.cells):
+        found = _number(modes.cells, known, at.cells)
+        if found == known:
+            return False
+        s.m = found
+        s.tries += 1
+        return True
+    s.settling, s.tries = False, 0
+    t = (s.k + s.done) * field.h
+    for i in range(K):
+        if modes.sides[m, i] == 0:
+            at.near_since[i] = np.inf
+        elif matters(room.vague[i], t, field):
+            _note(at.state, log, t, i, room.vague[i] * field.h)
+    _sample(field, at, log)
+    _enter(field, at, log)
+    return True
+
+
+@_inlined
+def _stride(field: Field, modes: Modes, free: int, fresh: bool, at: Trajectory, room: Room) -> bool:
+    """Take the longest step on the grid that meets neither guard nor reset, and say whether there is one.
+
+    Args:
+        field, modes, at: As for `walk`.
+        free: Whole finest steps until something happens that is known beforehand.
+        fresh: Whether `room.now` are the guards at z; afterwards they are if a step was taken.
+        room: To work in.
+    """
+    s, m, z = at.state[0], at.state[0].m, at.z
+    for i in range(len(z)):
+        room.size[i] = abs(z[i])
+    d = min(s.d + 1, modes.longest[m])
+    while d >= 0 and (s.k & ((1 << d) - 1) != 0 or 1 << d > free):
+        d -= 1
+    if not fresh:
+        _apply(field.guards, z, room.now)
+    careful = False
+    while d >= 0:
+        _apply(modes.growth[m, d], z, room.v)
+        for i in range(len(z)):
+            room.following[i] = z[i] + room.v[i]
+        _apply(field.guards, room.following, room.then)
+        _apply(modes.margin[m, d], room.size, room.reach)
+        if _apart(modes.sides[m], room.now, room.then, room.reach):
+            break
+        if not careful:
+            careful = True
+            _look(field, modes, m, z, room)
+        first, second = modes.first[m, d], modes.second[m, d]
+        if stays_clear(modes.sides[m], room.beyond, room.slopes, first, room.speed, second, room.bend, 1 << d):
+            break
+        d -= 1
+    s.d = max(d, 0)
+    if d < 0:
+        return False
+    for i in range(len(z)):
+        z[i] = room.following[i]
+    for i in range(len(room.now)):
+        room.now[i] = room.then[i]
+    s.k += 1 << d
+    return True
+
+
+@_inlined
+def _look(field: Field, modes: Modes, m: int, z: Array, room: Room) -> None:
+    """Write what `stays_clear` goes by: how the guards and their slopes are at z, and how fast they may change."""
+    _apply(modes.rounding[m], room.size, room.tolerance)
+    for i in range(len(z)):
+        room.off_after[i] = 0.0
+    rounded_product(modes.F[m], z, room.off_after, field.unit, room.speed, room.off)
+    rounded_product(field.guards, room.speed, room.off, field.unit, room.slope, room.off_slope)
+    rounded_product(modes.F[m], room.speed, room.off, field.unit, room.bend, room.off_after)
+    for i in range(len(z)):
+        room.speed[i] = abs(room.speed[i]) + room.off[i]
+        room.bend[i] = abs(room.bend[i]) + room.off_after[i]
+    for i in range(len(room.now)):
+        room.beyond[i] = room.now[i] - modes.sides[m, i] * room.tolerance[i]
+        room.off_slope[i] += field.unit * abs(room.slope[i])
+        room.slopes[0, i] = room.slope[i] - room.off_slope[i]
+        room.slopes[1, i] = room.slope[i] + room.off_slope[i]
+
+
+@_inlined
+def _cross(field: Field, modes: Modes, length: float, at: Trajectory, log: Log, room: Room) -> bool:
+    """Go on within a finest step, to its first crossing or for a length, and say whether a guard is crossed."""
+    s, m, z = at.state[0], at.state[0].m, at.z
+    tau, guard = _first_of_all(field, modes, length, at, log, room)
+    for i in range(len(at.crossed)):
+        if room.touched[i] < tau:
+            _note(at.state, log, (s.k + s.done + room.touched[i] * length) * field.h, i, 0.0)
+        if room.near[i] < tau and at.near_since[i] == np.inf:
+            at.near_since[i] = (s.k + s.done + room.near[i] * length) * field.h
+    _arrive(room.terms, modes.degree[m], min(tau, 1.0), z)
+    if guard < 0 or tau * length >= 1e-15:
+        for i in range(len(at.crossed)):
+            at.crossed[i] = False
+    s.done += length if guard < 0 else tau * length
+    if guard < 0:
+        return False
+    at.crossed[guard] = True
+    s.settling = True
+    t = (s.k + s.done) * field.h
+    if t - s.last > SAME_TIME * max(1.0, t):
+        s.last, s.idle = t, 0
+    s.idle, s.guard = s.idle + 1, guard
+    return True
+
+
+@_inlined
+def _first_of_all(field: Field, modes: Modes, length: float, at: Trajectory, log: Log, room: Room) -> tuple[float, int]:
+    """Return where within a length the first guard is crossed, and which that is; infinity and -1 for none."""
+    s, m, z, degree = at.state[0], at.state[0].m, at.z, modes.degree[at.state[0].m]
+    power = room.powers[: degree + 1]
+    for i in range(len(z)):
+        room.size[i] = abs(z[i])
+    _apply(modes.rounding[m], room.size, room.tolerance)
+    _expand(modes.F[m], z, length, degree, room.terms)
+    _apply(field.guards, z, room.now)
+    for i in range(len(z)):
+        room.speed[i] = abs(room.terms[1, i])
+    _apply(modes.first[m, 0], room.speed, room.reach)
+    tau, guard = np.inf, -1
+    for i in range(len(at.crossed)):
+        room.touched[i] = room.near[i] = crossing = np.inf
+        side, away = modes.sides[m, i], False
+        if side == 0:
+            at.near_since[i] = np.inf
+            continue
+        if not at.crossed[i] and side * room.now[i] > room.reach[i] + 3 * room.tolerance[i]:
+            away = True  # it stays beyond the tolerance: two more for what now and reach can be off by
+        else:
+            _seen(field.guards, i, room.terms, power)
+            if at.crossed[i]:
+                power[0] = 0.0
+            for j in range(degree + 1):
+                power[j] *= side
+            crossing, room.touched[i], room.near[i] = first_crossing(power, room.tolerance[i], room.pieces)
+        if at.near_since[i] < np.inf and (away or leading(power, room.tolerance[i]) <= degree):
+            span = (s.k + s.done) - at.near_since[i] / field.h
+            if crossing > 0.0 or matters(span, at.near_since[i], field):
+                _note(at.state, log, at.near_since[i], i, span * field.h)
+            at.near_since[i] = np.inf
+        if crossing < tau:
+            tau, guard = crossing, i
+    return tau, guard
+
+
+@_inlined
+def _reset(modes: Modes, resets: Resets, at: Trajectory, room: Room) -> None:
+    """Carry out what is due: one map, or all that take new values at once; a map comes after, in its own mode."""
+    s = at.state[0]
+    r, step = s.resets, resets.step[s.resets]
+    if resets.map[r] >= 0:
+        _apply(modes.jumps[s.m, resets.map[r]], at.z, room.v)
+        for i in range(len(at.z)):
+            at.z[i] = room.v[i]
+        r += 1
+    else:
+        while r < len(resets.step) and resets.step[r] <= step and resets.map[r] < 0:
+            for i in range(resets.start[r], resets.stop[r]):
+                at.z[i] = resets.values[resets.row[r], i]
+            r += 1
+    s.resets, s.settling = r, True
+
+
+@_compiled
+def walk(field: Field, modes: Modes, known: int, resets: Resets, at: Trajectory, log: Log) -> int:
     """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 
     Args:
         field, modes, resets: What is given; `known` modes are filled in.
-        state: Where the walk is, one record of STATE.
-        z, near_since, crossed: More of that: the state (N,); since when each guard is within rounding of 0,
-            and whether it was crossed just now, (K,).
-        cells: The mode that must be filled in first is left here, (P,).
+        at: The trajectory; `at.cells` is left as the mode that must be filled in first.
         log: What is written down.
 
     Returns:
         DONE, NEW_MODE, FULL (no room for events), STUCK or SPENT (no steps are left).
     """
-    s, K, N, D = state[0], len(crossed), len(z), field.doublings
-    end = (s.base + len(log.z) - 1) << D
-    most = modes.degree[:known].max() + 1
-    terms, ahead, powers, pieces = (
-        np.empty((most, N)),
-        np.empty((most, N)),
-        np.empty(most),
-        np.empty((PIECES, most + 2)),
-    )
-    now, then, slope, reach, tolerance = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K)
-    beyond, touched, near, vague, sides = np.empty(K), np.empty(K), np.empty(K), np.empty(K), np.empty(K, np.int64)
-    v, following, size, speed, bend = np.empty(N), np.empty(N), np.empty(N), np.empty(N), np.empty(N)
-    off, off_after, off_slope, slopes = np.empty(N), np.empty(N), np.empty(K), np.empty((2, K))
-    known_now = False  # `now` are the guards at z
-    while s.k < end or s.settling or (s.resets < len(resets.step) and resets.step[s.resets] <= end):
-        m = s.m
-        for i in range(N):
-            size[i] = abs(z[i])
-
+    s, K = at.state[0], len(at.crossed)
+    end = (s.base + len(log.z) - 1) << field.doublings
+    room = _room(len(at.z), K, modes.degree[:known].max() + 1)
+    fresh = False  # `room.now` are the guards at z
+    while True:
+        due = resets.step[s.resets] if s.resets < len(resets.step) else np.inf
+        if not (s.k < end or s.settling or due <= end):
+            return DONE
         if s.settling:
-            known_now = False
-            _apply(modes.rounding[m], size, tolerance)
-            was = modes.sides[log.event_mode[s.events - 1]]
-            _sides(modes.F[m], modes.degree[m], field.guards, tolerance, crossed, z, ahead, now, sides, vague, was)
-            for p in range(len(cells)):
-                cells[p] = modes.cells[m, p]
-            if s.tries <= K and fit(field.first, field.signs, sides, cells):
-                s.m = _number(modes.cells, known, cells)
-                if s.m == known:
-                    s.m = m
-                    return NEW_MODE
-                s.tries += 1
-                continue
-            s.settling, s.tries = False, 0
-            t = (s.k + s.done) * field.h
-            for i in range(K):
-                if modes.sides[m, i] == 0:
-                    near_since[i] = np.inf
-                elif matters(vague[i], t, field):
-                    _note(state, log, t, i, vague[i] * field.h)
-            if s.k & ((1 << D) - 1) == 0 and s.done == 0.0:
-                log.mode[(s.k >> D) - s.base] = m
-                for i in range(N):
-                    log.z[(s.k >> D) - s.base, i] = z[i]
-                if s.k == 0 and s.events == 1:
-                    log.event_mode[0] = m  # the start is no event
-            if m != log.event_mode[s.events - 1]:  # changes within rounding of each other are one
-                if s.events > 1 and t - log.event_time[s.events - 1] <= SAME_TIME * max(1.0, t):
-                    s.events -= 1
-                    t = log.event_time[s.events]
-                if m != log.event_mode[s.events - 1]:
-                    log.event_time[s.events], log.event_mode[s.events] = t, m
-                    s.events += 1
+            fresh = False
+            if not _settle(field, modes, known, at, log, room):
+                return NEW_MODE
             continue
-
         if s.events == len(log.event_time) or s.nears + 3 * K > len(log.near_time):
             return FULL
         if s.left == 0:
             return SPENT
         s.left -= 1
-
-        if not s.inside:  # the longest step on the grid that meets neither guard nor reset
-            free = end - s.k
-            if s.resets < len(resets.step):
-                free = min(free, int(np.floor(resets.step[s.resets] - s.k)))
-            d = min(s.d + 1, modes.longest[m])
-            while d >= 0 and (s.k & ((1 << d) - 1) != 0 or 1 << d > free):
-                d -= 1
-            if not known_now:
-                _apply(field.guards, z, now)
-                known_now = True
-            careful = False
-            while d >= 0:
-                _apply(modes.growth[m, d], z, v)
-                for i in range(N):
-                    following[i] = z[i] + v[i]
-                _apply(field.guards, following, then)
-                _apply(modes.margin[m, d], size, reach)
-                if _apart(modes.sides[m], now, then, reach):
-                    break
-                if not careful:
-                    careful = True
-                    _apply(modes.rounding[m], size, tolerance)
-                    for i in range(N):
-                        off_after[i] = 0.0
-                    _derived(modes.F[m], z, off_after, field.unit, speed, off)
-                    _derived(field.guards, speed, off, field.unit, slope, off_slope)
-                    _derived(modes.F[m], speed, off, field.unit, bend, off_after)
-                    for i in range(N):
-                        speed[i], bend[i] = abs(speed[i]) + off[i], abs(bend[i]) + off_after[i]
-                    for i in range(K):
-                        beyond[i] = now[i] - modes.sides[m, i] * tolerance[i]
-                        off_slope[i] += field.unit * abs(slope[i])
-                        slopes[0, i], slopes[1, i] = slope[i] - off_slope[i], slope[i] + off_slope[i]
-                if _clear(modes.sides[m], beyond, slopes, modes.first[m, d], speed, modes.second[m, d], bend, 1 << d):
-                    break
-                d -= 1
-            s.d = max(d, 0)
-            if d < 0:
+        if not s.inside:
+            free = min(end - s.k, int(np.floor(min(due - s.k, 2.0**53))))
+            fresh = _stride(field, modes, free, fresh, at, room)
+            if not fresh:
                 s.inside, s.done = True, 0.0
                 continue
-            for i in range(N):
-                z[i] = following[i]
-            for i in range(K):
-                now[i] = then[i]
-            s.k += 1 << d
         else:  # up to the first crossing, reset or the end of a finest step
-            falls = s.resets < len(resets.step) and resets.step[s.resets] < s.k + 1
-            length = (max(s.done, resets.step[s.resets] - s.k) if falls else 1.0) - s.done
-            known_now = False
-            _apply(modes.rounding[m], size, tolerance)
-            degree = modes.degree[m]
-            power = powers[: degree + 1]
-            _expand(modes.F[m], z, length, degree, terms)
-            _apply(field.guards, z, now)
-            for i in range(N):
-                speed[i] = abs(terms[1, i])
-            _apply(modes.first[m, 0], speed, reach)
-            tau, guard = np.inf, -1
-            for i in range(K):
-                touched[i] = near[i] = crossing = np.inf
-                side, away = modes.sides[m, i], False
-                if side == 0:
-                    near_since[i] = np.inf
-                    continue
-                if not crossed[i] and side * now[i] > reach[i] + 3 * tolerance[i]:
-                    away = True  # it stays beyond the tolerance: two more for what now and reach can be off by
-                else:
-                    _seen(field.guards, i, terms, power)
-                    if crossed[i]:
-                        power[0] = 0.0
-                    for j in range(degree + 1):
-                        power[j] *= side
-                    crossing, touched[i], near[i] = first_crossing(power, tolerance[i], pieces)
-                if near_since[i] < np.inf and (away or leading(power, tolerance[i]) <= degree):
-                    span = (s.k + s.done) - near_since[i] / field.h
-                    if crossing > 0.0 or matters(span, near_since[i], field):
-                        _note(state, log, near_since[i], i, span * field.h)
-                    near_since[i] = np.inf
-                if crossing < tau:
-                    tau, guard = crossing, i
-            for i in range(K):
-                if touched[i] < tau:
-                    _note(state, log, (s.k + s.done + touched[i] * length) * field.h, i, 0.0)
-                if near[i] < tau and near_since[i] == np.inf:
-                    near_since[i] = (s.k + s.done + near[i] * length) * field.h
-            _arrive(terms, degree, min(tau, 1.0), z)
-            if guard >= 0:
-                s.done += tau * length
-                if tau * length >= 1e-15:
-                    for i in range(K):
-                        crossed[i] = False
-                crossed[guard] = True
-                s.settling = True
-                t = (s.k + s.done) * field.h
-                if t - s.last > SAME_TIME * max(1.0, t):
-                    s.last, s.idle = t, 0
-                s.idle, s.guard = s.idle + 1, guard
+            fresh, falls = False, due < s.k + 1
+            length = (max(s.done, due - s.k) if falls else 1.0) - s.done
+            if _cross(field, modes, length, at, log, room):
                 if s.idle > MOST_IDLE:
                     return STUCK
                 continue
-            s.done += length
-            for i in range(K):
-                crossed[i] = False
             if falls:
-                r, step = s.resets, resets.step[s.resets]
-                if resets.map[r] >= 0:
-                    _apply(modes.jumps[m, resets.map[r]], z, v)
-                    z[:] = v
-                    r += 1
-                else:  # all that take new values at once; a map comes after, in the mode that is right then
-                    while r < len(resets.step) and resets.step[r] <= step and resets.map[r] < 0:
-                        for i in range(resets.start[r], resets.stop[r]):
-                            z[i] = resets.values[resets.row[r], i]
-                        r += 1
-                s.resets, s.settling = r, True
+                _reset(modes, resets, at, room)
                 continue
             s.k, s.done, s.inside = s.k + 1, 0.0, False
-        if s.k & ((1 << D) - 1) == 0:
-            for i in range(N):
-                log.z[(s.k >> D) - s.base, i] = z[i]
-            log.mode[(s.k >> D) - s.base] = s.m
-    return DONE
+        _sample(field, at, log)
 
 
 @_compiled

@@ -192,7 +192,14 @@ class Walk:
         self.state: Any = np.zeros(1, kernel.STATE)
         self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
         self.state["left"] = _MOST_STEPS[0] + _MOST_STEPS[1] * samples
-        self.near_since, self.crossed = np.full(len(places), np.inf), np.zeros(len(places), dtype=np.bool_)
+        self.near_since = np.full(len(places), np.inf)
+        self._at = kernel.Trajectory(
+            state=self.state,
+            z=self.z,
+            near_since=self.near_since,
+            crossed=np.zeros(len(places), dtype=np.bool_),
+            cells=starts.copy(),
+        )
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
             mode=np.zeros(min(samples, self.most + 1), dtype=np.int64),
@@ -227,24 +234,12 @@ class Walk:
     def run(self) -> None:
         """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
         kernel, field, modes = self.kernel, self.propagator.field, self.propagator.modes
-        first = field.first[:-1]
-        cells = first.copy()
         while True:
-            stop = kernel.walk(
-                field,
-                *modes.known(),
-                self.resets,
-                self.state,
-                self.z,
-                self.near_since,
-                self.crossed,
-                cells,
-                self.log,
-            )
+            stop = kernel.walk(field, *modes.known(), self.resets, self._at, self.log)
             if stop == kernel.DONE:
                 return self._check_bounded()
             if stop == kernel.NEW_MODE:
-                if modes.number(tuple((cells - first).tolist())) is None:
+                if modes.number(tuple((self._at.cells - field.first[:-1]).tolist())) is None:
                     raise self._too_much(f"enters more than {modes.most:,} joint modes")
             elif stop == kernel.FULL:
                 if max(self.events, int(self.state[0]["nears"])) > _MOST_EVENTS:

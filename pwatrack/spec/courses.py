@@ -10,7 +10,7 @@ from scipy.interpolate import PPoly
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.problems import path_text
+from pwatrack.spec.paths import path_text
 from pwatrack.spec.schema import CourseSection, PolylineSection, StepSection, TrapezoidSection
 from pwatrack.spec.table import read_table
 

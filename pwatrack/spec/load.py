@@ -5,7 +5,6 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +12,11 @@ from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.spec.build import build_plant, build_reference
+from pwatrack.spec.consistency import goal_problems, plant_problems, reference_problems, sampling_problems
 from pwatrack.spec.entries import Context
+from pwatrack.spec.names import condition_problems, name_problems, start_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
-from pwatrack.spec.problems import (
-    condition_problems,
-    goal_problems,
-    name_problems,
-    plant_problems,
-    reference_problems,
-    sampling_problems,
-    shape_problems,
-    size_problems,
-    start_problems,
-    validation_problems,
-)
+from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
 from pwatrack.spec.schema import ExpectSection, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
@@ -61,24 +51,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
     )
-    problems = [
-        *document.problems,
-        *problems,
-        *shape_problems(document.data, context),
-        *name_problems(document.data, context),
-        *start_problems(document.data, context),
-        *sampling_problems(document.data, context),
-    ]
-    try:
-        file = SpecFile.model_validate(document.data, context=context)
-    except ValidationError as error:
-        problems += validation_problems(error, document.data)
-    if not problems:
-        problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
-        problems += condition_problems(file, values)
-    if problems:
-        raise InvalidSpec(*problems).located(document.places).sorted()
-    simulation = file.simulation
+    file = _checked(document, context, problems)
+    simulation, folder = file.simulation, path.parent
     parametric = ParametricPlant.of(
         document.data.get("parameters", {}),
         parameters or {},
@@ -89,11 +63,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     )
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
-        reference = build_reference(file.reference, plant.outputs, path.parent, simulation.duration)
-        conditions = build_conditions(simulation, plant, path.parent)
-        if simulation.plant is not None:
-            running, changed = parametric.at(simulation.plant.parameters, ("simulation", "plant", "parameters"))
-            conditions = replace(conditions, plant=running, parameters=changed)
+        reference = build_reference(file.reference, plant.outputs, folder, simulation.duration)
+        conditions = build_conditions(simulation, plant, parametric, folder)
     except PwatrackError as error:
         raise error.located(document.places) from None
     return Spec(
@@ -108,6 +79,29 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
+
+
+def _checked(document: Document, context: Context, problems: list[Problem]) -> SpecFile:
+    """Return the sections of a document, or refuse it with all that is wrong with it besides given problems."""
+    data = document.data
+    problems = [
+        *document.problems,
+        *problems,
+        *shape_problems(data, context),
+        *name_problems(data, context),
+        *start_problems(data, context),
+        *sampling_problems(data, context),
+    ]
+    try:
+        file = SpecFile.model_validate(data, context=context)
+    except ValidationError as error:
+        problems += validation_problems(error, data)
+    if not problems:
+        problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
+        problems += condition_problems(file, context.parameters)
+    if problems:
+        raise InvalidSpec(*problems).located(document.places).sorted()
+    return file
 
 
 def assignments(texts: Sequence[str]) -> dict[str, str]:

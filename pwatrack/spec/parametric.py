@@ -19,7 +19,8 @@ from pwatrack.spec.expression import (
     parsed,
     real,
 )
-from pwatrack.spec.problems import MOST, path_text
+from pwatrack.spec.paths import path_text
+from pwatrack.spec.problems import MOST
 from pwatrack.spec.schema import HyperplaneSection, Section, SystemSection
 
 Value = str | float | Expression

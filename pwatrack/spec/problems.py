@@ -1,32 +1,19 @@
-"""Everything that can be wrong with the tree of a spec, each thing said once, with its path."""
+"""What can be wrong with the form of a spec's tree, each thing said once, with its path."""
 
-import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, get_args, get_origin
 
-import numpy as np
 from pydantic import ValidationError
 
 from pwatrack.errors import Problem, Subject
 from pwatrack.spec.entries import Context
 from pwatrack.spec.expression import BrokenParameter, UnknownName
-from pwatrack.spec.schema import (
-    CostSection,
-    GoalSection,
-    Section,
-    SimulationSection,
-    SpecFile,
-    SystemSection,
-)
+from pwatrack.spec.paths import at_path, path_text
+from pwatrack.spec.schema import Section, SpecFile
 from pwatrack.spec.wording import guess, shown
 
 MOST = 100  # for so many faults of a file it is guessed what was meant
-
-_LONGEST_PART = 100  # characters of one key in a path
-_MOST_SAMPLES = 10_000_000
-_COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuator_.+)")  # of the trace, beside signals
-_MOST_TICKS = 2_000_000  # all of them are kept in memory
 
 _LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them
     ("system", "states"): 100,
@@ -58,7 +45,7 @@ _SHAPES: dict[Subject, tuple[str, ...]] = {
 
 def size_problems(data: Mapping[str, Any]) -> list[Problem]:
     """Compare the lists that memory and time grow with to their limits, on the raw tree."""
-    found = ((subject, _at(data, subject), most) for subject, most in _LARGEST.items())
+    found = ((subject, at_path(data, subject), most) for subject, most in _LARGEST.items())
     return [
         Problem(message=f"{path_text(subject)}: {len(entries):,} entries, at most {most:,} are read", subject=subject)
         for subject, entries, most in found
@@ -83,7 +70,7 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     for subject, axes in _shapes(data).items():
         if subject in flat:
             continue
-        for where, entries, axis in _axes(_at(data, subject), subject, axes):
+        for where, entries, axis in _axes(at_path(data, subject), subject, axes):
             wanted = len(getattr(context, axis))
             if wanted and len(entries) != wanted:
                 kind = "row" if where == subject and len(axes) == 2 else "entry"
@@ -96,12 +83,12 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
 def _shapes(data: Mapping[str, Any]) -> dict[Subject, tuple[str, ...]]:
     """Return which names each axis of each matrix and vector in the tree goes with."""
     shapes = dict(_SHAPES)
-    cells = _at(data, ("system", "cells"))
+    cells = at_path(data, ("system", "cells"))
     for k in range(len(cells) if isinstance(cells, list) else 0):
         shapes["system", "cells", k, "A"] = ("states", "states")
         shapes["system", "cells", k, "b"] = ("states",)
         shapes["system", "cells", k, "B"] = ("states", "inputs")
-    hyperplanes = _at(data, ("system", "hyperplanes"))
+    hyperplanes = at_path(data, ("system", "hyperplanes"))
     for k in range(len(hyperplanes) if isinstance(hyperplanes, list) else 0):
         shapes["system", "hyperplanes", k, "H"] = ("states",)
     return shapes
@@ -124,17 +111,10 @@ def flat_matrices(data: Mapping[str, Any]) -> list[Subject]:
     return [
         subject
         for subject, axes in _shapes(data).items()
-        if len(axes) == 2 and isinstance(value := _at(data, subject), list) and any(isinstance(v, str) for v in value)
+        if len(axes) == 2
+        and isinstance(value := at_path(data, subject), list)
+        and any(isinstance(v, str) for v in value)
     ]
-
-
-def _at(data: Any, subject: Subject) -> Any:
-    for part in subject:
-        if isinstance(data, dict):
-            data = data.get(str(part))
-        else:
-            data = data[part] if isinstance(data, list) and isinstance(part, int) else None
-    return data
 
 
 @cache
@@ -174,20 +154,6 @@ def _unknown_key(subject: Subject) -> str:
     return guess(key, sorted(siblings)) or guess(
         key, sorted({n for _, model in _sections() for n in model.model_fields})
     )
-
-
-def path_text(subject: Subject) -> str:
-    """Return a path as an engineer reads it, counted from 1.
-
-    Example:
-        >>> path_text(("system", "cells", 1, "A", 0))
-        'system.cells[2].A[1]'
-    """
-    text = ""
-    for part in subject:
-        name = part if isinstance(part, str) and len(part) <= _LONGEST_PART else f"{str(part)[:_LONGEST_PART]}…"
-        text += f"[{part + 1}]" if isinstance(part, int) else f".{name}" if text else name
-    return text or "the file"
 
 
 _EXPECTED = {
@@ -258,223 +224,3 @@ def _in_tree(loc: Sequence[str | int], data: Any, *, missing: bool) -> Subject:
         if there or (missing and k == len(loc) - 1):
             subject.append(part)
     return tuple(subject)
-
-
-def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check on the raw tree that every name stands for one thing."""
-    problems = []
-    taken: dict[str, str] = {}
-    for kind in ("parameters", "states", "inputs", "outputs"):
-        for name in context.parameters if kind == "parameters" else getattr(context, kind):
-            if taken.get(name, kind) != kind:
-                message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                problems.append(Problem(message=message, subject=("system", kind)))
-            taken[name] = kind
-    signals = {name: None for kind in (context.states, context.inputs, context.outputs) for name in kind}
-    for name in signals:
-        for suffix in ("_hat", "_d", "_ff"):
-            if name + suffix in signals:
-                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
-                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
-    problems += [
-        Problem(
-            message=f"'{name}' is how the trace names a column of its own",
-            subject=("system",),
-            hint="choose another name",
-        )
-        for name in signals
-        if _COLUMN.fullmatch(name)
-    ]
-    system = data.get("system")
-    system = system if isinstance(system, dict) else {}
-    units = system.get("units")
-    problems += [
-        Problem(
-            message=f"system.units: {shown(name)} is no state, input or output{meant}",
-            subject=("system", "units", name),
-        )
-        for name, meant in _unknown(units if isinstance(units, dict) and context.states else (), signals)
-    ]
-    for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
-        seen = set[str]()
-        entries = system.get(section)
-        for k, entry in enumerate(entries if isinstance(entries, list) else []):
-            name = entry.get("name") if isinstance(entry, dict) else None
-            subject: Subject = ("system", section, k, "name")
-            if not isinstance(name, str):
-                continue
-            if not name.strip():
-                problems.append(Problem(message=f"this {kind} has an empty name", subject=subject))
-            elif name.strip() in seen:
-                problems.append(Problem(message=f"a second {kind} is named {shown(name.strip())}", subject=subject))
-            seen.add(name.strip())
-    return problems
-
-
-def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check on the raw tree that initial states and start regions name states, and that these are not empty."""
-    subject: Subject = ("simulation", "ensemble", "initial")
-    regions, problems = _at(data, subject), list[Problem]()
-    if isinstance(regions, dict) and not any(regions.values()):
-        message = f"{path_text(subject)}: nothing is varied"
-        problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
-    for part in ("plant", "observer"):
-        inside: Subject = (*subject, part, "ellipsoid")
-        places: list[Subject] = [("simulation", "initial", part)]
-        places += [(*inside, "radii"), (*inside, "center")] if isinstance(_at(data, inside), dict) else [inside[:-1]]
-        for at in places:
-            names = _at(data, at)
-            for name, meant in _unknown(names if isinstance(names, dict) and context.states else (), context.states):
-                message = (
-                    f"{path_text((*at, name))}: {shown(name)} is no state; states: {_listed(context.states)}{meant}"
-                )
-                problems.append(Problem(message=message, subject=(*at, name)))
-    return problems
-
-
-def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
-    """Check that the samples are neither too many nor too few, where both numbers can be read."""
-    try:
-        section = SimulationSection.model_validate(data.get("simulation"), context=context)
-    except ValidationError:
-        return []
-    duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
-    problems = []
-    if step > duration:
-        message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
-        problems.append(Problem(message=message, subject=subject))
-    hint = "the sample time moves no event; a longer one only draws fewer points"
-    counted: list[tuple[float, int, Subject, str, str]] = [(step, _MOST_SAMPLES, subject, "samples", hint)]
-    for name, what in (("noise", "draws"), ("controller", "ticks")):
-        if (part := getattr(section, name)) is not None:
-            where: Subject = ("simulation", name, "sample_time")
-            counted.append((part.sample_time, _MOST_TICKS, where, what, ""))
-    problems += [
-        Problem(message=f"{duration / period:.3g} {what}, at most {most:,} are taken", subject=where, hint=advice)
-        for period, most, where, what, advice in counted
-        if duration / period > most
-    ]
-    return problems
-
-
-def plant_problems(system: SystemSection) -> list[Problem]:
-    """Check that the plant is written in exactly one of the three ways."""
-    problems: list[tuple[str, Subject]] = []
-    if system.cells is None:
-        if system.A is None:
-            problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
-        if system.hyperplanes is not None:
-            problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
-    else:
-        problems += [
-            (f"system.{name} does not go with cells: give one or the other", ("system", name))
-            for name in ("A", "b", "nonlinearities")
-            if getattr(system, name) is not None
-        ]
-        wanted = "where" if system.hyperplanes is None else "signs"
-        for k, cell in enumerate(system.cells):
-            subject: Subject = ("system", "cells", k)
-            if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
-                count = len(system.hyperplanes or [])
-                found = "none" if cell.signs is None else str(len(cell.signs))
-                problems.append((f"cell '{cell.name}': {found} signs, expected {count}, one per hyperplane", subject))
-            if wanted == "where" and cell.signs is not None:
-                problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
-    for k, element in enumerate(system.nonlinearities or []):
-        for state, meant in _unknown(element.into, system.states):
-            subject = ("system", "nonlinearities", k, "into", state)
-            problems.append((f"nonlinearity '{element.name}': {shown(state)} is no state{meant}", subject))
-    return [Problem(message=message, subject=subject) for message, subject in problems]
-
-
-def reference_problems(file: SpecFile) -> list[Problem]:
-    """Check that there is one reference, of the kind that is tracked."""
-    reference, tracking = file.reference, file.design.tracking
-    given = [kind for kind in ("output", "state", "input", "setpoint") if getattr(reference, kind) is not None]
-    fitting = ["output"] if tracking == "output" else ["state", "input", "setpoint"]
-    problems = []
-    if len(given) != 1 or given[0] not in fitting:
-        found = " and ".join(given) or "nothing"
-        message = f"{tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
-        problems.append(Problem(message=message, subject=("reference",)))
-    if reference.start is not None and reference.input is None:
-        problems.append(Problem(message="start goes with a reference 'input' only", subject=("reference", "start")))
-    if reference.input is not None and reference.start is None:
-        message = "reference.start is missing: x_d(0), or 'periodic'"
-        problems.append(Problem(message=message, subject=("reference",)))
-    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.outputs):
-        message = f"setpoint must give every output: {', '.join(file.system.outputs)}"
-        problems.append(Problem(message=message, subject=("reference", "setpoint")))
-    return problems
-
-
-def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Problem]:
-    """Check that every name under `simulation` is one of its kind."""
-    simulation, system = file.simulation, file.system
-    given: list[tuple[Subject, Mapping[str, Any], Sequence[str], str]] = []
-    if simulation.plant is not None:
-        given.append((("plant", "parameters"), simulation.plant.parameters, tuple(parameters), "parameter"))
-    given.append((("ensemble", "parameters"), simulation.ensemble.parameters, tuple(parameters), "parameter"))
-    if simulation.actuator is not None:
-        given.append((("actuator", "limits"), simulation.actuator.limits, system.inputs, "input"))
-    if simulation.disturbance is not None:
-        given.append((("disturbance",), simulation.disturbance, system.states, "state"))
-    if simulation.noise is not None:
-        given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
-    return [
-        Problem(
-            message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",
-            subject=("simulation", *where, name),
-        )
-        for where, names, known, kind in given
-        for name, meant in _unknown(names, known)
-    ]
-
-
-def _unknown(names: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names that are not known, the first ones with a guess at what was meant."""
-    wanted, count = set(known), 0
-    for name in names:
-        if name not in wanted:
-            yield name, guess(name, known) if count < MOST else ""
-            count += 1
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:20]) + (", …" if len(names) > 20 else "") or "none"
-
-
-def goal_problems(file: SpecFile) -> list[Problem]:
-    """Check that what is asked of each gain makes sense."""
-    problems = []
-    for part, letter in (("controller", "K"), ("observer", "L")):
-        section: GoalSection = getattr(file.design, part)
-        subject: Subject = ("design", part)
-        where = path_text(subject)
-        given = [name for name in (letter, "cost", "rate", "gain") if getattr(section, name, None) is not None]
-        if given[0:1] in ([letter], ["cost"]) and len(given) > 1:
-            message = f"{where}: '{given[0]}' settles the gain, '{given[1]}' beside it has no meaning"
-            problems.append(Problem(message=message, subject=(*subject, given[1])))
-        if section.gain == "smallest" and not isinstance(section.rate, float):
-            message = f"{where}: 'gain: smallest' is the smallest gain of a given rate in 1/s, and none is given"
-            problems.append(Problem(message=message, subject=(*subject, "gain"), hint="for example rate: 0.1"))
-        if section.cost is not None:
-            problems += _weight_problems(section.cost, (*subject, "cost"))
-    return problems
-
-
-def _weight_problems(cost: CostSection, subject: Subject) -> list[Problem]:
-    problems = []
-    for letter, strict in (("Q", False), ("R", True)):
-        X = np.array(getattr(cost, letter))
-        where, at = path_text((*subject, letter)), (*subject, letter)
-        skew, least = float(np.abs(X - X.T).max()), float(np.linalg.eigvalsh(X)[0])
-        size = float(np.abs(X).max())
-        if skew > 1e-9 * size:
-            problems.append(Problem(message=f"{where} is not symmetric: entries differ by {skew:.4g}", subject=at))
-        elif least <= 0 if strict else least < -1e-9 * size:
-            wanted = "positive definite" if strict else "positive semidefinite"
-            problems.append(
-                Problem(message=f"{where} is not {wanted}: its least eigenvalue is {least:.4g}", subject=at)
-            )
-    return problems

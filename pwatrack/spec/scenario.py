@@ -13,6 +13,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
 from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.courses import build_courses
+from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.schema import (
     CourseSection,
     DesignSection,
@@ -48,18 +49,22 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
     return AtLeast(rate=rate or 0.0, bound=bound)
 
 
-def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path) -> Conditions:
-    """Return what is not as the theorems assume, but for the parameters of the plant.
+def build_conditions(
+    section: SimulationSection, plant: PWASystem, parametric: ParametricPlant, folder: Path
+) -> Conditions:
+    """Return what is not as the theorems assume.
 
     Args:
         section: The section of the file.
         plant: That of the design.
+        parametric: The same with other parameters.
         folder: Where table files are looked for.
 
     Raises:
         InvalidSpec: If a table cannot be read, or a disturbance ends before the simulation.
+        PwatrackError: If the plant is not of class (1) with other parameters.
     """
-    limits = noise = disturbance = None
+    running = changed = limits = noise = disturbance = None
     if section.actuator is not None:
         limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
     if section.noise is not None and any(section.noise.std.values()):
@@ -73,7 +78,11 @@ def build_conditions(section: SimulationSection, plant: PWASystem, folder: Path)
             signals.append(total_signal(build_courses(course, folder, section.duration, subject), 0))
         found = exosystem(signals)
         disturbance = found if found.Q.any() else None
+    if section.plant is not None:
+        running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
     return Conditions(
+        plant=running,
+        parameters=changed,
         limits=limits if limits is not None and np.isfinite(limits).any() else None,
         disturbance=disturbance,
         noise=noise,

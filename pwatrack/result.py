@@ -1,0 +1,129 @@
+"""What came out of a spec: a designed and simulated closed loop."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
+from pwatrack.outcome import Outcome
+from pwatrack.simulation.closed_loop import ClosedLoop, Response
+from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.propagate import sample_count
+from pwatrack.simulation.spool import Spool
+from pwatrack.simulation.steady_state import SteadyState
+from pwatrack.simulation.trace import Trace, Unresolved
+from pwatrack.spec.spec import Spec
+from pwatrack.tracking import start_fixed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A designed and simulated closed loop.
+
+    Attributes:
+        spec: What was asked.
+        controller: Gains, desired trajectory and their proofs.
+        loop: The closed loop.
+        response: Its signals; of a run with more than a few hundred thousand samples only every so many-th, and
+            in events only what these show.
+        figures: What was measured over all samples.
+        outcome: How the run ended, said by all samples.
+        start: z(0).
+        steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
+            or None if it has none.
+        spool: All samples and events of a run of which `response` has not all.
+    """
+
+    spec: Spec
+    controller: Controller
+    loop: ClosedLoop
+    response: Response
+    figures: Figures
+    outcome: Outcome
+    start: Array
+    steady_state: SteadyState | None
+    spool: Spool | None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was noticed and changes no verdict."""
+        S = self.controller.trajectory.exosystem.S
+        fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
+        remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
+        duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
+        if fastest * step > 2 * np.pi / 10:
+            remarks.append(
+                f"sample_time {step:g} s is too long for a reference with a period of "
+                f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
+            )
+        if self.end < duration * (1 - 1e-9):
+            remarks.append(
+                f"the run ends with the last sample, at t = {self.end:.9g} s: the duration, {duration:g} s, "
+                f"is no multiple of the sample time, {step:g} s"
+            )
+        remarks += _unresolved(self.response.trace)
+        return tuple(remarks)
+
+    @property
+    def tracking_bound(self) -> Array | None:
+        """What the proofs promise of |y − y_d|, for state tracking of |x − x_d|, from these initial states, (K,).
+
+        None if the loop is not the one that they are about.
+        """
+        if not self.loop.conditions.nominal:
+            return None
+        r, output = self.response, self.controller.generator is not None
+        starts = r.x[0] - r.x_d[0], r.x_hat[0] - r.x[0]
+        return self.controller.guarantees.tracking_error(r.t, *starts, output=output)
+
+    @property
+    def observer_bound(self) -> Array | None:
+        """What the proofs promise of |x̂ − x| from these initial states, (K,); None as for `tracking_bound`."""
+        if not self.loop.conditions.nominal:
+            return None
+        r = self.response
+        return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
+
+    @property
+    def end(self) -> float:
+        """The time of the last sample in s, whether it was kept or not."""
+        step = self.spec.scenario.sample_time
+        return (sample_count(self.spec.scenario.duration, step) - 1) * step
+
+    @property
+    def generator_start_fixed(self) -> bool:
+        """Whether the reference itself says where the desired trajectory starts."""
+        return start_fixed(self.spec, self.controller)
+
+    @property
+    def final_error(self) -> float:
+        """The largest norm of the tracking error in the last tenth of the simulation."""
+        return self.figures.final_tracking_error
+
+    def blocks(self) -> Iterator[Response]:
+        """Yield the signals at all samples, with all events; those of a long run block by block, off the disk."""
+        if self.spool is None:
+            yield self.response
+        else:
+            yield from map(self.loop.response, self.spool)
+
+
+def _unresolved(trace: Trace) -> list[str]:
+    """Return one remark for each guard that was within rounding of 0."""
+    found: dict[tuple[str, int], list[Unresolved]] = {}
+    for doubt in trace.unresolved:
+        found.setdefault((doubt.part, doubt.guard), []).append(doubt)
+    remarks = []
+    for (part, guard), doubts in found.items():
+        span = max(doubt.span for doubt in doubts)
+        remarks.append(
+            f"the {part} comes within rounding of hyperplane {guard + 1} at t = {doubts[0].t:.9g} s"
+            + (f" and {len(doubts) - 1} more times" if len(doubts) > 1 else "")
+            + (f", for up to {span:.2g} s" if span else "")
+            + ": on which side it is then cannot be told, so that a mode change may be missing, or early or late by "
+            + ("that much" if span else "a moment")
+            + "; it changes the signals by no more than rounding"
+        )
+    return remarks

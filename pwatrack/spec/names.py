@@ -1,0 +1,126 @@
+"""Names in a spec: each stands for one thing, and is declared before something is said of it."""
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from pwatrack.errors import Problem, Subject
+from pwatrack.spec.entries import Context
+from pwatrack.spec.paths import at_path, path_text
+from pwatrack.spec.problems import MOST
+from pwatrack.spec.schema import SpecFile
+from pwatrack.spec.wording import guess, shown
+
+_COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuator_.+)")  # of the trace, beside signals
+
+
+def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that every name stands for one thing."""
+    problems = []
+    taken: dict[str, str] = {}
+    for kind in ("parameters", "states", "inputs", "outputs"):
+        for name in context.parameters if kind == "parameters" else getattr(context, kind):
+            if taken.get(name, kind) != kind:
+                message = f"'{name}' is declared under {taken[name]} and under {kind}"
+                problems.append(Problem(message=message, subject=("system", kind)))
+            taken[name] = kind
+    signals = {name: None for kind in (context.states, context.inputs, context.outputs) for name in kind}
+    for name in signals:
+        for suffix in ("_hat", "_d", "_ff"):
+            if name + suffix in signals:
+                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
+                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
+    problems += [
+        Problem(
+            message=f"'{name}' is how the trace names a column of its own",
+            subject=("system",),
+            hint="choose another name",
+        )
+        for name in signals
+        if _COLUMN.fullmatch(name)
+    ]
+    system = data.get("system")
+    system = system if isinstance(system, dict) else {}
+    units = system.get("units")
+    problems += [
+        Problem(
+            message=f"system.units: {shown(name)} is no state, input or output{meant}",
+            subject=("system", "units", name),
+        )
+        for name, meant in unknown_names(units if isinstance(units, dict) and context.states else (), signals)
+    ]
+    for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
+        seen = set[str]()
+        entries = system.get(section)
+        for k, entry in enumerate(entries if isinstance(entries, list) else []):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            subject: Subject = ("system", section, k, "name")
+            if not isinstance(name, str):
+                continue
+            if not name.strip():
+                problems.append(Problem(message=f"this {kind} has an empty name", subject=subject))
+            elif name.strip() in seen:
+                problems.append(Problem(message=f"a second {kind} is named {shown(name.strip())}", subject=subject))
+            seen.add(name.strip())
+    return problems
+
+
+def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
+    """Check on the raw tree that initial states and start regions name states, and that these are not empty."""
+    subject: Subject = ("simulation", "ensemble", "initial")
+    regions, problems = at_path(data, subject), list[Problem]()
+    if isinstance(regions, dict) and not any(regions.values()):
+        message = f"{path_text(subject)}: nothing is varied"
+        problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
+    for part in ("plant", "observer"):
+        inside: Subject = (*subject, part, "ellipsoid")
+        places: list[Subject] = [("simulation", "initial", part)]
+        places += (
+            [(*inside, "radii"), (*inside, "center")] if isinstance(at_path(data, inside), dict) else [inside[:-1]]
+        )
+        for at in places:
+            names = at_path(data, at)
+            for name, meant in unknown_names(
+                names if isinstance(names, dict) and context.states else (), context.states
+            ):
+                message = (
+                    f"{path_text((*at, name))}: {shown(name)} is no state; states: {_listed(context.states)}{meant}"
+                )
+                problems.append(Problem(message=message, subject=(*at, name)))
+    return problems
+
+
+def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Problem]:
+    """Check that every name under `simulation` is one of its kind."""
+    simulation, system = file.simulation, file.system
+    given: list[tuple[Subject, Mapping[str, Any], Sequence[str], str]] = []
+    if simulation.plant is not None:
+        given.append((("plant", "parameters"), simulation.plant.parameters, tuple(parameters), "parameter"))
+    given.append((("ensemble", "parameters"), simulation.ensemble.parameters, tuple(parameters), "parameter"))
+    if simulation.actuator is not None:
+        given.append((("actuator", "limits"), simulation.actuator.limits, system.inputs, "input"))
+    if simulation.disturbance is not None:
+        given.append((("disturbance",), simulation.disturbance, system.states, "state"))
+    if simulation.noise is not None:
+        given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
+    return [
+        Problem(
+            message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",
+            subject=("simulation", *where, name),
+        )
+        for where, names, known, kind in given
+        for name, meant in unknown_names(names, known)
+    ]
+
+
+def unknown_names(names: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names that are not known, the first ones with a guess at what was meant."""
+    wanted, count = set(known), 0
+    for name in names:
+        if name not in wanted:
+            yield name, guess(name, known) if count < MOST else ""
+            count += 1
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:20]) + (", …" if len(names) > 20 else "") or "none"

@@ -1,0 +1,146 @@
+"""What a spec wants tracked: its reference, checked, and the desired trajectory."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pwatrack.control.controller import Controller
+from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
+from pwatrack.control.set_point import set_point
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.control.synthesis import Design
+from pwatrack.control.timing import check_timing
+from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem, Subject
+from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.model.reference import (
+    InputReference,
+    OutputReference,
+    SetPoint,
+    StateReference,
+    check_bounded,
+    check_smooth,
+    exosystem,
+)
+from pwatrack.model.signal import Signal
+from pwatrack.simulation.bounded import bounded_response
+from pwatrack.simulation.desired import realised
+from pwatrack.spec.spec import Spec
+
+
+def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
+    """Check what can be known of the reference before an inequality is solved, and say it in a few words.
+
+    That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
+
+    Args:
+        spec: What was asked.
+        form: The normal form of its plant, where it is at hand.
+
+    Raises:
+        OutsideTheory: If the reference is none that the theorems are about, or the plant is not of form (11).
+        InvalidSpec: If a start was to be periodic and there is no period.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> check_reference(load_spec("specs/two_mass_backlash.yaml"))
+        'y_d is bounded and smooth enough for relative degree 2'
+    """
+    problem = spec.problem
+    with spec.located():
+        if isinstance(problem.reference, OutputReference):
+            form = form or normal_form(problem.plant)
+            _output_signal(problem.reference, form.r)
+            return f"y_d is bounded and smooth enough for relative degree {form.r}"
+        _state_desired(spec)
+        if isinstance(problem.reference, SetPoint):
+            return "x_d is an equilibrium with the wanted outputs"
+        if isinstance(problem.reference, InputReference):
+            return "u_ff is bounded; x_d is the response of the plant"
+        return "x_d is bounded and satisfies (3)"
+
+
+def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
+    """Return the desired trajectory, and for output tracking the generator it comes from."""
+    plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
+    if not isinstance(reference, OutputReference):
+        trajectory, where = _state_desired(spec), ("reference", "start")
+        if not isinstance(reference, InputReference) or reference.start is None:
+            return trajectory, None
+        horizon = spec.scenario.duration
+        try:
+            return bounded_response(plant, trajectory, horizon=horizon, solver=solver, subject=where), None
+        except CheckFailed as growth:
+            if not growing:
+                raise
+            return replace(trajectory, bounded=False, growth=growth.problems[0]), None
+    form = normal_form(plant)
+    y_d = _output_signal(reference, form.r)
+    generator = trajectory_generator(form, solver=solver)
+    return output_trajectory(generator, exosystem([y_d])), generator
+
+
+def _output_signal(reference: OutputReference, r: int) -> Signal:
+    y_d = reference.signal(r)
+    _check([y_d], r, ("reference", "output"), "y_d")
+    return y_d
+
+
+def _state_desired(spec: Spec) -> DesiredTrajectory:
+    """Return the desired trajectory of state tracking."""
+    plant, reference = spec.problem.plant, spec.problem.reference
+    if isinstance(reference, SetPoint):
+        return set_point(plant, reference.y, subject=("reference", "setpoint"))
+    assert not isinstance(reference, OutputReference)
+    signals = reference.signals()
+    if isinstance(reference, InputReference):
+        _check(signals, None, ("reference", "input"), "u_ff")
+        u_ff = exosystem(signals)
+        if starts_periodic(spec) and u_ff.period is None and not u_ff.constant:
+            message = "start: periodic, but the inputs together have no period"
+            hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
+            raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+        return input_trajectory(plant, u_ff, reference.start)
+    _check(signals, 1, ("reference", "state"), "x_d")
+    x_d = state_trajectory(plant, exosystem(signals))
+    return realised(plant, x_d, horizon=spec.scenario.duration, subject=("reference", "state"))  # (3)
+
+
+def check_breaks(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
+) -> None:
+    """Refuse a reference whose breaks cannot be timed well enough."""
+    plant, reference = spec.problem.plant, spec.problem.reference
+    smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
+    check_timing(
+        plant,
+        gains.K,
+        trajectory,
+        outputs=np.eye(len(plant.states)) if generator is None else plant.C,
+        smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
+        subject=("reference", "state" if generator is None else "output"),
+    )
+
+
+def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:
+    for signal in signals:
+        check_bounded(signal, name=name, subject=subject)
+        if r is not None:
+            check_smooth(signal, r, name=name, subject=subject)
+
+
+def start_fixed(spec: Spec, controller: Controller) -> bool:
+    """Say whether the reference itself says where the desired trajectory starts."""
+    return controller.trajectory.eta0 is not None or starts_periodic(spec)
+
+
+def starts_periodic(spec: Spec) -> bool:
+    """Say whether the desired trajectory is to be the periodic response to given inputs."""
+    return isinstance(spec.problem.reference, InputReference) and spec.problem.reference.start is None
+
+
+def start_given_twice(subject: Subject) -> InvalidSpec:
+    """Return the refusal of a start of the desired trajectory beside that of the reference."""
+    where = ".".join(map(str, subject))
+    message = f"{where}: the reference itself says where the desired trajectory starts"
+    return InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
