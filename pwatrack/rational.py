@@ -56,7 +56,7 @@ def identity(n: int) -> Rational:
 
 def floats(X: Rational) -> Array:
     """Return the nearest doubles."""
-    entries = [int(v.p) / int(v.q) for v in X.entries()]  # whole numbers divide correctly rounded
+    entries = [int(v.p) / int(v.q) if v else 0.0 for v in X.entries()]  # whole numbers divide correctly rounded
     return np.array(entries, dtype=np.float64).reshape(X.nrows(), X.ncols())
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from pwatrack import design, load_spec, simulate, write_result
+from pwatrack import ensemble, load_spec, simulate, write_result
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
+from pwatrack.pipeline import design
 from pwatrack.report import summary
 from pwatrack.report.verify import verify
 from pwatrack.tracking import check_reference
+from tests.test_outcome import ROD, RUNAWAY, cart
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
 Row = tuple[str, str]
@@ -42,7 +44,8 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
     class Recorded(summary.Table):  # type: ignore[misc, name-defined]
         def add_row(self, *texts: Any, **options: Any) -> None:
-            rows.append((str(texts[0]), str(texts[-1])))
+            if len(texts) == 2:  # not the figures of an ensemble
+                rows.append((str(texts[0]), str(texts[1])))
             super().add_row(*texts, **options)
 
     monkeypatch.setattr(summary, "Table", Recorded)
@@ -54,10 +57,12 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         except PwatrackError as error:
             reference = str(error)
         summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference)
-        controller = design(spec)
+        controller = design(spec, growing=True)
         result = simulate(spec, controller)
         summary.print_design(console, spec, controller)
         summary.print_result(console, result)
+        if path.stem in ("state", "cart"):
+            summary.print_ensemble(console, ensemble(result, 3))
         for sentence in verify(write_result(result, tmp_path / "run"), path):
             label, _, rest = sentence.partition(": ")
             rows.append((label, rest) if label.startswith(("(", "plant", "Theorem")) else ("verify", sentence))
@@ -67,6 +72,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
     for name in ("two_mass_backlash", "two_mass_goals", "two_mass_machine", "gallery/dc_motor_brushes"):
         yield specs / f"{name}.yaml"
+    (tmp_path / "rod.yaml").write_text(ROD)
+    yield tmp_path / "rod.yaml"
+    yield cart(tmp_path, RUNAWAY["other parameters"], reference="0.08*cos(t)")
     for name, wishes in EXTRA.items():
         slope = "1.001" if name == "rounded" else "1"
         path = tmp_path / f"{name}.yaml"

@@ -42,6 +42,14 @@ simulation:
   initial: {plant: [0.05, 0]}
 """
 
+ROD = """
+name: Rod
+system: {states: [th, w], inputs: [u], outputs: [y], A: [[0, 1], [4, -1]], B: [[0], [1]], C: [[1, 0]]}
+design: {tracking: state}
+reference: {input: ["0.1*sin(t)"], start: [0, 0]}
+simulation: {duration: 8, sample_time: 0.01}
+"""
+
 
 def cart(folder: Path, *conditions: str, reference: str = "0.08*sin(t)", duration: float = 20) -> Path:
     text = CART.replace("REFERENCE", reference).replace("duration: 20", f"duration: {duration}")
@@ -262,16 +270,7 @@ def test_rounding_is_not_above_a_bound(specs: Path) -> None:
 def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
     """u_ff drives an unstable plant from a given start: x_d leaves, and the plant would follow it."""
     path = tmp_path / "rod.yaml"
-    path.write_text(
-        """
-name: Rod
-system: {states: [th, w], inputs: [u], outputs: [y], A: [[0, 1], [4, -1]], B: [[0], [1]], C: [[1, 0]]}
-design: {tracking: state}
-reference: {input: ["0.1*sin(t)"], start: [0, 0]}
-simulation: {duration: 8, sample_time: 0.01}
-""",
-        encoding="utf-8",
-    )
+    path.write_text(ROD, encoding="utf-8")
     for command in ("design", "simulate"):
         run = call(command, path, "--out", tmp_path / command)
         assert run.exit_code == 6, run.output
