@@ -1,10 +1,10 @@
 """The error family: what went wrong, where, by how much, and what to do next."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-Subject = tuple[str | int, ...]
+from pwatrack.causes import Remedy, Subject
 
 _FEW = 3  # entries of a long list that a terminal shows
 
@@ -53,14 +53,12 @@ class Place:
 class Problem:
     """One thing that is wrong.
 
-    `subject` says what it is about as a path in the description, for example
-    `("system", "cells", 0, "A")`; whoever read the description from a file
-    knows the `place` of each path. None: it is not about the description.
-
     Attributes:
         message: What is wrong, complete.
-        subject: What it is about.
-        hint: What to do.
+        subject: What it is about: `(Part.CELLS, 0, Part.A)`, or a path in a file, `("system", "cells", 0, "A")`.
+            Whoever read the file knows the `place` of each. None: it is not about the description.
+        hint: What to do, in plain words.
+        remedy: The same as a name, for who knows how a file says it.
         place: Where it stands.
         short: The message for a terminal, where it lists very many things; empty where it is the same.
     """
@@ -68,11 +66,14 @@ class Problem:
     message: str
     subject: Subject | None = ()
     hint: str = ""
+    remedy: Remedy | None = None
     place: Place | None = None
     short: str = ""
 
     @staticmethod
-    def of_many(tell: Callable[[int | None], str], *, subject: Subject | None = (), hint: str = "") -> "Problem":
+    def of_many(
+        tell: Callable[[int | None], str], *, subject: Subject | None = (), hint: str = "", remedy: Remedy | None = None
+    ) -> "Problem":
         """Return a problem that lists many things, the worst first: `tell` takes how many, None for all.
 
         Example:
@@ -80,7 +81,7 @@ class Problem:
             'wrong: a, b, c … and 3 more'
         """
         full, short = tell(None), tell(_FEW)
-        return Problem(message=full, short=short if short != full else "", subject=subject, hint=hint)
+        return Problem(message=full, short=short if short != full else "", subject=subject, hint=hint, remedy=remedy)
 
     def prefixed(self, text: str) -> "Problem":
         """Return the same problem with a text before its message."""
@@ -123,10 +124,6 @@ class PwatrackError(Exception):
         order = sorted(self.problems, key=lambda p: (p.place.line, p.place.column) if p.place else (0, 0))
         return type(self)(*order, evidence=self.evidence)
 
-    def located(self, places: Mapping[Subject, Place]) -> "PwatrackError":
-        """Return the same refusal with the place of the nearest known subject filled in."""
-        return type(self)(*(_locate(p, places) for p in self.problems), evidence=self.evidence)
-
 
 class InvalidSpec(PwatrackError):
     """The description is not well formed."""
@@ -156,12 +153,3 @@ class CheckFailed(PwatrackError):
     """A result was computed, but a check on it failed."""
 
     code = ExitCode.CHECK_FAILED
-
-
-def _locate(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
-    if problem.place is not None or problem.subject is None:
-        return problem
-    subject = problem.subject
-    while subject and subject not in places:
-        subject = subject[:-1]
-    return replace(problem, place=places.get(subject))

@@ -5,13 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.causes import Subject
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
@@ -24,7 +25,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
-_MOST_KEPT = 250_000  # samples
+MOST_KEPT = 250_000  # samples
 _LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 
@@ -113,12 +114,12 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
     watch = Watch(loop, samples, units=spec.problem.units)
-    step, kept = -(-samples // _MOST_KEPT), list[Trace]()
+    step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
     def blocks() -> Iterator[Response]:
         number = 0
-        for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=_MOST_KEPT):
+        for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
             kept.append(trace if spool is None else trace.every(step, number))
             if spool is not None:
                 spool.add(trace)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pwatrack.causes import Subject
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.set_point import set_point
@@ -11,7 +12,7 @@ from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.synthesis import Design
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem, Subject
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import (
     InputReference,
@@ -112,14 +113,18 @@ def check_breaks(
     """Refuse a reference whose breaks cannot be timed well enough."""
     plant, reference = spec.problem.plant, spec.problem.reference
     smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
-    check_timing(
-        plant,
-        gains.K,
-        trajectory,
-        outputs=np.eye(len(plant.states)) if generator is None else plant.C,
-        smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
-        subject=("reference", "state" if generator is None else "output"),
-    )
+    try:
+        check_timing(
+            plant,
+            gains.K,
+            trajectory,
+            outputs=np.eye(len(plant.states)) if generator is None else plant.C,
+            smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
+            subject=("reference", "state" if generator is None else "output"),
+        )
+    except InvalidSpec as fast:
+        said = "" if smooth is None else f"smooth: {smooth:g} s is too short: "
+        raise InvalidSpec(*(p.prefixed(said) for p in fast.problems)) from None
 
 
 def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:

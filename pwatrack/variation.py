@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
@@ -264,7 +265,7 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
             other, _ = spec.problem.parametric.at(_changed(result, {name: value + away}), _OVER)
         except PwatrackError as refusal:
             hint = "say under simulation.ensemble.parameters which parameters vary, and how far"
-            raise type(refusal)(*(replace(p, hint=hint) for p in refusal.problems)) from None
+            raise type(refusal)(*(replace(p, hint=hint, remedy=None) for p in refusal.problems)) from None
         if any(
             not np.array_equal(a, b)
             for a, b in (

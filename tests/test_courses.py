@@ -172,11 +172,11 @@ def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypa
     }.items():
         (problem,) = refused(table(tmp_path, b"", name))
         assert message.replace("\\\\", "\\") in problem.message
-    monkeypatch.setattr("pwatrack.spec.table._LARGEST_FILE", 100)
+    monkeypatch.setattr("pwatrack.spec.table.LARGEST_FILE", 100)
     (problem,) = refused(table(tmp_path, b"t,y\n" + b"0,0\n" * 50))
     assert "more than 100 bytes, which is the most that is read" in problem.message
     monkeypatch.undo()
-    monkeypatch.setattr("pwatrack.spec.table._MOST_ROWS", 40)
+    monkeypatch.setattr("pwatrack.spec.table.MOST_ROWS", 40)
     (problem,) = refused(table(tmp_path, rows(T, T).encode()))
     assert "41 rows, at most 40 are read" in problem.message
 

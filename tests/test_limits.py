@@ -70,7 +70,7 @@ def test_an_unstable_cell_takes_steps_shorter_than_a_sample() -> None:
 
 
 def test_a_run_of_too_many_steps_says_how_far_it_got(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pwatrack.simulation.propagate._MOST_STEPS", (1_000, 10))
+    monkeypatch.setattr("pwatrack.simulation.propagate.MOST_STEPS", (1_000, 10))
     with pytest.raises(CheckFailed, match=r"more than 1,000 steps and 10 for each sample: it got to t = \d"):
         simulate_flow(oscillation(1e3), np.array([0.0, 1.0]), duration=10.0, sample_time=5.0)
     trace = simulate_flow(oscillation(1.0), np.array([0.0, 1.0]), duration=100.0, sample_time=0.01)
@@ -78,7 +78,7 @@ def test_a_run_of_too_many_steps_says_how_far_it_got(monkeypatch: pytest.MonkeyP
 
 
 def test_too_many_events_are_refused_and_in_blocks_they_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pwatrack.simulation.propagate._MOST_EVENTS", 100)
+    monkeypatch.setattr("pwatrack.simulation.propagate.MOST_EVENTS", 100)
     arguments: dict[str, Any] = {"duration": 100.0, "sample_time": 0.1}
     with pytest.raises(CheckFailed, match=r"more than 100 mode changes: it got to t = \d+\.?\d* s of 100 s"):
         simulate_flow(oscillation(10.0), np.array([0.0, 1.0]), **arguments)

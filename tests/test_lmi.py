@@ -84,18 +84,6 @@ def test_with_the_gain_of_the_cost_no_other_gain_has_a_smaller_left_side(seed: i
     assert np.linalg.eigvalsh(sides[0] - sides[1])[0] > -1e-9
 
 
-@given(seeds)
-@settings(deadline=None, max_examples=10)
-def test_picos_sees_the_inequality_that_numpy_evaluates(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    inequality = state_feedback(random.normal(size=(2, 3, 3)), random.normal(size=(3, 1)), 0.2)
-    _, P, Y = picos_model._problem(inequality)
-    P.value, Y.value = symmetric_part(random.normal(size=(3, 3))), random.normal(size=(1, 3))
-    ours = inequality.evaluate(np.array(P.value), np.array(Y.value).reshape(1, 3))
-    for side, expected in zip(picos_model._left_sides(inequality, P, Y), ours, strict=True):
-        np.testing.assert_allclose(np.array(side.value), expected, atol=1e-12)
-
-
 @given(seeds, st.integers(1, 5))
 @settings(deadline=None, max_examples=15)
 def test_clarabel_and_cvxopt_find_the_same_optimum(seed: int, n: int) -> None:

@@ -96,7 +96,7 @@ def test_no_switching_does_more_than_a_bound_says(seed: int, two_steps: bool, mo
     """Any switching between all pairs of cells, and any input: what a search for the worst of both finds."""
     plant = random_plant(seed, n=2 + seed % 3, k=2, r=1 + seed % 2, strength=0.1)
     if two_steps:
-        monkeypatch.setattr("pwatrack.control.bounds._MOST_WORK", 4 * len(plant.B) ** 4)
+        monkeypatch.setattr("pwatrack.control.bounds.MOST_WORK", 4 * len(plant.B) ** 4)
     controller = track(plant, "sin(2*t)").controller
     ratios = []
     for bounds in controller.bounds:
@@ -175,7 +175,7 @@ def test_what_is_irrational_is_bounded_for_all_of_its_ball() -> None:
 def test_where_there_are_too_many_cells_nothing_is_claimed(
     paper_spec: Spec, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("pwatrack.control.bounds._MOST_WORK", 1)
+    monkeypatch.setattr("pwatrack.control.bounds.MOST_WORK", 1)
     controller = design(paper_spec)
     assert all(not bounds.sizes and not bounds.parts for bounds in controller.bounds)
     print_design(Console(width=200), paper_spec, controller)

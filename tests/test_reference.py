@@ -13,6 +13,7 @@ from pwatrack.model.course import Profile, Table, polyline
 from pwatrack.model.reference import check_bounded, check_smooth, exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.spec.expression import ExpressionError, formula
+from pwatrack.spec.spelling import spelled
 
 FORMULAS = [
     "3",
@@ -65,7 +66,8 @@ def test_a_formula_without_an_exact_exosystem_is_refused(text: str) -> None:
 def test_a_reference_that_grows_is_refused_and_the_interval_named(text: str, term: str) -> None:
     with pytest.raises(OutsideTheory, match=f"y_d is not bounded: it has a term like {term}") as refusal:
         check_bounded(Signal.of(formula(text, {})), name="y_d", subject=())
-    assert "until" in refusal.value.problems[0].hint
+    (problem,) = refusal.value.problems
+    assert "until: T" in spelled(problem).hint
     check_bounded(Signal((0.0,), (formula(text, {}),), end=5.0), name="y_d", subject=())
 
 

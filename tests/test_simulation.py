@@ -110,7 +110,7 @@ def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
 def test_a_long_run_is_written_in_full_and_kept_in_part(
     paper: Result, paper_spec: Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pwatrack.pipeline._MOST_KEPT", 700)
+    monkeypatch.setattr("pwatrack.pipeline.MOST_KEPT", 700)
     result = simulate(paper_spec, paper.controller)
     assert len(result.response.t) == 667  # every ninth of 6001
     np.testing.assert_array_equal(result.response.x, paper.response.x[::9])

@@ -35,7 +35,7 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import floats, identity
 
-_MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
+MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 _KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
 _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
@@ -125,8 +125,8 @@ class _Loops:
             "controller": [A_i + B @ K for A_i in A],
             "observer": [A_i + L @ C for A_i in A],
         }
-        few = len(A) ** 2 * (2 * n) ** 4 <= _MOST_WORK
-        self.few_pairs, self.few_cells = few, len(A) * n**4 <= _MOST_WORK
+        few = len(A) ** 2 * (2 * n) ** 4 <= MOST_WORK
+        self.few_pairs, self.few_cells = few, len(A) * n**4 <= MOST_WORK
         self.tracked: list[Form] = [("output", k) for k in range(C.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]

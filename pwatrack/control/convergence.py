@@ -7,8 +7,9 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
-from pwatrack.errors import Infeasible, Problem, Subject, Undecided, listed
+from pwatrack.errors import Infeasible, Problem, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver, lyapunov
@@ -124,6 +125,7 @@ def prove_convergence(
     subject: Subject = (),
     solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
+    remedy: Remedy | None = None,
 ) -> Certificate:
     """Prove M_i P + P M_iᵀ ≺ 0 for all cells, or say why not. With M_i = A_iᵀ this is (7).
 
@@ -135,7 +137,7 @@ def prove_convergence(
         role: Which inequality it is.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
-        hint: What to do where a cell is unstable by itself.
+        hint, remedy: What to do where a cell is unstable by itself.
 
     Raises:
         Infeasible: If it is proved that no P exists.
@@ -159,19 +161,23 @@ def prove_convergence(
             return best
         refutation = refutation or refute(M, no_input, solver=solver, exact=numbers)
     if refutation is None:
-        undecided = f"{claim} is undecided: found neither a common P nor a proof that none exists; "
-        raise Undecided(
-            Problem.of_many(
-                lambda most: undecided + eigenvalue_text(abscissa, cells, most),
-                subject=subject,
-                hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
-            )
-        )
+        raise _undecided(claim, abscissa, cells, subject)
     if not refutation.eigenvalues:
         hint = "they differ too much for one quadratic Lyapunov function: bring them closer, or damp them more"
-    raise Infeasible(
-        Problem.of_many(partial(_conflict_text, claim, refutation, abscissa, cells), subject=subject, hint=hint),
-        evidence=Impossibility(role=role, rate=0.0, refutation=refutation),
+        remedy = None
+    tell = partial(_conflict_text, claim, refutation, abscissa, cells)
+    problem = Problem.of_many(tell, subject=subject, hint=hint, remedy=remedy)
+    raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
+
+
+def _undecided(claim: str, abscissa: Array, cells: Sequence[str], subject: Subject) -> Undecided:
+    said = f"{claim} is undecided: found neither a common P nor a proof that none exists; "
+    return Undecided(
+        Problem.of_many(
+            lambda most: said + eigenvalue_text(abscissa, cells, most),
+            subject=subject,
+            hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
+        )
     )
 
 

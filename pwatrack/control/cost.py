@@ -7,6 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.causes import Part
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.coordinates import Coordinates
@@ -72,7 +73,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     raise Undecided(
         Problem(
             message=f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
-            subject=("design", task.role.name, "cost"),
+            subject=(task.role.part, Part.COST),
             hint="weights that differ less in size may help",
         )
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import each
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver
@@ -62,10 +63,11 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
         claim="(17), convergence of the zero dynamics,",
         cells=form.plant.cell_names,
         role=GENERATOR,
-        subject=("system", "cells"),
+        subject=(Part.CELLS,),
         solver=solver,
         hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "
-        "state tracking (Theorem 2, 'tracking: state'), which needs only (8) and (9)",
+        "state tracking (Theorem 2), which needs only (8) and (9)",
+        remedy=Remedy(Way.STATE_TRACKING),
     )
     return TrajectoryGenerator(
         form=form,

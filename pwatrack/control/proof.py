@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.causes import Part
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Design
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
@@ -54,8 +56,9 @@ def _prove(role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver
         raise Undecided(
             Problem(
                 message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
-                subject=("design",),
-                hint="the case is marginal; ask for less, or try the other solver",
+                subject=(Part.DESIGN,),
+                hint="the case is marginal: ask for less, or try the other solver",
+                remedy=other_solver(solver),
             )
         )
     found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, start=certificate.P, solver=solver)

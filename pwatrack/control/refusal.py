@@ -1,12 +1,15 @@
 """What is said where no gain was found for (8) or (9): the reason, the cells in conflict, how far it was."""
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 
 from pwatrack.arrays import Array, complex_text, number_text
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
+from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 
 
@@ -20,13 +23,14 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         margin: The best that was found, relative to the largest entries.
     """
     claim = f"{task.role.claim} at a rate of {rate:g} 1/s" if rate else task.role.claim
-    subject = ("design", task.role.name, "rate") if rate else task.subject
+    subject = (task.role.part, Part.RATE) if rate else task.subject
     if refutation is None:
         message = f"{claim} is undecided: no gain with a proof was found, and no proof that there is none"
         if np.isfinite(margin):
             message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
-        hint = "another actuator or measured output may help, or the other solver: --solver cvxopt"
-        return Undecided(Problem(message=message, subject=subject, hint=hint))
+        hint = "another actuator or measured output may help, or the other solver"
+        remedy = other_solver(task.solver)
+        return Undecided(Problem(message=message, subject=subject, hint=hint, remedy=remedy))
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
@@ -49,6 +53,16 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
     )
 
 
+def other_solver(solver: Solver) -> Remedy:
+    """Return the advice to ask the solver that was not asked.
+
+    Example:
+        >>> other_solver("clarabel").figures
+        ('cvxopt',)
+    """
+    return Remedy(Way.OTHER_SOLVER, tuple(name for name in get_args(Solver) if name != solver))
+
+
 def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
     """Return the refusal of a bound on the gain that the smallest gain found, of this norm, is above."""
     at_rate = f" at a rate of {rate:g} 1/s" if rate else ""
@@ -56,7 +70,7 @@ def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
         Problem(
             message=f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
             f"the smallest that was found has {norm:.4g}",
-            subject=("design", task.role.name, "gain"),
+            subject=(task.role.part, Part.BOUND),
             hint="allow a larger gain or a slower rate",
         )
     )
@@ -68,8 +82,9 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
         Problem(
             message=f"{task.role.claim} has no largest rate: "
             f"even {rate:.4g} 1/s can be reached, with ever larger gains",
-            subject=("design", task.role.name, "rate"),
-            hint="give a bound beside it, for example gain: 100, or the rate that is wanted",
+            subject=(task.role.part, Part.RATE),
+            hint="give a bound of the gain beside it, or the rate that is wanted",
+            remedy=Remedy(Way.GAIN_BOUND),
         )
     )
 

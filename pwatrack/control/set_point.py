@@ -7,8 +7,9 @@ import numpy as np
 from scipy.optimize import linprog
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.causes import Subject
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem, Subject
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import exosystem
 from pwatrack.rational import Rational, beside, decimals, floats, stacked

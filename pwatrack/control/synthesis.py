@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.causes import Part
 from pwatrack.control import refusal
 from pwatrack.control.candidates import Candidate, Candidates
 from pwatrack.control.convergence import best_certificate, prove_convergence
@@ -135,7 +136,7 @@ def _given(task: Task, K: Array) -> Proved:
         claim=f"{task.role.claim} for the given gain {letter}",
         cells=task.cells,
         role=task.role,
-        subject=("design", task.role.name, letter),
+        subject=(task.role.part, Part[letter]),
         solver=task.solver,
         hint=f"mind the signs: u = K (x̂ − x_d) + u_ff, + L (ŷ − y); or leave {letter} out to have it designed",
     )

@@ -7,7 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, each
-from pwatrack.errors import Subject
+from pwatrack.causes import Part, Subject
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Solver
@@ -52,7 +52,7 @@ class Task:
     @property
     def subject(self) -> Subject:
         """What a refusal of every gain is about."""
-        return ("system", "B" if self.role is CONTROLLER else "C")
+        return (Part.B if self.role is CONTROLLER else Part.C,)
 
     @property
     def centres(self) -> tuple[list[Rational], Rational] | None:

@@ -4,8 +4,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
+from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -35,17 +36,15 @@ def check_timing(
     worst, time = timing_error(plant, K, trajectory, outputs=outputs)
     if worst <= _ALLOWED:
         return
-    said, hint = "", "round the corners over a longer time"
-    if smooth is not None:
-        said = f"smooth: {smooth[0]:g} s is too short: "
-        hint = f"write 'smooth: {smooth[0] * (worst / _ALLOWED) ** (1 / smooth[1]):.1e}' (s) or more"
+    shortest = None if smooth is None else smooth[0] * (worst / _ALLOWED) ** (1 / smooth[1])
     raise InvalidSpec(
         Problem(
-            message=f"{said}the time of a break at t = {time:.6g} s is known to {_EPS * time:.1g} s, and the reference "
+            message=f"the time of a break at t = {time:.6g} s is known to {_EPS * time:.1g} s, and the reference "
             f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
             f"up to {_ALLOWED:g} is taken",
             subject=subject,
-            hint=hint,
+            hint="round its corners over a longer time",
+            remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
         )
     )
 

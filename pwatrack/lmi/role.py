@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.causes import Part
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +18,7 @@ class Role:
     Attributes:
         name: "controller", "observer", "generator" or "plant", as in the files that a run writes.
         claim: Its inequality, `"(8)"`.
+        part: What a refusal of it is about.
         letter: The gain that it has, "K" or "L"; empty where it has none.
         transposed: Whether M_i is the transpose of the matrix by which errors change: then P itself, and not P⁻¹,
             is the norm in which they shrink.
@@ -24,6 +26,7 @@ class Role:
 
     name: str
     claim: str
+    part: Part
     letter: str = ""
     transposed: bool = True
 
@@ -42,8 +45,8 @@ class Role:
         return X.transpose() if self.transposed else X
 
 
-PLANT = Role(name="plant", claim="(7)")
-CONTROLLER = Role(name="controller", claim="(8)", letter="K", transposed=False)
-OBSERVER = Role(name="observer", claim="(9)", letter="L")
-GENERATOR = Role(name="generator", claim="(17)")
+PLANT = Role(name="plant", claim="(7)", part=Part.PLANT)
+CONTROLLER = Role(name="controller", claim="(8)", part=Part.CONTROLLER, letter="K", transposed=False)
+OBSERVER = Role(name="observer", claim="(9)", part=Part.OBSERVER, letter="L")
+GENERATOR = Role(name="generator", claim="(17)", part=Part.CELLS)
 ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}

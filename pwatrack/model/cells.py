@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray, readonly
+from pwatrack.causes import Part
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
 from pwatrack.model.hyperplanes import claims, merge
@@ -135,7 +136,7 @@ class Partition:
             found = arrangement([primitive(plane) for plane in planes], most)
         except TooMany:
             message = f"{len(planes)} hyperplanes make more than {most:,} cells"
-            raise InvalidSpec(Problem(message=message, subject=("system",), hint="fewer nonlinearities")) from None
+            raise InvalidSpec(Problem(message=message, subject=(Part.PLANT,), hint="fewer nonlinearities")) from None
         bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
         signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
         return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)
@@ -146,7 +147,7 @@ class Partition:
         try:
             doubles = np.array([[float(v) for v in plane] for plane in exact]).reshape(len(exact), n + 1)
         except OverflowError:
-            problem = Problem(message="a border of the cells lies beyond the range of numbers", subject=("system",))
+            problem = Problem(message="a border of the cells lies beyond the range of numbers", subject=(Part.PLANT,))
             raise InvalidSpec(problem) from None
         return cls(
             H=readonly(doubles[:, :-1]),
@@ -330,7 +331,7 @@ class Partition:
         return [
             Problem(
                 message=f"cells '{self.names[i]}' and '{self.names[j]}' overlap, for example at x = {_point(witness)}",
-                subject=("system", "cells", j),
+                subject=(Part.CELLS, j),
                 hint="interiors of cells must be disjoint (Section II)",
             )
             for (i, j), witness in sorted(overlaps.items())
@@ -374,7 +375,7 @@ def _rescaled(plane: list[Fraction]) -> list[Fraction]:
 def _hole(x: Sequence[Fraction]) -> Problem:
     return Problem(
         message=f"the cells do not cover the state space: no cell contains x = {_point(x)}",
-        subject=("system", "cells"),
+        subject=(Part.CELLS,),
         hint="every state must belong to a cell (Section II)",
     )
 

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
-from pwatrack.model.pwa import linear_form_text
 from pwatrack.real import Real
 
 Number = Real | Fraction | float
@@ -129,42 +128,30 @@ class Nonlinearity:
     direction: Any
 
 
-def remarks(A: Array, states: Sequence[str], element: Nonlinearity, *, restoring: bool) -> list[str]:
-    """Return what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull.
+def drives_away(A: Array, element: Nonlinearity) -> list[int]:
+    """Return the states through which an element drives what it looks at away from where it acts.
 
     With s = row · x + constant and row · direction = 0, φ(s) enters s̈ through row A direction, the sum over the states
     that it drives. Where one of these terms has the sign of φ's slope, the element drives s away through that state.
 
     Args:
         A: (n, n), without the elements.
-        states: Names of the n states.
-        element: What is looked at.
-        restoring: Whether it is of a kind that pulls s back: a spring, a stop, a dead zone.
+        element: What is looked at. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
 
     Example: a spring of stiffness 4 that looks at z1 and pushes v1 on instead of back.
 
         >>> push = Nonlinearity(name="stop", function=spring(slope=4.0), row=np.array([1.0, 0.0]), constant=0.0,
         ...                     direction=np.array([0.0, 1.0]))
-        >>> remarks(np.array([[0.0, 1.0], [0.0, 0.0]]), ["z1", "v1"], push, restoring=True)
-        ["nonlinearity 'stop' pushes z1 on, away from where it acts: write into: {v1: -1} if it should pull it back"]
+        >>> drives_away(np.array([[0.0, 1.0], [0.0, 0.0]]), push)
+        [1]
     """
     slopes, row, d = (_doubles(values) for values in (element.function.slopes, element.row, element.direction))
-    if not d.any() or not slopes.any():
-        return [f"nonlinearity '{element.name}' acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
     signs = {float(np.sign(slope)) for slope in slopes if slope}
+    if len(signs) != 1 or row @ d != 0:
+        return []
     terms = (row @ A) * d
     size = np.abs(row) @ np.abs(A) * np.abs(d)  # a term below rounding says nothing
-    if not restoring or len(signs) > 1 or row @ d != 0:
-        return []
-    wrong = np.flatnonzero(terms * signs.pop() > 1e-12 * size)
-    if not len(wrong):
-        return []
-    back = ", ".join(f"{states[j]}: {number_text(-d[j])}" for j in map(int, wrong))
-    of = linear_form_text(row, states)
-    return [
-        f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
-        f"write into: {{{back}}} if it should pull it back"
-    ]
+    return [int(j) for j in np.flatnonzero(terms * signs.pop() > 1e-12 * size)]
 
 
 def _doubles(values: Sequence[Number]) -> Array:

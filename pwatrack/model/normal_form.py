@@ -7,12 +7,13 @@ import numpy as np
 
 from pwatrack.arrays import Array, balancing, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, stack
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.continuity import Repair
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
 from pwatrack.rational import Rational, floats
 
-_STATE_TRACKING = "state tracking (Theorem 2, 'tracking: state') needs no form (11), only (8) and (9)"
+_STATE_TRACKING = "state tracking (Theorem 2) needs no form (11), only (8) and (9)"
 _ZERO = 0.25  # of the worst rounding error, below which δ counts as 0
 _FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
@@ -86,8 +87,9 @@ def normal_form(plant: PWASystem) -> NormalForm:
             Problem(
                 message=f"output tracking (Theorem 3) needs one input and one output, the plant has "
                 f"{plant.B.shape[1]} and {plant.C.shape[0]}",
-                subject=("system",),
+                subject=(Part.PLANT,),
                 hint=_STATE_TRACKING,
+                remedy=Remedy(Way.STATE_TRACKING),
             )
         )
     rows, delta = _output_derivatives(plant)
@@ -209,8 +211,9 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
                     message=f"not of form (11): row C A^{len(rows)} differs between cells '{one}' and '{other}' "
                     f"before the input enters: entry '{plant.states[column]}' is "
                     f"{number_text(following[0, column], '.6g')} and {number_text(following[cell, column], '.6g')}",
-                    subject=("system", "C"),
+                    subject=(Part.C,),
                     hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
+                    remedy=Remedy(Way.STATE_TRACKING),
                 )
             )
         c = following[0]
@@ -221,8 +224,9 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
         Problem(
             message=f"no relative degree in cell '{plant.cell_names[0]}': the input never reaches the output "
             f"'{plant.outputs[0]}'",
-            subject=("system", "B"),
+            subject=(Part.B,),
             hint=f"measure another output or add an actuator; {_STATE_TRACKING}",
+            remedy=Remedy(Way.STATE_TRACKING),
         )
     )
 
@@ -232,7 +236,7 @@ def _unsure(r: int, delta: float, doubt: float) -> OutsideTheory:
         Problem(
             message=f"the relative degree is not sure: C A^{r - 1} B = {delta:.3g} may be rounding, "
             f"which can reach {doubt:.3g}",
-            subject=("system", "B"),
+            subject=(Part.B,),
             hint="write the plant in states of similar size that act on each other directly",
         )
     )

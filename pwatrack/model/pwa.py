@@ -8,6 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, stack
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
@@ -225,17 +226,16 @@ class PWASystem:
             row = np.argmax(np.abs(jump.b))
             figure = f"b jumps by {abs(jump.b[row]):.6g} (row '{self.states[row]}')"
         one, other = self.cell_names[facet.i], self.cell_names[facet.j]
-        proposal = self._missing_offset(facet)
+        hint, remedy = self._remedy(facet, tolerance)
         return Problem(
             message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: {figure}, "
             f"{jump.relative:.1e} of that equation's terms there; the field must be continuous (eq. (1))",
-            subject=("system", "cells", facet.i, "A" if in_A else "b"),
-            hint=proposal
-            or "correct the cell; for data rounded in print, 'tolerance: {continuity: …}' accepts a larger jump "
-            f"(in force: {tolerance:g})",
+            subject=(Part.CELLS, facet.i, Part.A if in_A else Part.b),
+            hint=hint,
+            remedy=remedy,
         )
 
-    def _missing_offset(self, facet: Facet) -> str:
+    def _remedy(self, facet: Facet, tolerance: float) -> tuple[str, Remedy]:
         """Propose a b for a cell without one, of the two at a facet: for the one that is not around the origin."""
         H, h = self.partition.H[facet.k], float(self.partition.h[facet.k])
         i, j = facet.i, facet.j
@@ -245,8 +245,10 @@ class PWASystem:
             b = continuous_offset(self.A[cell], self.A[other], self.b[other], H, h)
             if b is not None and not self.b[cell].any():
                 entries = ", ".join(number_text(value, ".9g") for value in b)
-                return f"b: [{entries}] in cell '{self.cell_names[cell]}' would make it continuous there"
-        return ""
+                name = self.cell_names[cell]
+                return f"b = ({entries}) in cell '{name}' would mend it", Remedy(Way.OFFSET, (entries, name))
+        hint = "correct the cell; for data rounded in print, a larger tolerance accepts a larger jump"
+        return hint, Remedy(Way.TOLERANCE, (tolerance,))
 
 
 def _joined(A: BallMatrix, b: BallMatrix) -> BallMatrix:

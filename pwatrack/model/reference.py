@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.errors import OutsideTheory, Problem, Subject
+from pwatrack.causes import Remedy, Subject, Way
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.course import Course, Profile
 from pwatrack.model.signal import Signal
 
@@ -248,7 +249,8 @@ def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
             Problem(
                 message=f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
                 subject=subject,
-                hint="give the interval it is meant for: {formula: …, until: T}, with T in s",
+                hint="give the interval it is meant for",
+                remedy=Remedy(Way.INTERVAL),
             )
         )
 
@@ -268,7 +270,8 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
                     message=f"{name} is not {r} times differentiable, as relative degree {r} needs: "
                     f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
                     subject=subject,
-                    hint="write 'smooth: T' (s) inside its step, trapezoid or polyline, or choose a smoother one",
+                    hint="round its corners, or choose a smoother one",
+                    remedy=Remedy(Way.ROUNDED_CORNERS),
                 )
             )
 

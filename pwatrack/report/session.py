@@ -153,8 +153,9 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
-    gains = controller.design
-    return [
-        pareto(Task.of(spec.problem.plant, CONTROLLER, spec.objectives.solver), gains.K, gains.controller.rate),
-        pareto(Task.of(spec.problem.plant, OBSERVER, spec.objectives.solver), gains.L.T, gains.observer.rate),
-    ]
+    gains, plant, solver = controller.design, spec.problem.plant, spec.objectives.solver
+    with spec.located():
+        return [
+            pareto(Task.of(plant, CONTROLLER, solver), gains.K, gains.controller.rate),
+            pareto(Task.of(plant, OBSERVER, solver), gains.L.T, gains.observer.rate),
+        ]

@@ -8,16 +8,17 @@ from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import Array, balancing
 from pwatrack.ball_matrix import different
+from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import CheckFailed, Infeasible, Problem, Subject, Undecided
+from pwatrack.errors import CheckFailed, Infeasible, Problem, Undecided
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
-from pwatrack.simulation.desired import blocks
+from pwatrack.simulation.visits import blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
@@ -129,7 +130,8 @@ def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) ->
         message=f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
         f"tenth of {horizon:g} s, {before[k]:.3g} before; Theorem 2 is about a bounded x_d",
         subject=subject,
-        hint="the plant does not stay bounded under these inputs by itself: give x_d as state or setpoint instead",
+        hint="the plant does not stay bounded under these inputs by itself",
+        remedy=Remedy(Way.DESIRED_STATE),
     )
 
 

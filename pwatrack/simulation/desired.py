@@ -1,25 +1,22 @@
-"""What must hold along x_d(t) for Theorem 2, decided by walking it: (3), and that it stays bounded."""
+"""What must hold along x_d(t) for Theorem 2, decided by walking it: (3)."""
 
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array
+from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem, Subject, Undecided
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import pieces, trace_blocks
-from pwatrack.simulation.trace import Trace
+from pwatrack.simulation.visits import stays
 
 BoolArray = NDArray[np.bool_]
-_SAMPLES, _BLOCK = 2000, 500  # of a walk: it stops after the block in which something is found
-_LONGEST = 5e6  # radians, or time constants, that a walk may take
 _LOOKS = 64  # times at which the largest residual of a stay is looked for
+_PRINTED = 1e-6  # of the terms of an equation: what is left over by constants in decimals is less
 _GOLDEN = (5**0.5 - 1) / 2  # its multiples are in step with no signal
 
 
@@ -67,56 +64,12 @@ def _stays(
     """Yield (cell, from, to) of what x_d spends on one piece in a cell where (3) does not hold there."""
     system = trajectory.exosystem
     starts = np.unique(np.append(0.0, [r.t for r in system.resets if r.t < duration]))
-    walked = _walk(plant, trajectory, np.append(system.w0, 1.0), duration) if len(plant.A) > 1 else ()
+    walked = stays(plant, trajectory, np.append(system.w0, 1.0), duration) if len(plant.A) > 1 else ()
     for cell, start, end in walked or [(0, 0.0, duration)]:
         first, last = np.searchsorted(starts, [start, end], side="right") - 1
         for k in range(first, last + 1):
             if wrong[cell, k]:
                 yield cell, max(start, starts[k]), min(end, starts[k + 1] if k + 1 < len(starts) else end)
-
-
-def _walk(
-    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float
-) -> Iterator[tuple[int, float, float]]:
-    """Yield (cell, from, to) of each stay of x_d, long ones in parts."""
-    cell, since = -1, 0.0
-    for trace in blocks(plant, trajectory, z0, duration):
-        cell = trace.first_mode[0] if cell < 0 else cell
-        for event in trace.events:
-            yield cell, since, event.t
-            cell, since = event.after[0], event.t
-        if trace.t[-1] > since:
-            yield cell, since, float(trace.t[-1])
-            since = float(trace.t[-1])
-    if duration > since:
-        yield cell, since, duration
-
-
-def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
-    """Walk (η̂, w, 1) for a time, with the cells of x_d.
-
-    Raises:
-        Undecided: If that would take too long.
-        CheckFailed: As `simulate_flow`.
-    """
-    system, p = trajectory.exosystem, trajectory.rate.shape[1]
-    radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
-    if radians > _LONGEST:
-        raise Undecided(
-            Problem(
-                message=f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
-                f"at most {_LONGEST:.0e} are walked",
-                subject=("reference",),
-                hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
-            )
-        )
-    F0 = block_diag(np.zeros((p, p)), system.S, np.zeros((1, 1)))
-    F = np.zeros((len(plant.A), *F0.shape))
-    F[:, :p] = trajectory.rate
-    part = SwitchedPart.of("x_d", plant, trajectory.x_d, F)
-    resets = pieces(system, slice(p, p + len(system.w0)))
-    step = duration / _SAMPLES
-    return trace_blocks(Flow(F0=F0, parts=(part,)), z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
 
 
 def _problems(
@@ -129,14 +82,16 @@ def _problems(
     times = start + np.append(fractions * (end - start), fractions * short)
     left = np.abs(rest.at(cell, times))
     k = int(np.argmax((left / scale).max(axis=1)))
+    rounded = left[k] <= _PRINTED * scale
     return [
         Problem(
             message=f"x_d is not realisable: at t = {times[k]:.6g} s in cell '{plant.cell_names[cell]}' no input "
             f"satisfies the equation of state '{plant.states[j]}' in (3); {left[k, j]:.4g} is left over",
             subject=(*subject, j),
-            hint="a state that the input does not drive directly must follow from the others"
-            if left[k, j] > 1e-6 * scale[j]
-            else f"that is {left[k, j] / scale[j]:.1e} of its terms: write 2*pi instead of its decimals, and the like",
+            hint=f"that is {left[k, j] / scale[j]:.1e} of its terms"
+            if rounded[j]
+            else "a state that the input does not drive directly must follow from the others",
+            remedy=Remedy(Way.EXACT_NUMBERS) if rounded[j] else None,
         )
         for j in np.flatnonzero(left[k] > ROUNDING * scale).tolist()
     ]

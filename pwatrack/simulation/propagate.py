@@ -12,14 +12,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, balancing
+from pwatrack.causes import Part
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Event, Trace, Unresolved
 
-_MOST_STEPS = 20_000_000, 10  # of a run, and for each sample more: half a minute, and ten times what a sample takes
-_MOST_EVENTS = 1_000_000  # at a time in memory
+MOST_STEPS = 20_000_000, 10  # of a run, and for each sample more: half a minute, and ten times what a sample takes
+MOST_EVENTS = 1_000_000  # at a time in memory
 _MOST_FINEST = 2.0**52  # finest steps of a run: their times must be different numbers
 _MOST_RADIANS = 2.0**32  # of what oscillates for good: its phase is then right to 1e-6
 _LASTING = 50.0, 1e-9  # time constants in a run, or part of its frequency, below which a decay does not count
@@ -191,7 +192,7 @@ class Walk:
         first = propagator.modes.number(tuple((cells - starts).tolist()))
         self.state: Any = np.zeros(1, kernel.STATE)
         self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
-        self.state["left"] = _MOST_STEPS[0] + _MOST_STEPS[1] * samples
+        self.state["left"] = MOST_STEPS[0] + MOST_STEPS[1] * samples
         self.near_since = np.full(len(places), np.inf)
         self._at = kernel.Trajectory(
             state=self.state,
@@ -242,11 +243,11 @@ class Walk:
                 if modes.number(tuple((self._at.cells - field.first[:-1]).tolist())) is None:
                     raise self._too_much(f"enters more than {modes.most:,} joint modes")
             elif stop == kernel.FULL:
-                if max(self.events, int(self.state[0]["nears"])) > _MOST_EVENTS:
-                    raise self._too_much(f"has more than {_MOST_EVENTS:,} mode changes")
+                if max(self.events, int(self.state[0]["nears"])) > MOST_EVENTS:
+                    raise self._too_much(f"has more than {MOST_EVENTS:,} mode changes")
                 self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
             elif stop == kernel.SPENT:
-                many, each = _MOST_STEPS
+                many, each = MOST_STEPS
                 raise self._too_much(f"takes more than {many:,} steps and {each} for each sample")
             else:
                 at = self.state[0]
@@ -267,7 +268,7 @@ class Walk:
             "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
         )
         message = f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s"
-        return CheckFailed(Problem(message=message, subject=("simulation", "duration"), hint=hint))
+        return CheckFailed(Problem(message=message, subject=(Part.DURATION,), hint=hint))
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
@@ -351,7 +352,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
     """Refuse a run whose times or oscillations floating point cannot resolve."""
-    subject, rate, end = ("simulation", "duration"), float(np.linalg.norm(flow.size(), 2)), (samples - 1) * sample_time
+    subject, rate, end = (Part.DURATION,), float(np.linalg.norm(flow.size(), 2)), (samples - 1) * sample_time
     if not (samples - 1) * max(1.0, 4 * rate * sample_time) <= _MOST_FINEST:
         message = (
             f"{end:.6g} s are too long for a closed loop with rates of {rate:.3g} 1/s: these are {rate * end:.3g} time "

@@ -60,7 +60,7 @@ class Spool:
 
     def _full(self, error: OSError) -> InvalidSpec:
         message = f"cannot keep the samples of the run in {self._folder}: {error.strerror or error}"
-        hint = "set TMPDIR to a folder with room, or take a longer sample_time: it moves no event"
+        hint = "set TMPDIR to a folder with room, or take a longer sample time: it moves no event"
         return InvalidSpec(Problem(message=message, hint=hint))
 
 

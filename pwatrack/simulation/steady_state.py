@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import simulate_flow
@@ -70,8 +71,9 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         Problem(
             message=f"no periodic solution of period {period:.6g} s was found: the state still moves by "
             f"{np.abs(miss).max():.2g} in one period",
-            subject=("reference", "start"),
-            hint="the plant may not converge by itself, or be in resonance: give x_d(0) as start instead",
+            subject=(Part.START,),
+            hint="the plant may not converge by itself, or be in resonance",
+            remedy=Remedy(Way.DESIRED_START),
         )
     )
 

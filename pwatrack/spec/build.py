@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
+from pwatrack.arrays import Array, number_text, readonly
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course
-from pwatrack.model.nonlinearity import Nonlinearity, generate_cells, remarks
-from pwatrack.model.pwa import PWASystem
+from pwatrack.model.nonlinearity import Nonlinearity, drives_away, generate_cells
+from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import (
     InputReference,
     OutputReference,
@@ -45,8 +46,7 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         elements = _elements(system)
         partition, A, b = generate_cells(system.A, system.b or [Real.of(0)] * len(system.states), elements)
         for section, element in zip(system.nonlinearities or [], elements, strict=True):
-            restoring = isinstance(section, SpringSection | DeadZoneSection)
-            odd += remarks(_doubles(system.A or []), system.states, element, restoring=restoring)
+            odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
     else:
         cells = system.cells
         partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
@@ -95,6 +95,22 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if kind == "state":
         return StateReference(tuple(courses))
     return InputReference(tuple(courses), readonly(section.start) if section.start else None)
+
+
+def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) -> list[str]:
+    """Say what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull."""
+    d, slopes = np.array([float(v) for v in element.direction]), any(map(float, element.function.slopes))
+    if not d.any() or not slopes:
+        return [f"nonlinearity '{element.name}' acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
+    wrong = drives_away(_doubles(system.A or []), element) if restoring else []
+    if not wrong:
+        return []
+    back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
+    of = linear_form_text(np.array([float(v) for v in element.row]), system.states)
+    return [
+        f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
+        f"write into: {{{back}}} if it should pull it back"
+    ]
 
 
 def _refuse_other_B(system: SystemSection) -> None:

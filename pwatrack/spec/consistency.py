@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from pwatrack.errors import Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.names import unknown_names
 from pwatrack.spec.paths import path_text

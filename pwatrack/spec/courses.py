@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PPoly
 
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.paths import path_text

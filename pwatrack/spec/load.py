@@ -20,6 +20,7 @@ from pwatrack.spec.problems import shape_problems, size_problems, validation_pro
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
 from pwatrack.spec.schema import ExpectSection, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
+from pwatrack.spec.spelling import located
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
@@ -45,7 +46,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     path = Path(path)
     document, digest = _read(path)
     if too_much := size_problems(document.data):
-        raise InvalidSpec(*document.problems, *too_much).located(document.places).sorted()
+        raise located(InvalidSpec(*document.problems, *too_much), document.places).sorted()
     values, problems = evaluated(document.data.get("parameters", {}), parameters or {})
     context = Context(
         parameters=values,
@@ -66,7 +67,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         reference = build_reference(file.reference, plant.outputs, folder, simulation.duration)
         conditions = build_conditions(simulation, plant, parametric, folder)
     except PwatrackError as error:
-        raise error.located(document.places) from None
+        raise located(error, document.places) from None
     return Spec(
         name=file.name,
         path=path,
@@ -100,7 +101,7 @@ def _checked(document: Document, context: Context, problems: list[Problem]) -> S
         problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
         problems += condition_problems(file, context.parameters)
     if problems:
-        raise InvalidSpec(*problems).located(document.places).sorted()
+        raise located(InvalidSpec(*problems), document.places).sorted()
     return file
 
 

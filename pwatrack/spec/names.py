@@ -4,7 +4,8 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from pwatrack.errors import Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.paths import at_path, path_text
 from pwatrack.spec.problems import MOST

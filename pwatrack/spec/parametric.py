@@ -4,7 +4,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.spec.build import build_plant

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pwatrack.errors import Subject
+from pwatrack.causes import Subject
 
 _LONGEST_PART = 100  # characters of one key in a path
 

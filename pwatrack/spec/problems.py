@@ -6,7 +6,8 @@ from typing import Any, get_args, get_origin
 
 from pydantic import ValidationError
 
-from pwatrack.errors import Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.paths import at_path, path_text

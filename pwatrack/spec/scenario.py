@@ -1,28 +1,26 @@
 """Checked sections -> the objectives of a design, and the scenario that is simulated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import readonly
+from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
-from pwatrack.errors import Subject
 from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
-from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.schema import (
     CourseSection,
     DesignSection,
-    EllipsoidSection,
     GoalSection,
     SimulationSection,
-    StartRegionsSection,
 )
 from pwatrack.spec.spec import InitialStates, Objectives, Scenario
+from pwatrack.spec.starts import in_order, regions
 
 
 def build_objectives(section: DesignSection) -> Objectives:
@@ -94,7 +92,7 @@ def build_conditions(
 
 def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
     """Return what is simulated under given conditions."""
-    plant, observer = (_ordered(values, states) for values in (section.initial.plant, section.initial.observer))
+    plant, observer = (in_order(values, states) for values in (section.initial.plant, section.initial.observer))
     generator = section.initial.generator
     initial = InitialStates(
         plant=plant, observer=observer, generator=None if generator is None else readonly(generator)
@@ -104,43 +102,7 @@ def build_scenario(section: SimulationSection, states: Sequence[str], conditions
         sample_time=section.sample_time,
         initial=initial,
         conditions=conditions,
-        regions=_regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
+        regions=regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
         portraits=tuple((first, second) for first, second in section.portraits),
     )
-
-
-def _ordered(values: Mapping[str, float] | Sequence[float] | None, states: Sequence[str]) -> Array | None:
-    """Return initial values in the order of the states; those that are not named are 0."""
-    if values is None:
-        return None
-    return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)
-
-
-def _regions(
-    section: StartRegionsSection | None, states: Sequence[str], nominal: Mapping[str, Array | None]
-) -> dict[str, Region]:
-    """Return where the members of an ensemble start, by part; entries that are not named stay at their nominal value.
-
-    Args:
-        section: None for nothing.
-        states: Names of the states of plant and observer.
-        nominal: Initial states of both by part; None for zero.
-    """
-    regions: dict[str, Region] = {}
-    for part in ("plant", "observer"):
-        asked, start = getattr(section, part, None), nominal[part]
-        if asked is None:
-            continue
-        center = dict(zip(states, [0.0] * len(states) if start is None else start.tolist(), strict=True))
-        if isinstance(asked, EllipsoidSection):
-            center |= asked.ellipsoid.center
-            radii = [asked.ellipsoid.radii.get(name, 0.0) for name in states]
-            regions[part] = Ellipsoid(center=readonly(list(center.values())), radii=readonly(radii))
-        else:
-            bounds = [asked.get(name, [value, value]) for name, value in center.items()]
-            regions[part] = Box(low=readonly([low for low, _ in bounds]), high=readonly([high for _, high in bounds]))
-    if section is not None and section.generator is not None:
-        low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
-        regions["generator"] = Box(low=readonly(low), high=readonly(high))
-    return regions

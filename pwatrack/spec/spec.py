@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from pwatrack.arrays import Array
+from pwatrack.causes import Subject
 from pwatrack.control.goal import Goal
-from pwatrack.errors import Place, PwatrackError, Subject
+from pwatrack.errors import Place, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
@@ -16,6 +17,7 @@ from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.spelling import located
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,4 +121,4 @@ class Spec:
         try:
             yield
         except PwatrackError as error:
-            raise error.located(self.places) from None
+            raise located(error, self.places) from None

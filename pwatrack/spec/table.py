@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.errors import InvalidSpec, Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Table
 
-_LARGEST_FILE = 50_000_000  # bytes
-_MOST_ROWS = 200_000
+LARGEST_FILE = 50_000_000  # bytes
+MOST_ROWS = 200_000
 _LARGEST = 1e60  # value: the same as for a number of a description
 _FINEST = 1e-12  # of the time: rows that are closer are one time, but for rounding
 
@@ -52,16 +53,16 @@ def _rows(path: Path) -> list[list[str]]:
     if not stat.S_ISREG(found.st_mode):
         raise ValueError("not a regular file")
     with path.open("rb") as file:
-        content = file.read(_LARGEST_FILE + 1)
-    if len(content) > _LARGEST_FILE:
-        raise ValueError(f"more than {_LARGEST_FILE:,} bytes, which is the most that is read")
+        content = file.read(LARGEST_FILE + 1)
+    if len(content) > LARGEST_FILE:
+        raise ValueError(f"more than {LARGEST_FILE:,} bytes, which is the most that is read")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"not UTF-8 text: byte {content[error.start]:#04x} at position {error.start + 1}") from None
     rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), skipinitialspace=True) if row]
-    if len(rows) - 1 > _MOST_ROWS:
-        raise ValueError(f"{len(rows) - 1:,} rows, at most {_MOST_ROWS:,} are read")
+    if len(rows) - 1 > MOST_ROWS:
+        raise ValueError(f"{len(rows) - 1:,} rows, at most {MOST_ROWS:,} are read")
     return rows
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import yaml
 from yaml.reader import Reader
 
-from pwatrack.errors import InvalidSpec, Place, Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, Place, Problem
 
 _USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
 _DEEPEST = 20

@@ -1,0 +1,93 @@
+"""What refusals are about, and what may help, in the paths and words of a file and of the command line."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from pwatrack.causes import Part, Subject, Way
+from pwatrack.errors import Place, Problem, PwatrackError
+
+_PATHS: Mapping[Part, Subject] = {
+    Part.PLANT: ("system",),
+    Part.CELLS: ("system", "cells"),
+    Part.B: ("system", "B"),
+    Part.C: ("system", "C"),
+    Part.REFERENCE: ("reference",),
+    Part.START: ("reference", "start"),
+    Part.DESIGN: ("design",),
+    Part.CONTROLLER: ("design", "controller"),
+    Part.OBSERVER: ("design", "observer"),
+    Part.DURATION: ("simulation", "duration"),
+    # of a cell
+    Part.A: ("A",),
+    Part.b: ("b",),
+    # of a gain
+    Part.K: ("K",),
+    Part.L: ("L",),
+    Part.RATE: ("rate",),
+    Part.BOUND: ("gain",),
+    Part.COST: ("cost",),
+}
+_WORDS: Mapping[Way, str] = {
+    Way.STATE_TRACKING: "{hint}: write 'tracking: state'",
+    Way.OFFSET: "b: [{0}] in cell '{1}' would make it continuous there",
+    Way.TOLERANCE: "correct the cell; for data rounded in print, 'tolerance: {{continuity: …}}' accepts a larger jump "
+    "(in force: {0:g})",
+    Way.INTERVAL: "{hint}: {{formula: …, until: T}}, with T in s",
+    Way.ROUNDED_CORNERS: "write 'smooth: T' (s) inside its step, trapezoid or polyline, or choose a smoother one",
+    Way.LONGER_ROUNDING: "write 'smooth: {0:.1e}' (s) or more",
+    Way.EXACT_NUMBERS: "{hint}: write 2*pi instead of its decimals, and the like",
+    Way.OTHER_SOLVER: "{hint}: --solver {0}",
+    Way.GAIN_BOUND: "give a bound beside it, for example gain: 100, or the rate that is wanted",
+    Way.DESIRED_STATE: "{hint}: give x_d as state or setpoint instead",
+    Way.DESIRED_START: "{hint}: give x_d(0) as start instead",
+}
+
+
+def path_of(subject: Subject) -> Subject:
+    """Return the path in a file of what a refusal is about.
+
+    Example:
+        >>> path_of((Part.CELLS, 2, Part.A)), path_of((Part.OBSERVER, Part.RATE)), path_of(("parameters", "k"))
+        (('system', 'cells', 2, 'A'), ('design', 'observer', 'rate'), ('parameters', 'k'))
+    """
+    return tuple(step for part in subject for step in (_PATHS[part] if isinstance(part, Part) else (part,)))
+
+
+def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> PwatrackError:
+    """Return the same refusal in the words of the file, with the place of the nearest path that is written there.
+
+    Example:
+        >>> from pwatrack.errors import Undecided
+        >>> from pwatrack.causes import Remedy
+        >>> problem = Problem(message="(8) is undecided", subject=(Part.CONTROLLER, Part.RATE),
+        ...     hint="the other solver may help", remedy=Remedy(Way.OTHER_SOLVER, ("cvxopt",)))
+        >>> print(located(Undecided(problem), {("design",): Place("a.yaml", 7, 1)}))
+        a.yaml:7:1: (8) is undecided
+          hint: the other solver may help: --solver cvxopt
+    """
+    return type(refusal)(*(_located(p, places) for p in refusal.problems), evidence=refusal.evidence)
+
+
+def spelled(problem: Problem) -> Problem:
+    """Return the same problem with what may help in the words of a file or the command line.
+
+    Example:
+        >>> from pwatrack.causes import Remedy
+        >>> spelled(Problem(message="", hint="give its interval", remedy=Remedy(Way.INTERVAL))).hint
+        'give its interval: {formula: …, until: T}, with T in s'
+    """
+    if problem.remedy is None:
+        return problem
+    words = _WORDS[problem.remedy.way].format(*problem.remedy.figures, hint=problem.hint)
+    return replace(problem, hint=words, remedy=None)
+
+
+def _located(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
+    problem = spelled(problem)
+    if problem.place is not None or problem.subject is None:
+        return problem
+    subject = path_of(problem.subject)
+    problem = replace(problem, subject=subject)
+    while subject and subject not in places:
+        subject = subject[:-1]
+    return replace(problem, place=places.get(subject))

@@ -1,0 +1,112 @@
+"""The limits that the code keeps: sizes, and which words belong to which room."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+from pwatrack.causes import Part, Remedy, Way
+from pwatrack.errors import Problem
+from pwatrack.spec.problems import known_keys
+from pwatrack.spec.spelling import path_of, spelled
+
+HOUSE = Path(__file__).parents[1] / "pwatrack"
+MODULES = sorted(HOUSE.rglob("*.py"))
+LONG_MODULES = {"simulation/kernel.py", "lmi/audit.py"}  # the compiled walk in one file; the check that runs alone
+LONG_FUNCTIONS = {"walk"}
+BELOW = ("model", "lmi", "control", "simulation")  # rooms that know no file and no command line
+
+
+def lines(module: Path) -> int:
+    return len(module.read_text(encoding="utf-8").splitlines())
+
+
+def name(module: Path) -> str:
+    return module.relative_to(HOUSE).as_posix()
+
+
+def test_no_module_is_long_and_half_of_them_are_short() -> None:
+    assert {name(m) for m in MODULES if lines(m) > 450} == LONG_MODULES
+    assert median(map(lines, MODULES)) <= 140
+
+
+def test_no_function_is_long() -> None:
+    found = {
+        f"{name(module)}: {node.name}"
+        for module in MODULES
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.name not in LONG_FUNCTIONS
+        and (node.end_lineno or 0) - node.lineno >= 60
+    }
+    assert not found
+
+
+def test_tests_and_benchmarks_call_nothing_private() -> None:
+    private = re.compile(r"(?<!self)(?<!cls)\._(?!replace\b|asdict\b|fields\b|_)\w|import .*(?<=[ ,])_[a-z]")
+    for file in [*Path(__file__).parent.glob("*.py"), *(HOUSE.parent / "benchmarks").glob("*.py")]:
+        for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
+            assert "_private" in line or not private.search(line), f"{file.name}:{number}: {line.strip()}"
+
+
+def test_the_tree_of_architecture_is_true() -> None:
+    tree = (HOUSE.parent / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("Why things are")[0]
+    listed, room = {"__main__.py", "batch/run.py"}, ""
+    for line in tree.splitlines():
+        if found := re.match(r"    (\w+)/ ", line):
+            room = found[1] + "/"
+        elif found := re.match(r"    ((?:\w+\.py )+)", line):
+            listed |= set(found[1].split())
+        elif found := re.match(r"        (\w+\.py) ", line):
+            listed.add(room + found[1])
+    assert listed == {name(module) for module in MODULES if module.name != "__init__.py"}
+
+
+def texts(module: Path) -> Iterator[tuple[int, str]]:
+    """Yield every text that a module may print: no docstrings; a figure in a text is one character."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    silent = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            silent |= {id(part) for part in node.values}
+            yield node.lineno, "".join(str(v.value) if isinstance(v, ast.Constant) else "0" for v in node.values)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in silent:
+            yield node.lineno, node.value
+
+
+@pytest.mark.parametrize("room", BELOW)
+def test_rooms_below_know_no_words_of_files_or_command_line(room: str) -> None:
+    """They say `Part` and `Way`; `spec/spelling.py` has the words."""
+    keys = "|".join(map(re.escape, known_keys()))
+    words = re.compile(rf"--[a-z]|YAML|(?:^|['{{])(?:{keys}): |[ (](?:{keys}): ?[\d\[{{…]")
+    for module in (HOUSE / room).glob("*.py"):
+        if name(module) == "lmi/audit.py":
+            continue
+        for number, text in texts(module):
+            assert not words.search(text), f"{name(module)}:{number}: {text}"
+
+
+@pytest.mark.parametrize("room", BELOW)
+def test_rooms_below_know_no_paths_of_files(room: str) -> None:
+    for module in (HOUSE / room).glob("*.py"):
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.keyword) and node.arg == "subject":
+                path = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+                assert not any(isinstance(part, str) for part in path), f"{name(module)}:{node.value.lineno}"
+
+
+@pytest.mark.parametrize("part", Part)
+def test_every_part_has_a_path_in_a_file(part: Part) -> None:
+    assert all(step in known_keys() for step in path_of((part,)))
+
+
+@pytest.mark.parametrize("way", Way)
+def test_every_way_has_words(way: Way) -> None:
+    figures = (0.5, "stop") if way is not Way.OFFSET else ("0, 1", "stop")
+    hint = spelled(Problem(message="wrong", hint="change it", remedy=Remedy(way, figures))).hint
+    assert hint != "change it"
+    assert "{hint}" not in hint
