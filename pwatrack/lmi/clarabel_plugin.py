@@ -3,6 +3,7 @@
 from typing import Any
 
 import clarabel
+import cvxopt
 import numpy as np
 import picos
 from picos.constraints import AffineConstraint, LMIConstraint
@@ -73,7 +74,7 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
             offsets[variable] = offset
             offset += variable.dim
         self._offsets, self._size = offsets, offset
-        rows, sides, cones = [], [], []
+        rows, sides, cones, places = [], [], [], []
         for constraint in self._constraints():
             G, h = self._affine(constraint.smaller - constraint.greater)
             if isinstance(constraint, LMIConstraint):
@@ -85,11 +86,12 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
                 cones.append(clarabel.ZeroConeT(len(h)))
             else:
                 cones.append(clarabel.NonnegativeConeT(len(h)))
+            places.append((constraint, len(h)))
             rows.append(G)
             sides.append(-h)
         direction, objective = self.ext.no
         cost = self._affine(objective)[0].toarray().ravel() * (-1.0 if direction == "max" else 1.0)
-        data: Any = (cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones)
+        data: Any = (cost, sparse.vstack(rows, format="csc"), np.concatenate(sides), cones, places)
         self.int = data
 
     def _update_problem(self) -> None:
@@ -97,7 +99,7 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
 
     def _solve(self) -> Any:
         data: Any = self.int
-        cost, G, h, cones = data
+        cost, G, h, cones, places = data
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
@@ -116,10 +118,10 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
                 raise ArithmeticError(f"Clarabel failed: {error}") from None
             raise
         primal, dual, problem = _STATUS.get(answer.status, (SS_UNKNOWN, SS_UNKNOWN, PS_UNKNOWN))
-        x = np.array(answer.x)
+        x, z = np.array(answer.x), iter(np.split(np.array(answer.z), np.cumsum([size for _, size in places])[:-1]))
         return picos.Solution(
             primals={v: x[k : k + v.dim].tolist() for v, k in self._offsets.items()},
-            duals={},
+            duals={constraint: _dual(constraint, next(z)) for constraint, _ in places},
             problem=self.ext,
             solver="Clarabel",
             primalStatus=primal,
@@ -140,6 +142,18 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
         G, h = expression.sparse_matrix_form(varOffsetMap=self._offsets, dense_b=True)
         entries = np.array(G.V).ravel(), (np.array(G.I).ravel(), np.array(G.J).ravel())
         return sparse.csr_matrix(entries, shape=(G.size[0], self._size)), np.array(h).ravel()
+
+
+def _dual(constraint: Any, z: Any) -> Any:
+    """Return what PICOS calls the dual: a matrix for a semidefinite constraint."""
+    if not isinstance(constraint, LMIConstraint):
+        return cvxopt.matrix(z if not constraint.is_equality() else -z)
+    order = constraint.size[0]
+    take, weight = _upper_triangle(order)
+    Z = np.zeros(order * order)
+    Z[take] = z / weight
+    Z = Z.reshape(order, order)
+    return cvxopt.matrix(Z + Z.T - np.diag(Z.diagonal()))
 
 
 def _upper_triangle(order: int) -> tuple[Any, Any]:

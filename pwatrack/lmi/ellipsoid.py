@@ -22,11 +22,11 @@ from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi import primal_dual
 from pwatrack.lmi.exact import unpacked, unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
+from pwatrack.lmi.solve import solve
 from pwatrack.rational import Rational, is_positive_definite, scalar
 
 _BITS = 40  # of the entries of Q, once its diagonal is about 1
@@ -152,7 +152,7 @@ def _smallest(
     drive = np.outer(column, column) / (short * size)
     W = W / total + 1e-9 * np.eye(N) / N
     program = least_sizes(weighted(scaled + short / 2 * np.eye(N), drive), W)
-    found = primal_dual.solve(program, gap=_NEAR, central=True)
+    found = solve(program, gap=_NEAR)
     if found is None or found.multipliers is None:
         return far, far, 0.0
     slope = float(np.einsum("pjk,kj->", found.multipliers[0], found.P - drive / short))

@@ -54,6 +54,16 @@ class Inequality:
         """Return the left-hand sides, (l, N, N)."""
         return symmetric_part(self.L @ P @ self.R) + symmetric_part(self.M @ Y @ self.N) + self.constant
 
+    def adjoint(self, Z: Array) -> tuple[Array, Array, float]:
+        """Return G (n, n), H (m, n) and h with Σ tr Z_i F_i(P, Y, t) = tr G P + Σ H_jk Y_jk + h t + Σ tr Z_i C_i.
+
+        Args:
+            Z: (l, N, N), symmetric.
+        """
+        G = symmetric_part((self.R @ Z @ self.L).sum(axis=0))
+        H = 2 * (self.N @ Z @ self.M).sum(axis=0).T
+        return G, np.asarray(H), 0.0 if self.T is None else float((Z * self.T).sum())
+
     def margin(self, P: Array, Y: Array | None = None) -> float:
         """Return the largest t with left-hand sides ⪯ −t I and P ⪰ t I."""
         sides = self.evaluate(P, np.zeros((self.m, self.n)) if Y is None else Y)

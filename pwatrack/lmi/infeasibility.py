@@ -18,13 +18,12 @@ import numpy as np
 from scipy.linalg import qr, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
-from pwatrack.lmi import primal_dual
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, Solver
 from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.role import Role
-from pwatrack.lmi.solve import LARGE
+from pwatrack.lmi.solve import solve
 from pwatrack.rational import (
     Rational,
     column_space,
@@ -45,7 +44,9 @@ _BITS = 48  # of the entries of a rounded multiplier
 _SINGULAR = 1e-5  # eigenvalues below this share of the largest are taken for 0 when faces are guessed
 _SIMPLE = 1000  # denominators of guessed directions
 
-_INSIDE = 0.3  # gap of the least violation at which multipliers are taken: they are well inside, and can be rounded
+_INSIDE = 0.3  # gap of the least violation at which multipliers are taken to be rounded: they are well inside
+_NEAR = 1e-4  # the same where their faces are to be seen
+_ROUNDING = 1e-13  # of the largest entry: what is smaller is none
 _LIGHT = 1e-3  # a cell with less than this share of the weight is tried without
 
 
@@ -224,14 +225,14 @@ def _conflict(
         if not cells or not all(N[i].nrows() for i in cells):
             return None
         bases = [np.linalg.qr(floats(N_i).T)[0] for N_i in N]
-        U = _multipliers(scaled[cells], [bases[i] for i in cells], floats(R), interior=False, solver=solver)
+        U = _multipliers(scaled[cells], [bases[i] for i in cells], floats(R), solver, gap=_NEAR)
         weight = np.array([np.trace(U_i) for U_i in U or ()])
         if U is None or not weight.max() > 0:  # or not a number
             return None
         heavy = [i for i, w in zip(cells, weight, strict=True) if w > _LIGHT * weight.max()]
-        for some in (heavy, cells):
+        for some in (heavy, cells) if len(heavy) < len(cells) else (cells,):
             part = [exact_A[i] for i in some], [N[i] for i in some], [bases[i] for i in some]
-            inside = _multipliers(scaled[some], part[2], floats(R), interior=True, solver=solver)
+            inside = _multipliers(scaled[some], part[2], floats(R), solver, gap=_INSIDE)
             Z = None if inside is None else _exact_multipliers(*part, R, inside)
             if Z is not None and refutes(part[0], exact_B, dict(enumerate(Z)), kernel=R):
                 return {i: D.inv() * Z_i * D.inv() for i, Z_i in zip(some, Z, strict=True)}
@@ -240,26 +241,41 @@ def _conflict(
     return None
 
 
-def _multipliers(
-    A: Array, bases: Sequence[Array], blind: Array, *, interior: bool, solver: Solver
-) -> list[Array] | None:
-    """Look for multipliers: see `picos_model.multipliers`; those of a large plant come from its dual.
+def _multipliers(A: Array, bases: Sequence[Array], blind: Array, solver: Solver, *, gap: float) -> list[Array] | None:
+    """Look for Z_i = Q_i U_i Q_iᵀ ⪰ 0 with S R = 0 and S ⪰ t I on the complement of R, S = Σ (Z_i A_i + A_iᵀ Z_i).
 
-    Where the Z_i see all that B does not reach, Q is a basis of that and B̂ of the rest, they are the multipliers of
-    sym(Qᵀ A_i Q P + Qᵀ A_i B̂ Y) ⪯ t I with the least t; they are inside their cone.
+    They are the multipliers of Q_iᵀ (A_i P + P A_iᵀ) Q_i ⪯ t I with the least t, where P ⪰ 0 is asked on that
+    complement alone: what P may be elsewhere makes S R = 0.
+
+    Args:
+        A: (l, n, n).
+        bases: Q_i (n, k_i), orthonormal.
+        blind: R (n, ρ).
+        solver: Which interior-point solver to ask.
+        gap: Of t: with a large one the U_i are well inside, and can be rounded; with a small one as singular as at the
+            least t.
+
+    Returns:
+        The U_i, or None where P shows that there are none, or nothing was found.
     """
-    Q, n = bases[0], A.shape[1]
-    whole = Q.shape[1] + blind.shape[1] == n and all(np.array_equal(Q, other) for other in bases)
-    if n >= LARGE and solver == "clarabel" and whole:
-        reached = np.linalg.qr(blind)[0]
-        eye = np.broadcast_to(np.eye(Q.shape[1]), (len(A), Q.shape[1], Q.shape[1]))
-        inequality = Inequality(L=Q.T @ A @ Q, R=eye, M=Q.T @ A @ reached, N=eye, constant=np.zeros(eye.shape))
-        found = primal_dual.solve(least_violation(inequality), gap=_INSIDE, central=True)
-        if found is not None and found.multipliers is not None:
-            return list(found.multipliers[0])
-    from pwatrack.lmi.picos_model import multipliers  # imports PICOS, which takes a while
-
-    return multipliers(A, bases, blind, interior=interior, solver=solver)
+    n, rank = A.shape[1], blind.shape[1]
+    T = np.roll(np.linalg.qr(np.hstack([blind, np.eye(n)]))[0], -rank, axis=1)  # the complement of R, then R
+    cells = {order: [i for i, Q in enumerate(bases) if Q.shape[1] == order] for order in {Q.shape[1] for Q in bases}}
+    inequalities = []
+    for order, some in cells.items():
+        Q = np.array([T.T @ bases[i] for i in some])
+        L = Q.transpose(0, 2, 1) @ (T.T @ A[some] @ T)
+        L, Q = (np.where(np.abs(X) > _ROUNDING * np.abs(X).max(initial=0.0), X, 0.0) for X in (L, Q))
+        nothing = np.zeros((len(some), order, order))
+        inequalities.append(
+            Inequality(L=L, R=Q, M=nothing[:, :, :0], N=np.zeros((len(some), n, order)), constant=nothing)
+        )
+    found = solve(least_violation(inequalities, n - rank), solver, gap=gap, against=0.0)
+    if found is None or found.multipliers is None or found.objective < 0:
+        return None
+    places = [i for some in cells.values() for i in some]
+    U = [U_i for part in found.multipliers[: len(cells)] for U_i in part]
+    return [U[k] for k in np.argsort(places)]
 
 
 def _guessed_faces(

@@ -161,7 +161,7 @@ class LinearMap:
         blocks: Where the left-hand sides stand in a vector, the one of W last.
         constant: The C_i.
         cost: Its product with a vector is to be small.
-        fixed: (row, value): what its product with a vector must be; None where nothing is asked.
+        rows, values: (k, size) and (k,): what their products with a vector must be.
         size: Number of entries.
     """
 
@@ -185,9 +185,10 @@ class LinearMap:
             self.cost[: self.P.size] = self.P.row(np.eye(self.n) if program.cost is None else program.cost)
         self.blocks = Blocks([(len(c), c.shape[1]) for c in constants], padded=padded)
         self.constant = self.blocks.of(constants, beside=-1.0 if padded else 0.0)
-        self.fixed: tuple[Array, float] | None = None
-        if program.trace is not None:
-            self.fixed = np.append(self.P.row(np.eye(self.n)), np.zeros(self.size - self.P.size)), program.trace
+        self.rows = np.zeros((len(program.equalities), self.size))
+        for row, (E, _) in zip(self.rows, program.equalities, strict=True):
+            row[: self.P.size] = self.P.row(E)
+        self.values = np.array([value for _, value in program.equalities])
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array]:

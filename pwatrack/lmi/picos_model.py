@@ -24,10 +24,13 @@ def solve(program: Program, solver: Solver = "clarabel") -> Solution | None:
     """
     problem, P, Y = _problem(program)
     t = picos.RealVariable("t")
+    held = []
     for constraint in program.constraints:
-        problem.add_list_of_constraints([side << 0 for side in _left_sides(constraint, P, Y, t) if not side.constant])
-    if program.trace is not None:
-        problem.add_constraint(picos.trace(P) == program.trace)
+        sides = [None if side.constant else side << 0 for side in _left_sides(constraint, P, Y, t)]
+        problem.add_list_of_constraints([side for side in sides if side is not None])
+        held.append(sides)
+    for E, value in program.equalities:
+        problem.add_constraint(value == (E | P))
     traced = P if program.cost is None else program.cost * P
     problem.set_objective("min", program.price * t if program.price else picos.trace(traced))
     if program.weight is not None:  # tr V P⁻¹ Vᵀ ≤ tr W
@@ -37,61 +40,28 @@ def solve(program: Program, solver: Solver = "clarabel") -> Solution | None:
     if not _run(problem, solver):
         return None
     n = program.n
-    Y_found = np.zeros((0, n)) if Y is None else _value(Y, (program.m, n))
-    return Solution(program=program, P=_value(P, (n, n)), Y=Y_found, t=float(t.value) if t.valued else 0.0)
+    return Solution(
+        program=program,
+        P=_value(P, (n, n)),
+        Y=np.zeros((0, n)) if Y is None else _value(Y, (program.m, n)),
+        t=float(t.value) if t.valued else 0.0,
+        multipliers=_duals(program, held),
+    )
 
 
-def multipliers(
-    A: Array,
-    bases: Sequence[Array],
-    blind: Array,
-    *,
-    interior: bool,
-    solver: Solver = "clarabel",
-) -> list[Array] | None:
-    """Look for multipliers Z_i = Q_i U_i Q_iᵀ ⪰ 0 that refute (8): see `infeasibility`.
-
-    With S = Σ (Z_i A_i + A_iᵀ Z_i), it makes the smallest eigenvalue of S on the complement of R largest,
-    subject to S R = 0 and Σ tr U_i = 1.
-
-    Args:
-        A: (l, n, n).
-        bases: Q_i (n, k_i), orthonormal.
-        blind: R (n, ρ), directions that S must not see.
-        interior: Keep every U_i away from singular too, so that it can be rounded.
-        solver: Which interior-point solver to ask.
-
-    Returns:
-        The U_i, or None if the solver gave nothing.
-    """
-    problem = picos.Problem()
-    U = [picos.SymmetricVariable(f"U{i}", Q.shape[1]) for i, Q in enumerate(bases)]
-    t = picos.RealVariable("t")
-    ZA = picos.sum([Q * U_i * (Q.T @ A_i) for Q, U_i, A_i in zip(bases, U, A, strict=True)])
-    problem.add_list_of_constraints([U_i >> (t * np.eye(U_i.shape[0]) if interior else 0) for U_i in U])
-    problem.add_constraint(picos.sum([picos.trace(U_i) for U_i in U]) == 1)
-    S = ZA + ZA.T
-    seen = _complement(blind)
-    if seen.shape[1]:
-        problem.add_constraint(seen.T * S * seen >> t * np.eye(seen.shape[1]))
-    if blind.shape[1]:
-        unit = blind / np.linalg.norm(blind, axis=0)
-        nobody = np.max([np.abs(Q.T @ unit).max(axis=0) for Q in bases], axis=0) < 1e-9
-        image = _complement(unit[:, nobody]).T * S * unit  # the rest of S R is 0 by itself, or said already
-        if not image.constant:
-            problem.add_constraint(image == 0)
-    problem.add_constraint(t <= 1)
-    problem.set_objective("max", t)
-    if not _run(problem, solver):
+def _duals(program: Program, held: Sequence[Sequence[Any]]) -> tuple[Array, ...] | None:
+    """Return the multipliers of constraints, 0 where no unknown stands in one; None where the solver gave none."""
+    if any(side is not None and side.dual is None for sides in held for side in sides):
         return None
-    return [_value(U_i, U_i.shape) for U_i in U]
-
-
-def _complement(columns: Array) -> Array:
-    """Return orthonormal columns that, with these independent ones (n, k), span everything."""
-    n, k = columns.shape
-    complement: Array = np.linalg.qr(np.hstack([columns, np.eye(n)]))[0][:, k:]
-    return complement
+    return tuple(
+        np.array(
+            [
+                np.zeros(C.shape) if side is None else np.reshape(side.dual, C.shape)
+                for side, C in zip(sides, c.constant, strict=True)
+            ]
+        )
+        for sides, c in zip(held, program.constraints, strict=True)
+    )
 
 
 def _problem(unknowns: Program | Inequality) -> tuple[Any, Any, Any]:
@@ -116,7 +86,7 @@ def _run(problem: Any, solver: Solver) -> bool:
     """Solve; say whether there are values to look at. No status is believed, no failure is fatal."""
     choice = {"ad_hoc_solver": ClarabelSolver} if solver == "clarabel" else {"solver": solver}
     try:
-        problem.solve(primals=None, duals=False, max_iterations=200, **choice)
+        problem.solve(primals=None, duals=None, max_iterations=200, **choice)
     except (ArithmeticError, ValueError, picos.SolutionFailure):
         return False
     return all(v.valued for v in problem.variables.values())

@@ -1,8 +1,8 @@
 """A primal–dual interior-point method that uses the form of the inequalities: see `linear_map`.
 
-With slacks S_i = −A_i(v) − C_i, multipliers Z_i and y of the equality fᵀv = value, a step solves
+With slacks S_i = −A_i(v) − C_i, multipliers Z_i and y of the equalities F v = values, a step solves
 
-    ΔS_i + A_i(Δv) = −C_i − A_i(v) − S_i,    fᵀΔv = value − fᵀv,    Σ A_i*(ΔZ_i) + f Δy = −c − Σ A_i*(Z_i) − f y
+    ΔS_i + A_i(Δv) = −C_i − A_i(v) − S_i,    F Δv = values − F v,    Σ A_i*(ΔZ_i) + Fᵀ Δy = −c − Σ A_i*(Z_i) − Fᵀ y
 
 and the linearised S_i Z_i = μ I in the coordinates of Nesterov and Todd, where S_i and Z_i are one diagonal matrix D:
 E S Eᵀ = E⁻ᵀ Z E⁻¹ = D. Mehrotra's predictor says how far μ may fall, and gives the second-order term of the corrector
@@ -37,39 +37,42 @@ _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
 _SHARE = (0.8, 0.99)  # of the way to the boundary, where that is short and where it is a whole step
 _CENTRED = 0.3  # of μ that the least eigenvalue of S Z has at a point that is called central
-_IMPOSSIBLE = 1e-9  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
+_ROUGHLY = 1e-3  # gap from which on an answer is meant to be changed a little: then it is to be central
+_IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
 _DENSE = 2e6  # multiplications in a step, up to which one matrix for the whole program is quicker than its form
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Iterate:
-    """v, slacks and multipliers of all constraints, each as one vector, and the multiplier of the equality."""
+    """v, slacks and multipliers of all constraints, each as one vector, and the multipliers of the equalities."""
 
     v: Array
     s: Array
     z: Array
-    y: float
+    y: Array
 
 
 class _Move(NamedTuple):
     """Changes of v, of y, and of S and Z as D sees them, stack by stack."""
 
     v: Array
-    y: float
+    y: Array
     s: list[Array]
     z: list[Array]
 
 
-def solve(program: Program, *, gap: float = 1e-7, central: bool = False) -> Solution | None:
+def solve(program: Program, *, gap: float = 1e-7, against: float | None = None) -> Solution | None:
     """Minimise from an infeasible start.
 
     Args:
         program: What is asked.
-        gap: Between the objective and its dual bound, relative to the objective, at which it ends.
-        central: Whether the answer is to be near the central path there: then P, Y and the multipliers are well inside.
+        gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
+        against: A number; ends where the objective is less, and where it cannot be: `gap` is a share of the distance.
 
     Returns:
-        What was reached; None where the constraints contradict each other, or an entry is not finite.
+        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a gap of more than a
+        thousandth P, Y and the multipliers are near the central path: well inside what they must satisfy, unless the
+        objective is less than that number.
 
     Example: the largest t ≤ 1 with −2 P ⪯ −t I, t I ⪯ P ⪯ I.
 
@@ -79,18 +82,24 @@ def solve(program: Program, *, gap: float = 1e-7, central: bool = False) -> Solu
         >>> round(found.t, 6), found.violation < 0, found.gap < 1e-6
         (1.0, True, True)
     """
-    if not all(np.isfinite(x).all() for c in program.constraints for x in (c.L, c.R, c.M, c.N, c.constant)):
-        return None
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)
-        found = _minimise(linear, gap, central=central)
+        found = _minimise(linear, gap, against)
     if found is None:
         return None
-    P, Y, t = linear.parts(found.v)
-    bound = float(linear.constant @ found.z)
-    bound -= 0.0 if program.trace is None else found.y * program.trace
-    multipliers = tuple(Z.copy() for Z in linear.blocks.parts(found.z)[: len(program.constraints)])
-    return Solution(program=program, P=P, Y=Y.copy(), t=t, multipliers=multipliers, bound=bound)
+    at, iterations, impossible = found
+    unit = _value(linear, at) if impossible else 1.0
+    multipliers = tuple(Z / unit for Z in linear.blocks.parts(at.z)[: len(program.constraints)])
+    P, Y, t = linear.parts(at.v)
+    return Solution(
+        program=program,
+        P=P,
+        Y=Y.copy(),
+        t=t,
+        multipliers=multipliers,
+        impossible=impossible,
+        iterations=iterations,
+    )
 
 
 def _map(program: Program) -> LinearMap:
@@ -109,46 +118,77 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _minimise(linear: LinearMap, share: float, *, central: bool) -> _Iterate | None:
-    order = linear.blocks.order
-    at = _start(linear)
+def _minimise(linear: LinearMap, share: float, against: float | None) -> tuple[_Iterate, int, bool] | None:
+    """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
+    at, best = _start(linear), None
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
-    best, scalings = None, _scalings(linear, at)
-    for _ in range(_MOST):
+    scalings, rough = _scalings(linear, at), share > _ROUGHLY
+    for number in range(_MOST):
         if scalings is None:
             break
-        missing = -linear.constant - linear.apply(at.v) - at.s
-        slope, lacking = -linear.cost - linear.adjoint(at.z), 0.0
-        if linear.fixed is not None:
-            slope, lacking = slope - at.y * linear.fixed[0], linear.fixed[1] - float(linear.fixed[0] @ at.v)
-        gap = float(at.s @ at.z)
-        off = max(float(np.abs(missing).max()), abs(lacking)) / units[0], float(np.abs(slope).max()) / units[1]
-        wanted = max(share * abs(float(linear.cost @ at.v)), _LEAST_GAP)
-        if not np.isfinite(gap) or (not max(off) <= _OFF and _impossible(linear, at)):
-            return None
+        rest = _Rest.of(linear, at)
+        gap, mu = rest.gap, rest.gap / linear.blocks.order
+        wanted = max(share * abs(rest.objective - (against or 0.0)), _LEAST_GAP)
+        off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
+        if not 0 < gap < np.inf:
+            break
+        if not max(off) <= _OFF and _impossible(linear, at):
+            return at, number, True
         if off[0] <= _OFF:
-            best = at
-        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and abs(float(slope @ at.v)) <= wanted)
-        done, mu = off[0] <= _OFF and flat and gap <= wanted, gap / order
-        if done and (not central or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
-            return at
+            best = at, number, False
+            if against is not None and rest.objective < against:
+                return best
+        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and abs(float(rest.slope @ at.v)) <= wanted)
+        done = off[0] <= _OFF and flat and gap <= wanted
+        if done and (not rough or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
+            return at, number, False
         moved = None
         with suppress(np.linalg.LinAlgError):  # a scaling is singular to working precision
-            step = _Step(linear, scalings, missing, (slope, lacking))
-            move, reach = step.centring(mu) if done else step.corrected(mu, wanted / 2 / order if central else 0.0)
-            moved = step.taken(at, move, reach, missing)
+            step = _Step(linear, scalings, rest)
+            least = wanted / 2 / linear.blocks.order if rough else 0.0
+            move, reach = step.centring(mu) if done else step.corrected(mu, least)
+            moved = step.taken(at, move, reach)
         if moved is None:
             break
         at, scalings = moved
     return best
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Rest:
+    """What an iterate lacks: of the constraints, of the equalities, of the multipliers' equations; and where it is."""
+
+    missing: Array
+    lacking: Array
+    slope: Array
+    gap: float
+    objective: float
+
+    @classmethod
+    def of(cls, linear: LinearMap, at: _Iterate) -> "_Rest":
+        return cls(
+            missing=-linear.constant - linear.apply(at.v) - at.s,
+            lacking=linear.values - linear.rows @ at.v,
+            slope=-linear.cost - linear.adjoint(at.z) - at.y @ linear.rows,
+            gap=float(at.s @ at.z),
+            objective=float(linear.cost @ at.v),
+        )
+
+    @property
+    def missed(self) -> float:
+        """The largest of what v lacks."""
+        return float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+
+
 def _impossible(linear: LinearMap, at: _Iterate) -> bool:
-    """Say whether the multipliers show that no v has A(v) + C ⪯ 0 (and the equality): A*(Z) + f y = 0, tr C Z > f y."""
-    value, rest = float(linear.constant @ at.z), linear.adjoint(at.z)
-    if linear.fixed is not None:
-        rest, value = rest + at.y * linear.fixed[0], value - at.y * linear.fixed[1]
-    return bool(value > 0 and np.abs(rest).max() <= _IMPOSSIBLE * value)
+    """Say whether the multipliers say that no v has A(v) + C ⪯ 0, F v = b: A*(Z) + Fᵀ y = 0 and tr C Z > bᵀ y."""
+    value = _value(linear, at)
+    return bool(value > 0 and np.abs(linear.adjoint(at.z) + at.y @ linear.rows).max() <= _IMPOSSIBLE * value)
+
+
+def _value(linear: LinearMap, at: _Iterate) -> float:
+    """Return the dual objective."""
+    return float(linear.constant @ at.z - at.y @ linear.values)
 
 
 def _start(linear: LinearMap) -> _Iterate:
@@ -160,7 +200,7 @@ def _start(linear: LinearMap) -> _Iterate:
         largest = float(np.linalg.norm(constant, axis=(1, 2)).max())
         S[:] = max(1.0, largest) * np.sqrt(N) * np.eye(N)
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
-    return _Iterate(v=np.zeros(linear.size), s=s, z=z, y=0.0)
+    return _Iterate(v=np.zeros(linear.size), s=s, z=z, y=np.zeros(len(linear.values)))
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
@@ -173,15 +213,13 @@ def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
 class _Step:
     """The linear equations of one iteration, factorized once."""
 
-    def __init__(
-        self, linear: LinearMap, scalings: Sequence[Scaling], missing: Array, slope: tuple[Array, float]
-    ) -> None:
-        self.linear, self.scalings = linear, scalings
-        self.slope, self.lacking = slope
+    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rest: _Rest) -> None:
+        self.linear, self.scalings, self.rest = linear, scalings, rest
         self.equations = linear.step(scalings)
-        stacks = linear.blocks.stacks(missing)
+        stacks = linear.blocks.stacks(rest.missing)
         self.lost = [scaling.into(X) for scaling, X in zip(scalings, stacks, strict=True)]
-        self.away = None if linear.fixed is None else self.equations.solve(linear.fixed[0])
+        away = [self.equations.solve(row) for row in linear.rows]
+        self.away = np.array(away).reshape(linear.rows.shape)
 
     def corrected(self, mu: float, least: float) -> tuple[_Move, tuple[float, float]]:
         """Return a direction towards a smaller μ, at least so large, and how far S and Z may go.
@@ -231,7 +269,7 @@ class _Step:
     def towards(self, targets: Sequence[Array]) -> _Move:
         """Return the direction on which both changes, scaled, add up to these."""
         apart = [lost - target for lost, target in zip(self.lost, targets, strict=True)]
-        v, y = self._inverse(self.slope + self.equations.adjoint(apart), self.lacking)
+        v, y = self._inverse(self.rest.slope + self.equations.adjoint(apart), self.rest.lacking)
         s = [lost - image for lost, image in zip(self.lost, self.equations.apply(v), strict=True)]
         return _Move(v, y, s, [target - X for target, X in zip(targets, s, strict=True)])
 
@@ -241,36 +279,30 @@ class _Step:
         What is added to v is far below its rounding, and not below that of the scaled changes, of which the
         multipliers are made: so they have it added by itself.
         """
-        rest, lacking = self.slope - self.equations.adjoint(move.z), self.lacking
-        if self.linear.fixed is not None:
-            row = self.linear.fixed[0]
-            rest, lacking = rest - move.y * row, lacking - float(row @ move.v)
-        v, y = self._inverse(rest, lacking)
+        rows = self.linear.rows
+        slope = self.rest.slope - self.equations.adjoint(move.z) - move.y @ rows
+        v, y = self._inverse(slope, self.rest.lacking - rows @ move.v)
         images = self.equations.apply(v)
         s = [X - image for X, image in zip(move.s, images, strict=True)]
         return _Move(move.v + v, move.y + y, s, [X + image for X, image in zip(move.z, images, strict=True)])
 
-    def _inverse(self, right: Array, lacking: float) -> tuple[Array, float]:
-        """Return the v whose scaled left-hand sides have this adjoint, but for y times the row of the equality."""
-        v, y = self.equations.solve(right), 0.0
-        if self.linear.fixed is not None and self.away is not None:
-            row = self.linear.fixed[0]
-            y = float((row @ v - lacking) / (row @ self.away))
-            v = v - y * self.away
+    def _inverse(self, right: Array, lacking: Array) -> tuple[Array, Array]:
+        """Return the v whose scaled left-hand sides have this adjoint, but for y times the rows of the equalities."""
+        rows, v = self.linear.rows, self.equations.solve(right)
+        y = np.asarray(np.linalg.solve(rows @ self.away.T, rows @ v - lacking), dtype=np.float64)
+        v = v - y @ self.away
         if not np.isfinite(v).all():
             raise np.linalg.LinAlgError("the equations are singular to working precision")
         return v, y
 
-    def taken(
-        self, at: _Iterate, move: _Move, lengths: tuple[float, float], missing: Array
-    ) -> tuple[_Iterate, list[Scaling]] | None:
+    def taken(self, at: _Iterate, move: _Move, lengths: tuple[float, float]) -> tuple[_Iterate, list[Scaling]] | None:
         """Return the next iterate, almost at the boundary, and its scalings; None if there is no way to go."""
         share = _SHARE[0] + (_SHARE[1] - _SHARE[0]) * min(1.0, *lengths)
         primal, dual = (min(1.0, share * length) for length in lengths)
         dZ = np.empty(self.linear.blocks.size)
         for place, X, scaling in zip(self.linear.blocks.stacks(dZ), move.z, self.scalings, strict=True):
             place[:] = scaling.back(X)
-        dS = missing - self.linear.apply(move.v)
+        dS = self.rest.missing - self.linear.apply(move.v)
         while max(primal, dual) >= _LEAST_STEP:
             moved = _Iterate(v=at.v + primal * move.v, s=at.s + primal * dS, z=at.z + dual * dZ, y=at.y + dual * move.y)
             found = _scalings(self.linear, moved)

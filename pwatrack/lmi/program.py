@@ -1,6 +1,8 @@
 """What is asked of P and Y beside the inequality. Each program is described once, as data; solvers read it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,14 +14,14 @@ _LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and tr P = trace.
+    """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
     Attributes:
         constraints: The inequalities; all have the same P, Y and t.
         price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
         weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
         cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
-        trace: What the trace of P must be, where that is asked.
+        equalities: E (n, n), symmetric, and value of each tr E P = value.
 
     Raises:
         ValueError: If shapes do not fit, or more than one objective is given.
@@ -29,7 +31,7 @@ class Program:
     price: float
     weight: Array | None = None
     cost: Array | None = None
-    trace: float | None = None
+    equalities: tuple[tuple[Array, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.constraints or any((c.n, c.m) != (self.n, self.m) for c in self.constraints):
@@ -42,6 +44,8 @@ class Program:
             raise ValueError(f"V has {self.weight.shape[1]} columns, P has {self.n}")
         if self.cost is not None and self.cost.shape != (self.n, self.n):
             raise ValueError(f"W is {self.cost.shape[0]} × {self.cost.shape[1]}, P is {self.n} × {self.n}")
+        if any(E.shape != (self.n, self.n) or (E.T != E).any() for E, _ in self.equalities):
+            raise ValueError(f"the matrix of an equality is symmetric and {self.n} × {self.n}, as P is")
 
     @property
     def n(self) -> int:
@@ -52,6 +56,13 @@ class Program:
     def m(self) -> int:
         """Number of rows of Y."""
         return self.constraints[0].m
+
+    @property
+    def finite(self) -> bool:
+        """Whether no entry is infinite or not a number: else no solver is asked."""
+        parts = [X for c in self.constraints for X in (c.L, c.R, c.M, c.N, c.constant, c.T)]
+        parts += [self.weight, self.cost, *(E for E, _ in self.equalities)]
+        return all(X is None or bool(np.isfinite(X).all()) for X in parts)
 
     def left_sides(self, P: Array, Y: Array, t: float) -> list[Array]:
         """Return those of all constraints, each (l, N, N)."""
@@ -66,6 +77,13 @@ class Program:
             return float((self.weight.T * np.linalg.solve(P, self.weight.T)).sum())
         return float(np.trace(P) if self.cost is None else (self.cost * P).sum())
 
+    @property
+    def slope(self) -> Array:
+        """The gradient of the objective with respect to P, (n, n), where it is linear, else 0."""
+        if self.price or self.weight is not None:
+            return np.zeros((self.n, self.n))
+        return np.eye(self.n) if self.cost is None else self.cost
+
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
@@ -75,15 +93,18 @@ class Solution:
         program: What was asked.
         P, Y, t: The unknowns, (n, n), (m, n) and a number.
         multipliers: Those of each constraint, (l, N, N) each, where the solver gives them.
-        bound: Below which the objective cannot be, if the multipliers are what they should be.
+        impossible: Whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1
+            for whatever satisfies the equalities, up to rounding, and P, Y and t are the last that were tried.
+        iterations: How many the solver made, where it says so.
 
-    Example: the least trace of P with −2 P + 1 ⪯ 0.
+    Example: the least trace of P with −2 P + 1 ⪯ 0 and P ⪰ 0.
 
         >>> from pwatrack.lmi.inequality import weighted
         >>> program = least_trace(weighted(-np.eye(1)[None], np.eye(1)))
-        >>> found = Solution(program=program, P=np.array([[0.75]]), Y=np.zeros((0, 1)), t=0.0, bound=0.5)
-        >>> found.objective, found.violation, found.gap
-        (0.75, -0.5, 0.25)
+        >>> Z = np.array([[[0.5]]]), np.array([[[0.0]]])
+        >>> found = Solution(program=program, P=np.array([[0.75]]), Y=np.zeros((0, 1)), t=0.0, multipliers=Z)
+        >>> found.objective, found.violation, found.bound, found.gap, found.dual_off
+        (0.75, -0.5, 0.5, 0.25, 0.0)
     """
 
     program: Program
@@ -91,17 +112,13 @@ class Solution:
     Y: Array
     t: float
     multipliers: tuple[Array, ...] | None = None
-    bound: float | None = None
+    impossible: bool = False
+    iterations: int | None = None
 
     @property
     def objective(self) -> float:
         """What is to be small."""
         return self.program.objective(self.P, self.t)
-
-    @property
-    def gap(self) -> float:
-        """Between the objective and its bound; infinite where there is none."""
-        return np.inf if self.bound is None else self.objective - self.bound
 
     @property
     def violation(self) -> float:
@@ -111,8 +128,60 @@ class Solution:
 
     @property
     def off(self) -> float:
-        """How far the trace of P is from what it must be."""
-        return 0.0 if self.program.trace is None else abs(float(np.trace(self.P)) - self.program.trace)
+        """How far the equalities are from being one, at most."""
+        return max((abs(float((E * self.P).sum()) - value) for E, value in self.program.equalities), default=0.0)
+
+    @property
+    def bound(self) -> float:
+        """Below which the objective cannot be, if the multipliers are what they should be: see `dual_off`.
+
+        It is Σ tr Z_i C_i − Σ y_k value_k, and the least of tr V P⁻¹ Vᵀ + tr G P, which is 2 tr (V G Vᵀ)^½, where that
+        is the objective.
+        """
+        if self.multipliers is None:
+            return -np.inf
+        constants = zip(self.multipliers, self.program.constraints, strict=True)
+        total = sum(float((Z * c.constant).sum()) for Z, c in constants)
+        total -= sum(float(y) * value for y, (_, value) in zip(self._prices, self.program.equalities, strict=True))
+        if self.program.weight is not None:
+            V = self.program.weight
+            total += 2 * float(np.sqrt(np.maximum(np.linalg.eigvalsh(V @ self._adjoint[0] @ V.T), 0.0)).sum())
+        return total
+
+    @property
+    def gap(self) -> float:
+        """Between the objective and its bound; infinite where there is none."""
+        return self.objective - self.bound
+
+    @property
+    def dual_off(self) -> float:
+        """How far the multipliers are off: the largest entry of the gradient of what they make of the objective.
+
+        Where that is tr V P⁻¹ Vᵀ + tr G P, how far G is from G ⪰ 0.
+        """
+        if self.multipliers is None:
+            return np.inf
+        G, H, h = self._adjoint
+        rest = G + self.program.slope
+        for y, (E, _) in zip(self._prices, self.program.equalities, strict=True):
+            rest = rest + y * E
+        if self.program.weight is not None:
+            rest = np.minimum(np.linalg.eigvalsh(rest), 0.0)
+        return max(float(np.abs(rest).max()), float(np.abs(H).max(initial=0.0)), abs(h + self.program.price))
+
+    @cached_property
+    def _adjoint(self) -> tuple[Array, Array, float]:
+        """What the multipliers make of P, Y and t."""
+        pairs = zip(self.multipliers or (), self.program.constraints, strict=True)
+        P, Y, t = zip(*(c.adjoint(Z) for Z, c in pairs), strict=True)
+        return np.sum(P, axis=0), np.sum(Y, axis=0), float(sum(t))
+
+    @property
+    def _prices(self) -> Array:
+        """The multipliers of the equalities: those that leave the least of the gradient."""
+        columns = np.array([E.ravel() for E, _ in self.program.equalities]).reshape(-1, self.program.n**2).T
+        rest = self._adjoint[0] + self.program.slope
+        return np.asarray(np.linalg.lstsq(columns, -rest.ravel())[0])
 
 
 def largest_margin(inequality: Inequality, most: float | None = None) -> Program:
@@ -133,18 +202,21 @@ def largest_margin(inequality: Inequality, most: float | None = None) -> Program
     )
 
 
-def least_violation(inequality: Inequality) -> Program:
+def least_violation(inequalities: Sequence[Inequality], definite: int | None = None) -> Program:
     """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, P ⪰ 0 and tr P = 1.
 
     Where the least t is positive, the multipliers U_i have Σ tr U_i F_i(P, Y) ≥ t tr P for any P ⪰ 0 and Y.
+
+    Args:
+        inequalities: Those of cells of one order each; all have the same P and Y.
+        definite: The order of the first diagonal block of P that P ⪰ 0 and tr P = 1 speak of; the rest may be anything.
     """
-    n, N = inequality.n, inequality.L.shape[1]
-    violated = replace(inequality, T=np.broadcast_to(-np.eye(N), inequality.constant.shape))
-    return Program(
-        constraints=(violated, of_P(inequality, -1.0, np.eye(n))),
-        price=1.0,
-        trace=1.0,
-    )
+    first = inequalities[0]
+    order, eye = first.n if definite is None else definite, np.eye(first.n)
+    violated = (replace(c, T=np.broadcast_to(-np.eye(c.L.shape[1]), c.constant.shape)) for c in inequalities)
+    bounded = (of_P(first, -1.0, eye[:order]),) if order else ()
+    equalities = ((np.diag((np.arange(first.n) < order).astype(float)), 1.0),) if order else ()
+    return Program(constraints=(*violated, *bounded), price=1.0, equalities=equalities)
 
 
 def least_condition(inequality: Inequality, unit: Array) -> Program:

@@ -4,22 +4,24 @@ from pwatrack.lmi import primal_dual
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.program import Program, Solution
 
-LARGE = 10  # states from which on the primal–dual method of our own is the faster one, and more so with every state
 
-
-def solve(program: Program, solver: Solver = "clarabel", *, gap: float = 1e-6) -> Solution | None:
+def solve(
+    program: Program, solver: Solver = "clarabel", *, gap: float = 1e-6, against: float | None = None
+) -> Solution | None:
     """Return a minimiser of a program, or None if nothing was found.
 
-    Large programs go to the method of `primal_dual`, unless CVXOPT is asked for; all others, and those
-    that it gives up, to PICOS.
+    The method of `primal_dual` is asked first, unless CVXOPT is wanted; what it gives up is for Clarabel.
 
     Args:
         program: What is asked.
         solver: Which solver PICOS asks.
         gap: Share of the objective that may be missed; PICOS' solvers miss less.
+        against: It is enough to know whether the objective can be below this number: see `primal_dual`.
     """
-    if program.n >= LARGE and solver == "clarabel":
-        found = primal_dual.solve(program, gap=gap)
+    if not program.finite:
+        return None
+    if solver == "clarabel":
+        found = primal_dual.solve(program, gap=gap, against=against)
         if found is not None:
             return found
     from pwatrack.lmi import picos_model  # imports PICOS, which takes a while
