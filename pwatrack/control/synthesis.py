@@ -14,7 +14,7 @@ from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastC
 from pwatrack.control.task import Task, reaches
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.inequality import Solver
-from pwatrack.lmi.infeasibility import Refutation, refute
+from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 
@@ -179,6 +179,8 @@ class Search:
 
     def regulator(self, rate: float) -> Proved | None:
         """Return the gain of the least cost, or of the largest margin where that has no proof."""
+        if seems_impossible(self.candidates.A, self.task.B, rate=rate, solver=self.task.solver) and self.refuted(rate):
+            return None
         costs = self.candidates.regulator(rate)
         found = self.first((c for c in (next(costs, None),) if c is not None), rate)
         if found is not None:

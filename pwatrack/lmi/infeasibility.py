@@ -15,7 +15,7 @@ from math import lcm
 from typing import Any
 
 import numpy as np
-from scipy.linalg import qr, solve_continuous_lyapunov
+from scipy.linalg import null_space, orth, qr, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
 from pwatrack.lmi.coordinates import Coordinates
@@ -113,6 +113,25 @@ def refute(
     if conflict is None:
         return None
     return Refutation(Z=_whole({at[i]: Z_i for i, Z_i in conflict.items()}), eigenvalues={})
+
+
+def seems_impossible(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel") -> bool:
+    """Say whether floating-point multipliers speak against a solution: a hint that takes few steps of a solver.
+
+    Args:
+        A, B, rate, solver: As for `refute`.
+
+    Example:
+        >>> unstable = np.array([[[0.1]]])
+        >>> seems_impossible(unstable, np.zeros((1, 0))), seems_impossible(-unstable, np.zeros((1, 0)))
+        (True, False)
+    """
+    at = Coordinates.balanced(A, B)
+    seen = null_space(at.input(B).T)
+    if not seen.shape[1]:
+        return False
+    scaled = at.system(A + rate * np.eye(A.shape[1]))
+    return _multipliers(scaled, [seen] * len(A), orth(at.input(B)), solver, gap=_INSIDE) is not None
 
 
 def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational], *, kernel: Rational | None = None) -> bool:
