@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import picos
@@ -13,7 +14,7 @@ from scipy.optimize import linprog
 
 from benchmarks.corpus import feasible
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.control import convergence, synthesis
+from pwatrack.control import candidates, convergence, synthesis
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, primal_dual
@@ -289,6 +290,81 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
     assert following is not None
     assert norm(following) <= norm(theirs) * (1 + 1e-3) + 1e-3 * norm(last)
     assert norm(theirs) <= norm(last) * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(("n", "m", "cells"), [(3, 1, 2), (4, 1, 3), (8, 2, 8), (12, 3, 16)])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
+    monkeypatch: pytest.MonkeyPatch, seed: int, n: int, m: int, cells: int
+) -> None:
+    """Margins at one rate after the other, and closer bounds of the norm, as a design solves them."""
+    counts = list[int]()
+
+    def counted(program: Program, *args: Any, **options: Any) -> Solution | None:
+        found = solve(program, *args, **options)
+        if options.get("after") is not None:
+            assert found is not None
+            assert found.iterations is not None
+            counts.append(found.iterations)
+        return found
+
+    monkeypatch.setattr(convergence, "solve", counted)
+    monkeypatch.setattr(candidates, "solve", counted)
+    A, B = feasible(seed, n, m, cells, 1e-2)
+    search = synthesis.Search(Task(A=A, B=B, cells=[str(i) for i in range(cells)]))
+    found = search.regulator(0.0)
+    assert found is not None
+    assert search.smallest(0.9 * found[1].rate) is not None
+    assert len(counts) >= 2
+    assert max(counts) <= 8
+
+
+@given(seed=seeds, n=st.integers(2, 8), m=st.integers(1, 3), cells=st.integers(2, 6))
+@settings(deadline=None, max_examples=15)
+def test_an_answer_is_the_same_wherever_it_is_looked_for(seed: int, n: int, m: int, cells: int) -> None:
+    """From an infeasible start, or from the answer to another program."""
+    A, B = feasible(seed, n, m, cells, 1e-2)
+    inequality, H, E = state_feedback(A, B), np.eye(n), np.eye(B.shape[1])
+    answer = solve(smallest_gain(inequality, H, E), gap=1e-3)
+    assert answer is not None
+    first = answer.P, answer.Y
+    found = solve(smaller_gain(inequality, H, E, first), gap=1e-3)
+    assert found is not None
+    program = smaller_gain(inequality, H, E, (found.P, found.Y), first)
+    following, alone = solve(program, gap=1e-3, after=found), solve(program, gap=1e-3)
+    assert following is not None
+    assert alone is not None
+    assert following.t == pytest.approx(alone.t, rel=2e-3, abs=1e-9)
+    assert following.t <= found.t * (1 + 2e-3) + 1e-9
+
+
+def test_what_is_no_start_for_a_program_does_no_harm() -> None:
+    small, large = (largest_margin(lyapunov(-np.eye(n)[None])) for n in (2, 3))
+    other, alone = solve(small), solve(large)
+    assert other is not None
+    assert alone is not None
+    found = solve(large, after=other)
+    assert found is not None
+    assert found.t == alone.t
+    at_the_edge = replace(alone, P=np.eye(3), t=1.0)
+    found = solve(large, after=at_the_edge)
+    assert found is not None
+    assert found.t == pytest.approx(alone.t, abs=1e-6)
+
+
+@given(seed=seeds, n=st.integers(2, 8), cells=st.integers(1, 5))
+@settings(deadline=None, max_examples=15)
+def test_it_ends_as_soon_as_the_objective_is_certain_to_be_on_one_side(seed: int, n: int, cells: int) -> None:
+    M = np.random.default_rng(seed).normal(size=(cells, n, n)) / 2
+    program = least_violation([lyapunov(M)])
+    least = ours(program)
+    assert least.iterations is not None
+    for value in (least.objective - 0.3, least.objective + 0.3):
+        early = ours(program, gap=0.9, against=value)
+        assert early.iterations is not None
+        assert early.iterations < least.iterations
+        assert early.objective < value or early.bound > value
+        assert (least.objective < value) == (early.objective < value)
 
 
 @pytest.mark.parametrize("build", BUILDERS)

@@ -21,6 +21,7 @@ _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖: without one Y may be large for nothing
 _RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
 _CLOSER = 3  # times that the bound of the norm is drawn closer
+_NEAR = 1e-3  # gap of each of them: a part of that is lost of the norm, and the next one can begin where it ended
 _WORTH_IT = 0.95  # of the norm: while a closer bound makes it smaller than that share, another one follows
 
 
@@ -115,8 +116,10 @@ class Candidates:
         """Minimise a bound of the norm of the gain, then the closer bounds that each answer allows."""
         inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
         metric_root, input_root = at.inverse, np.diag(at.e)
-        solution, before = solve(smallest_gain(inequality, metric_root, input_root), self.task.solver), np.inf
+        program, before = smallest_gain(inequality, metric_root, input_root), np.inf
+        first, last = None, None
         for _ in range(_CLOSER + 1):
+            solution = solve(program, self.task.solver, gap=_NEAR, after=last)
             if solution is None or not _definite(solution.P):
                 return
             seen.append(solution)
@@ -126,8 +129,9 @@ class Candidates:
             if norm > _WORTH_IT * before:
                 return
             before = norm
-            program = smaller_gain(inequality, metric_root, input_root, (solution.P, solution.Y))
-            solution = solve(program, self.task.solver)
+            last = None if first is None else solution
+            program = smaller_gain(inequality, metric_root, input_root, (solution.P, solution.Y), first)
+            first = first or (solution.P, solution.Y)
 
     def _least_cost(self, rows: Array, R: Array, initial: Array, shift: Array) -> Iterator[Candidate]:
         """Yield the gain that minimises the cost of the rows (k, n) of x, summed over initial states (n, n), if any."""

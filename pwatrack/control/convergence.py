@@ -22,6 +22,7 @@ from pwatrack.rational import decimals
 
 _STEPS = 14  # at most so many rates are tried
 _CONVERGED = 1e-4  # relative distance to the next rate to try at which the search ends
+_NEAR = 1e-2  # gap of the margins: the next one can begin where such a one ended, and P is well inside
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
@@ -44,9 +45,10 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     best = None if start is None else prove(M, start)
     ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
     trial, margins = 0.0 if best is None else best.rate, list[tuple[float, float]]()
+    candidate = None
     for _ in range(_STEPS):
         inequality = lyapunov(at.system(matrices), trial / at.speed)
-        candidate = solve(largest_margin(inequality), solver)
+        candidate = solve(largest_margin(inequality), solver, gap=_NEAR, after=candidate)
         found = None if candidate is None else prove(M, at.matrix(candidate.P))
         if found is not None and (best is None or found.rate > best.rate):
             best = found
@@ -60,7 +62,7 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
             if best is None and failures > _RECENTRED:
                 break
             if candidate is not None:
-                at = at.centred(candidate.P)
+                at, candidate = at.centred(candidate.P), None
             ceiling = ceiling if best is None else min(ceiling, trial)
         if best is not None and ceiling - best.rate <= 1e-3 * ceiling:
             break

@@ -37,7 +37,7 @@ _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
 _SHARE = (0.8, 0.99)  # of the way to the boundary, where that is short and where it is a whole step
 _CENTRED = 0.3  # of μ that the least eigenvalue of S Z has at a point that is called central
-_ROUGHLY = 1e-3  # gap from which on an answer is meant to be changed a little: then it is to be central
+_ROUGHLY = 1e-4  # gap from which on an answer is meant to be changed a little: then it is to be central
 _IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
 _DENSE = 2e6  # multiplications in a step, up to which one matrix for the whole program is quicker than its form
 
@@ -61,17 +61,21 @@ class _Move(NamedTuple):
     z: list[Array]
 
 
-def solve(program: Program, *, gap: float = 1e-7, against: float | None = None) -> Solution | None:
+def solve(
+    program: Program, *, gap: float = 1e-7, against: float | None = None, after: Solution | None = None
+) -> Solution | None:
     """Minimise from an infeasible start.
 
     Args:
         program: What is asked.
         gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
         against: A number; ends where the objective is less, and where it cannot be: `gap` is a share of the distance.
+        after: The answer to a program with constraints of the same shapes and nearly the same entries: best a central
+            one. It is begun there, and where that leads nowhere begun again.
 
     Returns:
-        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a gap of more than a
-        thousandth P, Y and the multipliers are near the central path: well inside what they must satisfy, unless the
+        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a gap of more than
+        1e-4 P, Y and the multipliers are near the central path: well inside what they must satisfy, unless the
         objective is less than that number.
 
     Example: the largest t ≤ 1 with −2 P ⪯ −t I, t I ⪯ P ⪯ I.
@@ -84,7 +88,10 @@ def solve(program: Program, *, gap: float = 1e-7, against: float | None = None) 
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)
-        found = _minimise(linear, gap, against)
+        continued = None if after is None else _continued(linear, after)
+        found = None if continued is None else _minimise(linear, continued, gap, against)
+        if found is None or found[2]:
+            found = _minimise(linear, _start(linear), gap, against)
     if found is None:
         return None
     at, iterations, impossible = found
@@ -118,9 +125,11 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _minimise(linear: LinearMap, share: float, against: float | None) -> tuple[_Iterate, int, bool] | None:
+def _minimise(
+    linear: LinearMap, at: _Iterate, share: float, against: float | None
+) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
-    at, best = _start(linear), None
+    best = None
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings, rough = _scalings(linear, at), share > _ROUGHLY
     for number in range(_MOST):
@@ -201,6 +210,21 @@ def _start(linear: LinearMap) -> _Iterate:
         S[:] = max(1.0, largest) * np.sqrt(N) * np.eye(N)
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
     return _Iterate(v=np.zeros(linear.size), s=s, z=z, y=np.zeros(len(linear.values)))
+
+
+def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
+    """Return the end of another program as the start of this one; None where it is at the boundary, or does not fit."""
+    shapes = [c.constant.shape for c in last.program.constraints]
+    if last.multipliers is None or shapes != [part.shape for part in linear.blocks.parts(linear.constant)]:
+        return None
+    mean = last.gap / linear.blocks.order
+    at = _Iterate(
+        v=linear.vector(last.P, last.Y, last.t),
+        s=linear.blocks.of(last.slacks, beside=1.0),
+        z=linear.blocks.of(last.multipliers, beside=mean),
+        y=np.zeros(len(linear.values)),
+    )
+    return None if _scalings(linear, at) is None else at
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:

@@ -95,7 +95,7 @@ class Solution:
         multipliers: Those of each constraint, (l, N, N) each, where the solver gives them.
         impossible: Whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1
             for whatever satisfies the equalities, up to rounding, and P, Y and t are the last that were tried.
-        iterations: How many the solver made, where it says so.
+        iterations: How many the solver made from where it last began, where it says so.
 
     Example: the least trace of P with −2 P + 1 ⪯ 0 and P ⪰ 0.
 
@@ -121,10 +121,14 @@ class Solution:
         return self.program.objective(self.P, self.t)
 
     @property
+    def slacks(self) -> list[Array]:
+        """What is left of each constraint, (l, N, N) each: positive definite where it holds strictly."""
+        return [-side for side in self.program.left_sides(self.P, self.Y, self.t)]
+
+    @property
     def violation(self) -> float:
         """The largest eigenvalue of a left-hand side: negative where all constraints hold strictly."""
-        sides = self.program.left_sides(self.P, self.Y, self.t)
-        return max(float(np.linalg.eigvalsh(side).max()) for side in sides)
+        return -min(float(np.linalg.eigvalsh(slack).min()) for slack in self.slacks)
 
     @property
     def off(self) -> float:
@@ -294,34 +298,43 @@ def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array)
     )
 
 
-def smaller_gain(inequality: Inequality, metric_root: Array, input_root: Array, last: tuple[Array, Array]) -> Program:
+def smaller_gain(
+    inequality: Inequality,
+    metric_root: Array,
+    input_root: Array,
+    last: tuple[Array, Array],
+    first: tuple[Array, Array] | None = None,
+) -> Program:
     """Minimise κ² as `smallest_gain` does, with a bound that is the norm itself at P = P₀.
 
     In place of P ⪰ G and P itself, [κ² I, E Y; Yᵀ Eᵀ, P G⁻¹ P₀ + P₀ G⁻¹ P − P₀ G⁻¹ P₀] ⪰ 0: the last block is at most
     P G⁻¹ P, and equal to it for P = P₀. So κ ≥ ‖E K H‖, and falls from one P₀ to the next (sequential convex
-    programming; Boyd and Vandenberghe, Convex Optimization, 2004, section 3.1.3). Its columns are multiplied by
-    P₀⁻¹ H and E is divided by the last norm, so that at P₀ the last block is I and κ is 1.
+    programming; Boyd and Vandenberghe, Convex Optimization, 2004, section 3.1.3). The columns of that block are
+    multiplied by P₁⁻¹ H and E is divided by the norm there, for the P₁ that a sequence begins with: so that at P₁ the
+    last block is I and κ is 1, and all programs of the sequence are in the same numbers.
 
     Args:
         inequality: From `state_feedback`.
         metric_root: H (n, n), invertible, with G = H Hᵀ.
         input_root: E (m, m).
         last: P₀ ≻ 0 and a Y that satisfy the inequality strictly.
+        first: P₁ and its Y, where P₀ is an answer to an earlier program of the sequence.
     """
-    n = inequality.n
-    scale = 1 / float(np.linalg.eigvalsh(last[0])[0])
-    P, Y = (X * scale for X in last)
-    columns = np.asarray(np.linalg.solve(P, metric_root), dtype=np.float64)
-    norm = max(float(np.linalg.norm(input_root @ Y @ columns, 2)), _LEAST_NORM)
+    P, Y = last if first is None else first
+    scale = 1 / float(np.linalg.eigvalsh(P)[0])
+    columns = np.asarray(np.linalg.solve(scale * P, metric_root), dtype=np.float64)
+    norm = max(float(np.linalg.norm(scale * input_root @ Y @ columns, 2)), _LEAST_NORM)
+    P0 = scale * P if first is None else last[0]
+    tangent = np.linalg.solve(metric_root, P0 @ columns)
     gain = _bound_of_gain(
         inequality,
         input_root / norm,
         columns=columns,
-        factors=(columns.T, np.asarray(np.linalg.inv(metric_root).T, dtype=np.float64)),
-        constant=np.eye(n),
+        factors=(columns.T, np.asarray(np.linalg.solve(metric_root.T, tangent), dtype=np.float64)),
+        constant=tangent.T @ tangent,
     )
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(n)), gain),
+        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n)), gain),
         price=1.0,
     )
 
