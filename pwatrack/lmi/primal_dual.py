@@ -30,6 +30,7 @@ _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 100  # iterations
+_PATIENCE = 8  # iterations in which the gap is not halved, after which it ends where all is satisfied
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
 _LEAST_STEP = 1e-7
 _ROUGH, _FINE = 0.15, 0.06  # relative errors of step lengths, of the direction that tells μ and of the others
@@ -129,7 +130,7 @@ def _minimise(
     linear: LinearMap, at: _Iterate, share: float, against: float | None
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
-    best = None
+    best, least, since = None, np.inf, 0
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings, rough = _scalings(linear, at), share > _ROUGHLY
     for number in range(_MOST):
@@ -151,11 +152,16 @@ def _minimise(
         done = off[0] <= _OFF and flat and gap <= wanted
         if done and (not rough or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
             return at, number, False
+        if best is not None:
+            since = 0 if gap < least / 2 else since + 1
+            least = min(least, gap)
+        if since > _PATIENCE:  # rounding allows no more
+            break
         moved = None
         with suppress(np.linalg.LinAlgError):  # a scaling is singular to working precision
             step = _Step(linear, scalings, rest)
-            least = wanted / 2 / linear.blocks.order if rough else 0.0
-            move, reach = step.centring(mu) if done else step.corrected(mu, least)
+            lowest = wanted / 2 / linear.blocks.order if rough else 0.0
+            move, reach = step.centring(mu) if done else step.corrected(mu, lowest)
             moved = step.taken(at, move, reach)
         if moved is None:
             break
