@@ -97,7 +97,7 @@ def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = 
         return None
     return Problem(
         message=f"x_d leaves its periodic solution by rounding: what differs from it is multiplied by {largest:.3g} in "
-        f"{period:.6g} s, one period, so that it can be seen after about {lost:.3g} s; Theorem 2 is about a bounded one",
+        f"{period:.6g} s, one period, so that this is seen after about {lost:.3g} s; Theorem 2 is about a bounded x_d",
         subject=subject,
         hint=_HINT,
         remedy=Remedy(Way.DESIRED_STATE),
