@@ -14,7 +14,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
-from pwatrack.report.certificate import decimals, generator_content, subject_content
+from pwatrack.report.certificate import CLAIM, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -79,6 +79,8 @@ def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
         return ["not a certificate of a run: 'set' holds no texts"]
     if not isinstance(content.get("spec_sha256"), str) or ("bounds" not in content and file.name != REFUSAL):
         return ["not a certificate of a run: 'spec_sha256' or 'bounds' is missing"]
+    if content.get("claim") != CLAIM:
+        return ["'claim' is not what a certificate of this format proves"]
     refusal = any("Z" in proof for proof in content["proofs"])
     if file.name in (REFUSAL, CERTIFICATE) and refusal != (file.name == REFUSAL):
         return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
