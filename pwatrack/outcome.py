@@ -16,7 +16,7 @@ from pwatrack.simulation.trace import Trace, tenths
 
 Kind = Literal["tracks", "off", "grows", "above its bound"]
 
-_TRACKS = 0.01  # of the size of reference, start and largest error: what is left of an error then is small
+_TRACKS = 0.01  # of the size of reference and start: what is left of an error then is small
 _ROUNDING = 8 * float(
     np.finfo(np.float64).eps
 )  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
@@ -34,9 +34,9 @@ class Outcome:
 
     Attributes:
         kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
-            its reference, start and largest error. "off": one is. "grows": an error does, see `grows`, or the desired
-            trajectory. "above its bound": the loop is the one that the proofs are about, and an error is larger than
-            they allow.
+            its reference and start, or of its largest size where these are 0. "off": one is. "grows": an error does,
+            see `grows`, or the desired trajectory. "above its bound": the loop is the one that the proofs are about,
+            and an error is larger than they allow.
         text: In words and figures.
     """
 
@@ -208,7 +208,8 @@ class Watch:
         """Say what is left of the error, and of which entry most."""
         error = self._error.largest
         last, largest = error[9], error.max(axis=0)
-        allowed = np.maximum(_TRACKS * np.maximum(self._expected, largest), self._rounding(self._end))
+        size = np.where(self._expected > 0, self._expected, largest)
+        allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
             unit = {self._units.get(name, "") for name in self._names}

@@ -1,6 +1,7 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
+from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count, trace_blocks
@@ -95,6 +97,11 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and starts_periodic(spec):
             start[loop.at.eta_hat] = steady_state.z[0, :p]
+            where = ("reference", "start")
+            if (left := left_by_rounding(steady_state, duration=spec.scenario.duration, subject=where)) is not None:
+                trajectory = replace(controller.trajectory, bounded=False, growth=left)
+                controller = replace(controller, trajectory=trajectory)
+                loop = replace(loop, controller=controller)
         response, figures, outcome, spool = _run(spec, loop, start)
         return Result(
             spec=spec,

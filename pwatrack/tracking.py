@@ -66,7 +66,7 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
     plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
     if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
-        if not isinstance(reference, InputReference) or reference.start is None:
+        if not isinstance(reference, InputReference):
             return trajectory, None
         horizon = spec.scenario.duration
         try:

@@ -470,6 +470,7 @@ def test_where_the_observer_has_no_gain_no_noise_enters_and_its_bounds_are_audit
     ("name", "change"),
     [
         ("certificate.json", {"set": 3}),
+        ("certificate.json", {"claim": "The loop is stable for all plants."}),
         ("certificate.json", {"set": {"k": 1}}),
         ("certificate.json", {"spec_sha256": None}),
         ("run.json", {"figures": []}),
@@ -479,6 +480,8 @@ def test_where_the_observer_has_no_gain_no_noise_enters_and_its_bounds_are_audit
         ("run.json", {"bounds": None}),
         ("gains.json", {"K": None}),
         ("gains.json", {"K": [["a", None]]}),
+        ("gains.json", {"K": [["1/0", 0.0]]}),
+        ("gains.json", {"L": "0/0"}),
         ("generator.json", {"T": None}),
     ],
 )
@@ -488,6 +491,62 @@ def test_a_folder_with_parts_of_other_kinds_is_refused_in_words(
     shutil.copytree(two, tmp_path / "run")
     file = tmp_path / "run" / name
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(CheckFailed):
+        verify(tmp_path / "run")
+
+
+ODD: tuple[Any, ...] = (
+    "1/0",
+    "1e9999",
+    "-1e-9999",
+    "9" * 50,
+    "1/3",
+    "x",
+    "",
+    None,
+    True,
+    [],
+    {},
+    [[]],
+    [None],
+    0,
+    -1,
+    1.5,
+    10**30,
+)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=120)
+def test_any_value_in_any_place_of_any_file_is_judged_in_words(
+    two: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    folder = tmp_path_factory.mktemp("odd") / "run"
+    shutil.copytree(two, folder)
+    file = folder / data.draw(st.sampled_from(["certificate.json", "gains.json", "generator.json", "run.json"]))
+    content = json.loads(file.read_text())
+    home: Any = content
+    key: Any = data.draw(st.sampled_from(sorted(content)))
+    for _ in range(data.draw(st.integers(0, 6))):
+        if not isinstance(home[key], dict | list) or not home[key]:
+            break
+        home = home[key]
+        key = data.draw(st.sampled_from(sorted(home) if isinstance(home, dict) else range(len(home))))
+    was, home[key] = home[key], data.draw(st.sampled_from(ODD))
+    file.write_text(json.dumps(content))
+    try:
+        verify(folder)
+    except CheckFailed:
+        return
+    assert file.name != "certificate.json" or was == home[key]
+
+
+@pytest.mark.parametrize("size", ["1e9999", "1e-9999"])
+def test_a_bound_beyond_all_doubles_is_not_that_of_the_run(two: Path, tmp_path: Path, size: str) -> None:
+    shutil.copytree(two, tmp_path / "run")
+    content = json.loads((two / "certificate.json").read_text())
+    content["bounds"][0]["signals"][0][2] = size
+    (tmp_path / "run" / "certificate.json").write_text(json.dumps(content))
     with pytest.raises(CheckFailed):
         verify(tmp_path / "run")
 

@@ -150,6 +150,15 @@ def test_a_disturbed_run_is_bounded_by_its_proof_and_only_off(tmp_path: Path) ->
     assert "y − y_d" in result.outcome.text
 
 
+def test_what_is_left_is_measured_by_reference_and_start_and_not_by_an_earlier_error(tmp_path: Path) -> None:
+    """After a heavy push 1 % of it is left, which is more than all of the reference."""
+    push = "disturbance: {v: {trapezoid: {high: 3000, rise: 0.2, hold: 0.1, fall: 0.2, rest: 99, smooth: 0.1}}}"
+    result = simulate(load_spec(cart(tmp_path, push, duration=5.5)))
+    error = np.abs(result.response.tracking_error)
+    assert 0.08 < error[-28:].max() < 0.01 * error.max()
+    assert result.outcome.kind == "off"
+
+
 def lines(stdout: str) -> list[str]:
     """Return the rows of the summary, each with what is folded below it."""
     rows: list[str] = []
@@ -278,7 +287,7 @@ def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
     assert index_of(tmp_path / "design")["verdict"] == "check failed"
     _title, first, second, third, *_ = lines(run.stdout)
     assert first.startswith("simulated 8 s: x_d grows without bound, as far as can be seen")
-    assert second == "proofs are about a desired trajectory that stays bounded, which this one does not"
+    assert second == "proofs are about an x_d that is bounded and what was asked for; this one is not"
     assert third.startswith("(8) controller")
     index = index_of(tmp_path / "simulate")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "grows")

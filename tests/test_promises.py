@@ -309,3 +309,42 @@ def _x_with_eta_zero(loop: ClosedLoop) -> Array:
     n, p = len(loop.x_d), loop.controller.trajectory.rate.shape[1]
     result: Array = loop.x_d @ loop.start(plant=np.zeros(n), observer=np.zeros(n), generator=np.zeros(p))
     return result
+
+
+@pytest.mark.parametrize("x_d", ["-1e-5", "1e-5", "0.1"])
+def test_what_a_repaired_jump_adds_to_the_error_is_no_more_than_is_said(tmp_path: Path, x_d: str) -> None:
+    """x' = −x + 1 | −x + 1.0009 + u as it is written, under the controller for the continuous plant next to it."""
+    (tmp_path / "jump.yaml").write_text(
+        f"""
+name: jump
+system:
+  states: [x]
+  inputs: [u]
+  outputs: [y]
+  B: [[1]]
+  C: [[1]]
+  cells:
+    - {{name: low, where: ["x <= 0"], A: [[-1]], b: [1]}}
+    - {{name: high, where: ["x >= 0"], A: [[-1]], b: [1.0009]}}
+design: {{tracking: state}}
+tolerance: {{continuity: 1e-3}}
+reference: {{state: ["{x_d}"]}}
+simulation: {{duration: 20, sample_time: 1e-3, initial: {{plant: [0.1], observer: [0.1]}}}}
+"""
+    )
+    result = simulate(load_spec(tmp_path / "jump.yaml"))
+    plant, design_, response = result.controller.plant, result.controller.design, result.response
+    K, L, repair = design_.K[0, 0], design_.L[0, 0], plant.repair
+    assert repair is not None
+    x = x_hat = 0.1
+    errors = []
+    for desired, u_ff in zip(response.x_d[:, 0], response.u_ff[:, 0], strict=True):
+        u = K * (x_hat - desired) + u_ff
+        rate = -x + (1.0009 if x > 0 else 1.0) + u
+        x, x_hat = x + 1e-3 * rate, x_hat + 1e-3 * (plant.field(np.array([x_hat]), np.array([u]))[0] + L * (x_hat - x))
+        errors.append(abs(x - desired))
+    acting = repair.disturbance(np.abs(response.x).max(axis=0), np.abs(response.u).max(axis=0))[0]
+    said = result.controller.bounds[0].sizes["state", 0] * acting
+    assert max(errors[-4000:]) <= said
+    if x_d == "0.1":  # where the given plant differs all the time
+        assert max(errors[-4000:]) > said / 4

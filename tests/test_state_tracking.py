@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pwatrack import OutsideTheory, Partition, PWASystem, design, load_spec, simulate
 from pwatrack.control.set_point import set_point
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.simulation.bounded import bounded_response
@@ -153,6 +153,31 @@ def test_a_periodic_start_at_resonance_is_refused(tmp_path: Path) -> None:
     path.write_text(SMALL % ("[[0, 1], [-1, 0]]", '{input: ["sin(t)"], start: periodic}'))
     with pytest.raises(OutsideTheory, match="no periodic solution"):
         simulate(load_spec(path))
+
+
+@pytest.mark.parametrize(("reference", "growth"), [("sin(t)", 1.0), ("0.2 + cos(2*t)", 0.6)])
+def test_a_periodic_solution_that_rounding_leaves_within_the_run_ends_with_6(
+    tmp_path: Path, reference: str, growth: float
+) -> None:
+    """What differs from it grows as e^(growth t): about 32 / growth s after the start it is seen, and not before."""
+    text = SMALL % (f"[[0, 1], [{growth} * (1 + {growth}), -1]]", f'{{input: ["{reference}"], start: periodic}}')
+    path = tmp_path / "plant.yaml"
+    for duration, code in ((20, ExitCode.DONE), (60, ExitCode.CHECK_FAILED)):
+        path.write_text(text.replace("duration: 5", f"duration: {duration}"))
+        result = simulate(load_spec(path))
+        assert result.outcome.code == code
+        assert result.steady_state is not None
+        largest = np.abs(result.steady_state.z[:, :2]).max()
+        assert (np.abs(result.response.x_d).max() > 2 * largest) == (code != ExitCode.DONE)
+        assert not result.controller.trajectory.bounded
+    assert "x_d leaves its periodic solution by rounding: what differs from it is multiplied by" in result.outcome.text
+
+
+def test_a_periodic_solution_is_proved_bounded_where_the_plant_converges(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    for stiffness, bounded in ((-1, True), (2, False)):
+        path.write_text(SMALL % (f"[[0, 1], [{stiffness}, -1]]", '{input: ["sin(t)"], start: periodic}'))
+        assert design(load_spec(path)).trajectory.bounded == bounded
 
 
 def test_a_given_start_needs_no_periodic_solution(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ class DesiredTrajectory:
         eta0: η̂(0) where it is fixed by the trajectory, else None.
         until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
         bounded: Whether x_d is proved to stay bounded.
-        growth: How x_d is seen to grow without bound, where it is.
+        growth: How x_d is seen to grow without bound, or to leave the periodic solution that it was to be, where it is.
     """
 
     exosystem: Exosystem

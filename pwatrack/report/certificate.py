@@ -20,7 +20,7 @@ from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
 
-_CLAIM = (
+CLAIM = (
     "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "
     "field is continuous and, for output tracking, the plant has the form (11). For them and, where a radius is "
     "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T; "
@@ -95,7 +95,7 @@ def decimals(X: Array | None) -> list[list[str]] | None:
 def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]) -> dict[str, Any]:
     return {
         "format": FORMAT,
-        "claim": _CLAIM,
+        "claim": CLAIM,
         "spec_sha256": spec.sha256,
         "set": {name: str(value) for name, value in spec.overrides.items()},
         **subject_content(spec),

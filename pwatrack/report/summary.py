@@ -142,7 +142,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         until, bounded = controller.trajectory.until, controller.trajectory.bounded
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
         table.add_row("Assumption 1", f"x_d and u_ff satisfy (3){end}")
-        condition = "" if bounded else ", as long as x_d stays bounded (not proved for a response from a given start)"
+        condition = "" if bounded else ", as long as x_d stays bounded, which is not proved"
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
         _generator_rows(table, generator, promised.generator)
@@ -262,7 +262,7 @@ def print_result(console: Console, result: Result) -> None:
     if conditions := result.loop.conditions.texts(result.spec.problem.plant):
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     if result.controller.trajectory.growth is not None:
-        table.add_row("proofs", "are about a desired trajectory that stays bounded, which this one does not")
+        table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")

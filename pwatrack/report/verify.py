@@ -14,7 +14,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
-from pwatrack.report.certificate import decimals, generator_content, subject_content
+from pwatrack.report.certificate import CLAIM, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -48,19 +48,19 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         content, index = json.loads(text, parse_float=str), _json(file.parent / INDEX)
         named = spec or _named_spec(index)
         described = None if named is None else load_spec(named, content["set"])
-        if described is None:
-            said.append("not compared with a spec: none is at hand; name it with --spec")
-        else:
-            faults += _against_spec(content, described)
-            changed = ", ".join(f"{name} = {value}" for name, value in content["set"].items())
-            said.append(f"it belongs to {named}{' with ' + changed if changed else ''}: same plant, gains and goals")
-        if file.name != REFUSAL and not faults:
-            try:
+        try:
+            if described is None:
+                said.append("not compared with a spec: none is at hand; name it with --spec")
+            else:
+                faults += _against_spec(content, described)
+                changed = " with " * bool(content["set"]) + ", ".join(f"{k} = {v}" for k, v in content["set"].items())
+                said.append(f"it belongs to {named}{changed}: same plant, gains and goals")
+            if file.name != REFUSAL and not faults:
                 for name, fault in _against_folder(content, file.parent, index, described):
                     faults += [fault] if fault else []
                     said.append(f"{name} beside it tells the same")
-            except (Fault, KeyError, TypeError, ValueError, AttributeError) as error:
-                faults.append(f"a file beside it is not that of a run: {type(error).__name__}: {error}"[:200])
+        except (Fault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            faults.append(f"it, or a file beside it, is not that of a run: {type(error).__name__}: {error}"[:200])
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     return said
@@ -79,6 +79,8 @@ def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
         return ["not a certificate of a run: 'set' holds no texts"]
     if not isinstance(content.get("spec_sha256"), str) or ("bounds" not in content and file.name != REFUSAL):
         return ["not a certificate of a run: 'spec_sha256' or 'bounds' is missing"]
+    if content.get("claim") != CLAIM:
+        return ["'claim' is not what a certificate of this format proves"]
     refusal = any("Z" in proof for proof in content["proofs"])
     if file.name in (REFUSAL, CERTIFICATE) and refusal != (file.name == REFUSAL):
         return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]

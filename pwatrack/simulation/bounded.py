@@ -18,10 +18,13 @@ from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
+from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.visits import blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
+_LOST = 0.01  # of the largest state: what differs by more from a periodic solution is not on it
+_HINT = "the plant does not stay bounded under these inputs by itself"
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
 
@@ -45,11 +48,11 @@ def bounded_response(
     """Return the trajectory with whether x_d is proved bounded, or refuse it where x_d is seen to grow.
 
     It is bounded if (7) holds (Theorem 1); or if from the end of the run on it never leaves a cell that is stable by
-    itself, where it is a sum of exponentials.
+    itself, where it is a sum of exponentials. Of a periodic solution that is still to be found only (7) is asked.
 
     Args:
         plant: The system (1).
-        trajectory: From `input_trajectory`, with a start.
+        trajectory: From `input_trajectory`, with a start or, for the periodic solution, without.
         horizon: Duration of the run in s.
         solver: For (7).
         subject: What in the description the start is.
@@ -62,6 +65,8 @@ def bounded_response(
     if _convergent(plant, solver):
         return trajectory
     unproved = replace(trajectory, bounded=False)
+    if trajectory.eta0 is None:
+        return unproved
     try:
         run = _walked(plant, trajectory, horizon)
     except Undecided:  # too long a walk
@@ -71,6 +76,32 @@ def bounded_response(
     if _grows(plant, trajectory, run, horizon) and _goes_on(plant, trajectory, run, horizon):
         raise CheckFailed(_growth(plant, run, horizon, subject))
     return unproved
+
+
+def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = ()) -> Problem | None:
+    """Say that x_d, started on a periodic solution, is not on it to the end of a run, or return None.
+
+    What differs from an unstable one is multiplied in each period by the largest of its multipliers; all that there is
+    of it in floating point is a start that is off by its rounding.
+
+    Args:
+        found: The solution.
+        duration: Of the run, in s.
+        subject: What in the description asks for it.
+    """
+    period, largest = float(found.t[-1]), float(np.abs(found.multipliers).max(initial=0.0))
+    if largest <= 1:
+        return None
+    lost = period * np.log(_LOST / max(found.residual, np.finfo(np.float64).eps)) / np.log(largest)
+    if duration < lost:
+        return None
+    return Problem(
+        message=f"x_d leaves its periodic solution by rounding: what differs from it is multiplied by {largest:.3g} in "
+        f"{period:.6g} s, one period, so that this is seen after about {lost:.3g} s; Theorem 2 is about a bounded x_d",
+        subject=subject,
+        hint=_HINT,
+        remedy=Remedy(Way.DESIRED_STATE),
+    )
 
 
 def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizon: float) -> bool:
@@ -130,7 +161,7 @@ def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) ->
         message=f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
         f"tenth of {horizon:g} s, {before[k]:.3g} before; Theorem 2 is about a bounded x_d",
         subject=subject,
-        hint="the plant does not stay bounded under these inputs by itself",
+        hint=_HINT,
         remedy=Remedy(Way.DESIRED_STATE),
     )
 
