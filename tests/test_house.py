@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 from statistics import median
 
@@ -63,6 +64,21 @@ def test_the_tree_of_architecture_is_true() -> None:
         elif found := re.match(r"        (\w+\.py) ", line):
             listed.add(room + found[1])
     assert listed == {name(module) for module in MODULES if module.name != "__init__.py"}
+
+
+def test_no_modules_import_each_other() -> None:
+    modules = {"pwatrack." + name(m).removesuffix(".py").replace("/", "."): m for m in MODULES if m.stem[:2] != "__"}
+    imports = {
+        one: {
+            other
+            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom)
+            for other in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+            if other in modules
+        }
+        for one, module in modules.items()
+    }
+    assert len([*TopologicalSorter(imports).static_order()]) == len(modules)
 
 
 def texts(module: Path) -> Iterator[tuple[int, str]]:

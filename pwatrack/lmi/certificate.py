@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from pwatrack.arrays import Array, readonly, symmetric_part
+from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.lmi.presolve import distinct
-
-_EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,5 +78,5 @@ def _least(X: Array, size: Array) -> float:
     al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
     """
     n = len(X)
-    bound = 16 * n * _EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
+    bound = 16 * n * EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
     return float(np.linalg.eigvalsh(X)[0]) - bound

@@ -16,7 +16,7 @@ from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
-_BITS = 40  # of the entries of P, once its diagonal is about 1
+BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
     """
-    exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - _BITS // 2
+    exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - BITS // 2
     unit = [Fraction(2) ** int(e) for e in exponents]
     integers = [
         [round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True)]

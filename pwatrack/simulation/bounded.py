@@ -6,7 +6,7 @@ from math import e, factorial
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import TINY, Array, balancing
 from pwatrack.ball_matrix import different
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
@@ -18,7 +18,8 @@ from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
-from pwatrack.simulation.visits import blocks
+from pwatrack.simulation.trace import tenths
+from pwatrack.simulation.visits import STEPS, blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
@@ -99,16 +100,18 @@ def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) ->
     assert trajectory.eta0 is not None
     n = len(trajectory.eta0)
     z = np.concatenate([trajectory.eta0, trajectory.exosystem.w0, [1.0]])
-    tenths, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
+    largest, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
+    edges, seen = tenths(STEPS + 1), 0
     try:
         for trace in blocks(plant, trajectory, z, duration):
-            number = np.minimum((trace.t * 10 / duration).astype(np.int64), 9)
+            number = np.searchsorted(edges[1:-1], np.arange(seen, seen + len(trace.t)), side="right")
             for k in np.unique(number):
-                tenths[k] = np.maximum(tenths[k], np.abs(trace.z[number == k, :n]).max(axis=0))
+                largest[k] = np.maximum(largest[k], np.abs(trace.z[number == k, :n]).max(axis=0))
+            seen += len(trace.t)
             z, cell = trace.z[-1], int(trace.modes[-1, 0])
     except CheckFailed:  # beyond all bounds
-        tenths[-1] = np.inf
-    return _Walked(tenths, cell, z)
+        largest[-1] = np.inf
+    return _Walked(largest, cell, z)
 
 
 def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, duration: float) -> bool:
@@ -123,7 +126,7 @@ def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, durati
 
 
 def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) -> Problem:
-    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), np.finfo(np.float64).tiny)
+    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), TINY)
     k = int(np.argmax(last / before))
     reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
     return Problem(

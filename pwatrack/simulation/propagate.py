@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import Part
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
@@ -365,7 +365,7 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
     if fastest * end > _MOST_RADIANS:
         message = (
             f"{end:.6g} s are too long for an oscillation of {fastest:.4g} rad/s: of {fastest * end:.3g} rad, floating "
-            f"point keeps {fastest * end * float(np.finfo(np.float64).eps):.2g}; at most {_MOST_RADIANS:.2g} are taken"
+            f"point keeps {fastest * end * EPS:.2g}; at most {_MOST_RADIANS:.2g} are taken"
         )
         raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
 

@@ -16,7 +16,7 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem
 
 _USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
-_DEEPEST = 20
+_DEEPEST = 20  # levels: more than twice what a spec needs
 _LONGEST = 2**20  # characters
 _Node = (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
