@@ -19,10 +19,7 @@ Kind = Literal["tracks", "off", "grows", "above its bound"]
 _TRACKS = 0.01  # of the size of reference, start and largest error: what is left of an error then is small
 _ROUNDING = 8 * EPS  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
 _RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
-_STEADY = (
-    1.1,
-    7,
-)  # likewise, where each of so many last tenths is above the one before it: noise is so once in 5,000 runs
+_STEADY = (1.1, 7)  # likewise, where each of so many last tenths is above the one before: noise, once in 5,000 runs
 _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a shorter run tells nothing
 
 

@@ -17,12 +17,7 @@ from pwatrack.lmi.solve import solve
 
 _FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
-_STATE_WEIGHTS = (
-    1.0,
-    1e-2,
-    1e-4,
-    1e-6,
-)  # of the states against the inputs, in costs whose gains are tried
+_STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the states against the inputs, in costs whose gains are tried
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖: without one Y may be large for nothing
 _RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
 _CLOSER = 3  # times that the bound of the norm is drawn closer

@@ -19,6 +19,7 @@ from pwatrack.arrays import Array
 from pwatrack.rational import Rational, column_space, decimals, floats, is_positive_semidefinite, rational
 
 _BITS = 48  # of the entries of a rounded multiplier
+_INDEPENDENT = 1e-10  # of the largest pivot: equations with smaller ones follow from the others
 
 
 def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational], *, kernel: Rational | None = None) -> bool:
@@ -95,7 +96,7 @@ def _pivots(G: Array) -> tuple[list[int], list[int]]:
     """Return as many independent rows and columns as G has rank."""
     _, triangle, order = qr(G.T, pivoting=True, mode="economic")
     diagonal = np.abs(np.diag(triangle))
-    rank = int((diagonal > 1e-10 * diagonal.max(initial=0.0)).sum())
+    rank = int((diagonal > _INDEPENDENT * diagonal.max(initial=0.0)).sum())
     rows = order[:rank]
     columns = qr(G[rows], pivoting=True, mode="economic")[2][:rank]
     return rows.tolist(), columns.tolist()

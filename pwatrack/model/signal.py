@@ -12,6 +12,7 @@ from scipy.interpolate import PPoly
 from pwatrack.arrays import EPS, Array
 
 ComplexArray = NDArray[np.complex128]
+_JUMP = 1e-9  # of a derivative's own size: what it jumps by less is rounding
 _SAME = 1e-12  # relative distance below which two exponents λ are one
 _MOST_COEFFICIENTS = 100  # of one signal: as many states of the exosystem
 _HIGHEST = 20  # power of t
@@ -260,7 +261,7 @@ class Signal:
     def jump(self, order: int) -> tuple[float, float] | None:
         """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
 
-        Sizes within 1e-9 of the derivative's own size are rounding.
+        What is within rounding of the derivative's own size is none.
         """
         terms = self.stacked()
         for _ in range(order):
@@ -275,10 +276,10 @@ class Signal:
                 _values(terms, t) for t in (np.append(span, 0.0), np.append(span, 0.0) / 2, 0 * starts)
             )
             size = np.maximum(np.maximum(np.abs(left), np.abs(middle))[:-1], np.abs(right[1:]))
-            scale = float((size * (1 + 1e9 * EPS * starts[1:] / span)).max())  # the break itself is rounded
+            scale = float((size * (1 + EPS / _JUMP * starts[1:] / span)).max())  # the break itself is rounded
             gap = np.abs(right[1:] - left[:-1])
         worst = int(np.argmax(gap))
-        return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > 1e-9 * scale else None
+        return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > _JUMP * scale else None
 
     def stacked(self) -> dict[complex, ComplexArray]:
         """Return the coefficients of all pieces by λ, each (pieces, longest)."""

@@ -23,6 +23,7 @@ from pwatrack.simulation.visits import STEPS, blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
+_SOLVED = 1e-9  # of the terms of an equation: what is missed by less is rounding
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
 
@@ -156,7 +157,7 @@ def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizo
     except np.linalg.LinAlgError:  # w has a mode of the plant's
         return False
     missed = np.abs(A @ X - X @ S + R).max(initial=0.0)
-    solved = missed <= 1e-9 * (np.abs(A) @ np.abs(X) + np.abs(X) @ np.abs(S) + np.abs(R)).max(initial=0.0)
+    solved = missed <= _SOLVED * (np.abs(A) @ np.abs(X) + np.abs(X) @ np.abs(S) + np.abs(R)).max(initial=0.0)
     definite = np.linalg.eigvalsh(P)[0] > 0 and np.linalg.eigvalsh(A.T @ P + P @ A)[-1] < -0.5
     if not (solved and definite):
         return False
