@@ -106,7 +106,7 @@ def spring(gap: float) -> float:
 
 @njit
 def section_v(t: float, s: Array, result: Array) -> None:
-    """Write the closed loop of Section V in (x, x̂, η̄), with ERRATA's corrections."""
+    """Write the closed loop of Section V in (x, x̂, η̄), with their misprints mended."""
     z1, v1, z2, v2, p1, w1, p2, w2, e, de = s
     omega = 2 * math.pi
     z_d, v_d = 0.15 * math.sin(omega * t), 0.15 * omega * math.cos(omega * t)

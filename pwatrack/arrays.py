@@ -9,6 +9,8 @@ from scipy.linalg import matrix_balance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+EPS = float(np.finfo(np.float64).eps)  # relative distance from 1 to the next double; a rounding is half of it
+TINY = float(np.finfo(np.float64).tiny)  # the least double that keeps all digits
 
 
 def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: str = "array") -> Array:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -17,14 +17,9 @@ from pwatrack.simulation.trace import Trace, tenths
 Kind = Literal["tracks", "off", "grows", "above its bound"]
 
 _TRACKS = 0.01  # of the size of reference and start: what is left of an error then is small
-_ROUNDING = 8 * float(
-    np.finfo(np.float64).eps
-)  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
+_ROUNDING = 8 * EPS  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
 _RISE = 1.5  # over the first half of the run: the largest of noise or of a steady oscillation does not differ as much
-_STEADY = (
-    1.1,
-    7,
-)  # likewise, where each of so many last tenths is above the one before it: noise is so once in 5,000 runs
+_STEADY = (1.1, 7)  # likewise, where each of so many last tenths is above the one before: noise, once in 5,000 runs
 _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a shorter run tells nothing
 
 

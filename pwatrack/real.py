@@ -7,8 +7,8 @@ from typing import Any
 
 _BITS = 128  # of the arithmetic that encloses sines, roots and the like
 _MOST_BITS = 16_384  # of a fraction
-_EPS = Fraction(1, 2**50)
-_TINY = Fraction(1, 2**1060)
+_EPS = Fraction(1, 2**50)  # more than a rounding of a double, of its size
+_TINY = Fraction(1, 2**1060)  # the same where doubles lose digits
 
 
 @dataclass(frozen=True, slots=True)

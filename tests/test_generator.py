@@ -1,4 +1,4 @@
-"""The shift of Assumption 2 (DESIGN: η = η̄ + M ξ_d), and what holds where there is none."""
+"""The shift of Assumption 2, η = η̄ + M ξ_d, and what holds where there is none."""
 
 from pathlib import Path
 

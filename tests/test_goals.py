@@ -57,7 +57,7 @@ def norm(K: Array) -> float:
 def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
     plant: PWASystem, rate: float, most_K: float, most_L: float
 ) -> None:
-    """ERRATA: the smallest norms by ‖Y‖ ≤ κ; ours minimises a tighter bound."""
+    """The smallest norms by ‖Y‖ ≤ κ; ours minimises a tighter bound."""
     goal = Smallest(rate=rate)
     found = synthesize(plant, controller=goal, observer=goal)
     assert found.controller.rate >= rate

@@ -24,8 +24,9 @@ from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.inequality import Inequality, lyapunov, quadratic_cost, state_feedback, weighted
-from pwatrack.lmi.infeasibility import refute, refutes
+from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.linear_map import LinearMap
+from pwatrack.lmi.multipliers import refutes
 from pwatrack.lmi.presolve import corners, distinct
 from pwatrack.lmi.program import (
     Program,

@@ -90,8 +90,12 @@ def is_largest_at_the_end(signal: Array, size: float) -> bool:
 
 @given(st.floats(0.25, 1.0), st.floats(200.0, 300.0), st.floats(0.0, 6.28), st.booleans())
 def test_what_grows_slowly_from_its_start_is_seen(rate: float, frequency: float, phase: float, swings: bool) -> None:
-    """x' = εx grows by no more than e^ε; each tenth is above the one before it."""
-    assert rises(np.exp(rate * T) * (np.cos(frequency * T + phase) if swings else 1.0), 1.0)
+    """x' = εx grows by no more than e^ε; each tenth is above the one before it.
+
+    There are so many samples that none misses a peak by much.
+    """
+    t = np.linspace(0.0, 1.0, 10_001)
+    assert rises(np.exp(rate * t) * (np.cos(frequency * t + phase) if swings else 1.0), 1.0)
 
 
 def test_to_be_largest_at_the_end_is_not_to_grow() -> None:

@@ -1,4 +1,4 @@
-"""Section V of the paper and ERRATA, number by number."""
+"""Section V of the paper, with its misprints mended, number by number."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -60,7 +60,7 @@ def test_the_joint_mode_changes_694_times_between_19_modes(paper: Result) -> Non
 
 
 def equations_of_section_v(t: float, state: Array) -> Array:
-    """The closed loop written down from (20)–(23) with the corrections of ERRATA, as an oracle."""
+    """The closed loop written down from (20)–(23) with their misprints mended, as an oracle."""
     m1 = m2 = k1 = 1.0
     d1, d2, k2, k3, c1, c2, Ad, omega = 0.2, 0.1, 0.4, 0.4, 0.1, 0.05, 0.15, 2 * np.pi
     K = np.array([-1.6088, -1.1260, 0.2282, -0.1182])

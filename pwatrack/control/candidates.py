@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.control.task import Task
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
@@ -17,7 +17,7 @@ from pwatrack.lmi.solve import solve
 
 _FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
-_STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
+_STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the states against the inputs, in costs whose gains are tried
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖: without one Y may be large for nothing
 _RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
 _CLOSER = 3  # times that the bound of the norm is drawn closer
@@ -205,4 +205,4 @@ def _root(Q: Array) -> Array:
 
 def _definite(P: Array) -> bool:
     values = np.linalg.eigvalsh(P)
-    return bool(values[0] > np.finfo(np.float64).eps * values[-1])
+    return bool(values[0] > EPS * values[-1])

@@ -15,14 +15,16 @@ from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.presolve import extreme
-from pwatrack.lmi.program import largest_margin, least_condition
+from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals
 
+_DOUBTFUL = 1e-3  # of the size of a matrix: cells that decay no faster are looked at for a proof that there is no P
 _STEPS = 14  # at most so many rates are tried
 _CONVERGED = 1e-4  # relative distance to the next rate to try at which the search ends
 _NEAR = 1e-2  # gap of the margins: the next one can begin where such a one ended, and P is well inside
+_ENCLOSED = 1e-3  # of a rate that is out of reach: where the best one is that near, the search ends
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
@@ -41,34 +43,50 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    matrices, at = extreme(M), _near(M, start)
-    best = None if start is None else prove(M, start)
-    ceiling, failures = -float(np.linalg.eigvals(M).real.max()), 0
-    trial, margins = 0.0 if best is None else best.rate, list[tuple[float, float]]()
-    candidate = None
-    for _ in range(_STEPS):
-        inequality = lyapunov(at.system(matrices), trial / at.speed)
-        candidate = solve(largest_margin(inequality), solver, gap=_NEAR, after=candidate)
-        found = None if candidate is None else prove(M, at.matrix(candidate.P))
-        if found is not None and (best is None or found.rate > best.rate):
-            best = found
-        if candidate is not None and found is not None and best is not None and found.rate >= trial:
-            margins = [*margins, (trial, inequality.margin(candidate.P))][-2:]
-            trial = max(_root_of_chord(margins), best.rate)
-            if len(margins) == 2 and trial - best.rate <= _CONVERGED * best.rate:
-                break
+    search, points = _Rates(M, start, solver), list[tuple[float, float]]()
+    trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
+    for step in range(_STEPS):
+        margin, best = search.margin(trial), search.best
+        if best is None:  # in better coordinates there may be one
+            if step == _RECENTRED:
+                return None
+            continue
+        if margin is None:
+            points, ceiling = [], min(ceiling, trial)
         else:
-            failures, margins = failures + 1, []
-            if best is None and failures > _RECENTRED:
+            points = [*points, (trial, margin)][-2:]
+            trial = max(_root_of_chord(points), best.rate)
+            if len(points) == 2 and trial - best.rate <= _CONVERGED * best.rate:
                 break
-            if candidate is not None:
-                at, candidate = at.centred(candidate.P), None
-            ceiling = ceiling if best is None else min(ceiling, trial)
-        if best is not None and ceiling - best.rate <= 1e-3 * ceiling:
+        if ceiling - best.rate <= _ENCLOSED * ceiling:
             break
-        if best is not None and trial >= ceiling:
+        if trial >= ceiling:
             trial = (best.rate + ceiling) / 2
-    return best
+    return search.best
+
+
+class _Rates:
+    """Rates that are tried one after the other; `best` is the best proof so far."""
+
+    def __init__(self, M: Array, start: Array | None, solver: Solver) -> None:
+        self.best = None if start is None else prove(M, start)
+        self._M, self._corners, self._at, self._solver = M, extreme(M), _near(M, start), solver
+        self._last: Solution | None = None
+
+    def margin(self, rate: float) -> float | None:
+        """Return about the largest margin at a rate in 1/s; None, and better coordinates, if no proof is found."""
+        at = self._at
+        inequality = lyapunov(at.system(self._corners), rate / at.speed)
+        self._last = found = solve(largest_margin(inequality), self._solver, gap=_NEAR, after=self._last)
+        if found is None:
+            return None
+        proof = prove(self._M, at.matrix(found.P))
+        if proof is not None and (self.best is None or proof.rate > self.best.rate):
+            self.best = proof
+        if proof is not None and proof.rate >= rate:
+            return inequality.margin(found.P)
+        self._at, self._last = at.centred(found.P), None
+        return None
 
 
 def _root_of_chord(points: list[tuple[float, float]]) -> float:
@@ -153,7 +171,7 @@ def prove_convergence(
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
-    doubtful = (abscissa > -1e-3 * np.linalg.norm(M, axis=(1, 2))).any()
+    doubtful = (abscissa > -_DOUBTFUL * np.linalg.norm(M, axis=(1, 2))).any()
     no_input = np.zeros((M.shape[1], 0))
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
     refutation = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None

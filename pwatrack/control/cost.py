@@ -18,6 +18,7 @@ from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite, scalar
 
+_SLACK = 1e-9  # of the mean weight, beside weights that may be 0: what is minimised is then definite
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
 
 
@@ -58,7 +59,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     closed, weight = task.closed(K), Q + K.T @ R @ K
     exact = task.exactly_closed(K)
     matrices = np.swapaxes(extreme(closed), 1, 2)
-    slack = 1e-9 * float(np.trace(weight)) / len(Q) * np.eye(len(Q))
+    slack = _SLACK * float(np.trace(weight)) / len(Q) * np.eye(len(Q))
     at = Coordinates.balanced(matrices)
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))
     inside = at.driven(weight + slack)

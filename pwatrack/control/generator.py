@@ -13,6 +13,9 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
 
+_RANK = 1e-12  # of the largest singular value: smaller ones are rounding
+_MISSED = 1e-9  # of the largest entry: an equation of Assumption 2 that is missed by more has no solution
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryGenerator:
@@ -106,8 +109,8 @@ def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
         return readonly(np.zeros((p, r)))
     left = (A_eta[1:] - A_eta[0]).reshape(-1, p)
     right = (B_xi[0] - B_xi[1:]).reshape(-1, r)
-    M = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+    M = np.linalg.lstsq(left, right, rcond=_RANK)[0]
     size = np.abs(B_xi).max(initial=0.0)
-    if np.abs(left @ M - right).max(initial=0.0) > 1e-9 * size:
+    if np.abs(left @ M - right).max(initial=0.0) > _MISSED * size:
         return None
     return readonly(M + 0.0)

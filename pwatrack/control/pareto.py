@@ -10,6 +10,7 @@ from pwatrack.control.task import Task
 from pwatrack.lmi.role import Role
 
 _FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
+_SAME_RATE = 1e-3  # of a rate: what is slower by less counts as reaching it
 _BISECTIONS = 4  # between the fastest rate that was reached and the next
 
 
@@ -64,7 +65,7 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
             points.append(point)
     chosen = rate, float(np.linalg.norm(K, 2))
     found = np.array([*points, chosen])  # what reaches a rate reaches every lower one
-    points = [(a, float(found[found[:, 0] >= a * (1 - 1e-3), 1].min())) for a, _ in points]
+    points = [(a, float(found[found[:, 0] >= a * (1 - _SAME_RATE), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
     return Front(
         role=task.role,

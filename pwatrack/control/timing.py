@@ -3,15 +3,14 @@
 import numpy as np
 from scipy.linalg import expm
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 
-_EPS = float(np.finfo(np.float64).eps)
 _ALLOWED = 1e-9  # of the size of the reference: as exact as everything else that is shown
-_MOST_DOUBLINGS = 60
+_MOST_DOUBLINGS = 60  # of a fraction of the fastest time constant: no plant has slower ones
 
 
 def check_timing(
@@ -39,7 +38,7 @@ def check_timing(
     shortest = None if smooth is None else smooth[0] * (worst / _ALLOWED) ** (1 / smooth[1])
     raise InvalidSpec(
         Problem(
-            message=f"the time of a break at t = {time:.6g} s is known to {_EPS * time:.1g} s, and the reference "
+            message=f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
             f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
             f"up to {_ALLOWED:g} is taken",
             subject=subject,
@@ -69,13 +68,13 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
     times, jumps = [0.0], [np.zeros(len(rows))]
     for where, t, _ in system.pieces():
         rates = system.states(t) @ system.S.T
-        off = rates[:, where] @ rows[:, where].T * (_EPS * t[:, None])  # ẋ_d ε t
+        off = rates[:, where] @ rows[:, where].T * (EPS * t[:, None])  # ẋ_d ε t
         for k in sorted(set(np.abs(off).argmax(axis=0).tolist())):
             times.append(float(t[k]))
             jumps.append(off[k])
     breaks = np.unique([0.0, *(reset.t for reset in system.resets)])
     wanted = system.states(breaks) @ (outputs @ rows).T
-    size = np.maximum(np.ptp(wanted, axis=0), _EPS * np.abs(wanted).max(axis=0))
+    size = np.maximum(np.ptp(wanted, axis=0), EPS * np.abs(wanted).max(axis=0))
     with np.errstate(all="ignore"):
         relative = _largest(plant, K, outputs, np.array(jumps).T) / size[:, None]
     relative = np.where(np.isnan(relative), 0.0, relative)  # nothing off, and nothing wanted

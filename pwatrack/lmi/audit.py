@@ -41,7 +41,7 @@ NAMES = {
 Matrix = list[list[Fraction]]
 Ball = tuple[Matrix, Matrix]  # centre and radius
 _NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/0*[1-9][0-9]*)?")
-_MOST_BYTES = 2**28
+_MOST_BYTES = 2**28  # of the file
 _LARGEST = 100_000  # characters of a file's number, and binary exponent
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from pwatrack.arrays import Array, readonly, symmetric_part
+from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.lmi.presolve import distinct
 
-_EPS = float(np.finfo(np.float64).eps)
+_LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def prove(M: Array, P: Array) -> Certificate | None:
         return None
     rate = min(-float(eigh(side, scaled_P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
     size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
-    for shrunk in (rate * (1 - 1e-9), rate * (1 - 1e-6), rate * (1 - 1e-3)):
+    for shrunk in (rate * (1 - less) for less in _LESS):
         slack = -left - 2 * shrunk * scaled_P
         margin = min(_least(S, s) for S, s in zip(slack, size, strict=True))
         if shrunk > 0 and margin > 0:
@@ -80,5 +80,5 @@ def _least(X: Array, size: Array) -> float:
     al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
     """
     n = len(X)
-    bound = 16 * n * _EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
+    bound = 16 * n * EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
     return float(np.linalg.eigvalsh(X)[0]) - bound

@@ -22,14 +22,13 @@ from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import unpacked, unsure
+from pwatrack.lmi.exact import BITS, unpacked, unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import Rational, is_positive_definite, scalar
 
-_BITS = 40  # of the entries of Q, once its diagonal is about 1
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _NEAR = 0.01  # what the cost may be off: Q is that far inside
@@ -192,7 +191,7 @@ def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
 
 def _rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
     """Return integers and exponents with Q_jk near integers_jk · 2^(exponents_j + exponents_k)."""
-    exponents = np.round(np.log2(np.maximum(np.diag(Q), 1e-300)) / 2).astype(int) - _BITS // 2
+    exponents = np.round(np.log2(np.maximum(np.diag(Q), 1e-300)) / 2).astype(int) - BITS // 2
     unit = [Fraction(2) ** int(e) for e in exponents]
     rows = (symmetric_part(Q) / 2).tolist()
     integers = (

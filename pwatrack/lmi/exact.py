@@ -16,7 +16,8 @@ from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
-_BITS = 40  # of the entries of P, once its diagonal is about 1
+_GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
+BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
     """
-    exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - _BITS // 2
+    exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - BITS // 2
     unit = [Fraction(2) ** int(e) for e in exponents]
     integers = [
         [round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True)]
@@ -66,7 +67,7 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
         return None
     left = [_left(M_i, exact_P, unit) for M_i in M]
     size = float(np.linalg.norm(P))
-    for shrink in (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5):  # the rate gives way a little, so that a margin is left
+    for shrink in _GIVEN:
         short_rate = _rounded_down(rate * (1 - shrink), 6)
         slack = [S - scalar(2 * short_rate) * exact_P for S in left]
         if short_rate > 0 and all(is_positive_definite(S) for S in slack):

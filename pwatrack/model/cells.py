@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray, readonly
+from pwatrack.arrays import EPS, Array, IntArray, readonly
 from pwatrack.causes import Part
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
@@ -161,7 +161,7 @@ class Partition:
     def locate(self, x: Array) -> int:
         """Return the cell that contains x (n,), the first one if x lies on a facet."""
         sides = self.H @ x + self.h
-        doubt = (len(x) + 3) * np.finfo(np.float64).eps * (np.abs(self.H) @ np.abs(x) + np.abs(self.h)) + 1e-300
+        doubt = (len(x) + 3) * EPS * (np.abs(self.H) @ np.abs(x) + np.abs(self.h)) + 1e-300
         for k in np.flatnonzero((np.abs(sides) <= doubt) & np.isfinite(doubt)):
             side = value(self.rows[k], primitive([*map(Fraction, x.tolist()), Fraction(1)]))
             sides[k] = (side > 0) - (side < 0)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwatrack.arrays import Array, balancing, number_text, readonly
+from pwatrack.arrays import EPS, TINY, Array, balancing, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, stack
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
@@ -170,10 +170,10 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
     A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
     B = np.abs(floats(S.centre * missed_B))
     d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
-    shares = [np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, np.finfo(np.float64).tiny)]
+    shares = [np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, TINY)]
     for change, given in ((b, plant.b.T), (B, plant.B)):
         rates = np.abs(given) / d[:, None]
-        shares.append(change / d[:, None] / max(rates.max(), np.finfo(np.float64).tiny))
+        shares.append(change / d[:, None] / max(rates.max(), TINY))
     relative = max(float(share.max()) for share in shares)
     repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=readonly(B), relative=relative)
     remark = (
@@ -188,7 +188,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
     c = plant.C[0]
     rows = [c]
     size_A, n = np.abs(plant.A).max(axis=0), plant.A.shape[1]
-    rounding = 4 * n * np.finfo(np.float64).eps
+    rounding = 4 * n * EPS
     error = np.zeros(n)  # bounds how far rounding may have moved the entries of c
     for _ in range(n):
         B = plant.B[:, 0]

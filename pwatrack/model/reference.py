@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import EPS, Array, readonly
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.course import Course, Profile
 from pwatrack.model.signal import Signal
-
-_EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ def spectral_terms(S: Array, rates: NDArray[np.complex128]) -> list[tuple[comple
     """
     found: dict[complex, list[int]] = {}
     for k, rate in enumerate(rates.tolist()):
-        same = next((known for known in found if abs(known - rate) <= 32 * _EPS * abs(known)), rate)
+        same = next((known for known in found if abs(known - rate) <= 32 * EPS * abs(known)), rate)
         found.setdefault(same, []).append(k)
     result = []
     for rate, members in found.items():

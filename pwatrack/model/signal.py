@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 
 ComplexArray = NDArray[np.complex128]
-_EPS = float(np.finfo(np.float64).eps)
+_JUMP = 1e-9  # of a derivative's own size: what it jumps by less is rounding
 _SAME = 1e-12  # relative distance below which two exponents λ are one
 _MOST_COEFFICIENTS = 100  # of one signal: as many states of the exosystem
 _HIGHEST = 20  # power of t
-_LARGEST = 1e60  # coefficient: the same as for a number of a description
+LARGEST = 1e60  # number: products of a few stay finite, and those of the smallest do not vanish
 
 
 class NotRepresentable(ValueError):
@@ -148,8 +148,8 @@ class ExponentialPolynomial:
                 f"has {count} terms or more when multiplied out, at most {_MOST_COEFFICIENTS} are read"
             )
         largest = max((float(np.abs(c).max(initial=0.0)) for c in self.terms.values()), default=0.0)
-        if not largest <= _LARGEST or not np.isfinite(list(self.terms)).all():
-            raise NotRepresentable(f"has a coefficient beyond {_LARGEST:g}")
+        if not largest <= LARGEST or not np.isfinite(list(self.terms)).all():
+            raise NotRepresentable(f"has a coefficient beyond {LARGEST:g}")
 
     def derivative(self) -> "ExponentialPolynomial":
         """Return the derivative with respect to t."""
@@ -206,7 +206,7 @@ def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArr
     length = max(len(before), len(c))
     one, two = np.pad(before, (0, length - len(before))), np.pad(c, (0, length - len(c)))
     total = one + two
-    total[np.abs(total) <= 8 * _EPS * (np.abs(one) + np.abs(two))] = 0.0  # what cancelled is gone
+    total[np.abs(total) <= 8 * EPS * (np.abs(one) + np.abs(two))] = 0.0  # what cancelled is gone
     terms[rate] = total
 
 
@@ -261,7 +261,7 @@ class Signal:
     def jump(self, order: int) -> tuple[float, float] | None:
         """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
 
-        Sizes within 1e-9 of the derivative's own size are rounding.
+        What is within rounding of the derivative's own size is none.
         """
         terms = self.stacked()
         for _ in range(order):
@@ -276,10 +276,10 @@ class Signal:
                 _values(terms, t) for t in (np.append(span, 0.0), np.append(span, 0.0) / 2, 0 * starts)
             )
             size = np.maximum(np.maximum(np.abs(left), np.abs(middle))[:-1], np.abs(right[1:]))
-            scale = float((size * (1 + 1e9 * _EPS * starts[1:] / span)).max())  # the break itself is rounded
+            scale = float((size * (1 + EPS / _JUMP * starts[1:] / span)).max())  # the break itself is rounded
             gap = np.abs(right[1:] - left[:-1])
         worst = int(np.argmax(gap))
-        return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > 1e-9 * scale else None
+        return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > _JUMP * scale else None
 
     def stacked(self) -> dict[complex, ComplexArray]:
         """Return the coefficients of all pieces by λ, each (pieces, longest)."""

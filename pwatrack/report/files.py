@@ -151,11 +151,28 @@ def write_refusal(
     Raises:
         InvalidSpec: If the folder cannot be written; nothing is changed then.
     """
+    proof = None
+    if spec is None:
+        index = _unread(path, parameters, seconds)
+    else:
+        index = _index(spec, seconds) | {"remarks": list(spec.problem.plant.remarks)}
+        if isinstance(refusal.evidence, Impossibility):
+            proof = refusal_certificate(spec, refusal.evidence)
     reasons = [
         {"message": p.message, "hint": p.hint, "place": None if p.place is None else str(p.place)}
         for p in refusal.problems
     ]
-    index: dict[str, Any] = {
+    ending = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code), "reasons": reasons}
+    with run_folder(folder) as run:
+        if proof is not None:
+            run.json(REFUSAL, proof)
+        run.commit(index | ending)
+    return proof is not None
+
+
+def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[str, float] | None) -> dict[str, Any]:
+    """Return what run.json says of a spec that could not be read."""
+    return {
         "name": path.stem,
         "spec": str(path),
         "spec_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
@@ -163,15 +180,6 @@ def write_refusal(
         "seconds": dict(seconds or {}),
         "versions": _versions(),
     }
-    if spec is not None:
-        index = _index(spec, seconds) | {"remarks": list(spec.problem.plant.remarks)}
-    with run_folder(folder) as run:
-        proof = refusal.evidence if spec is not None and isinstance(refusal.evidence, Impossibility) else None
-        if spec is not None and proof is not None:
-            run.json(REFUSAL, refusal_certificate(spec, proof))
-        ending = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code), "reasons": reasons}
-        run.commit(index | ending)
-    return proof is not None
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:

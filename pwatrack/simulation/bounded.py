@@ -6,7 +6,7 @@ from math import e, factorial
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import EPS, TINY, Array, balancing
 from pwatrack.ball_matrix import different
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
@@ -19,12 +19,14 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
 from pwatrack.simulation.steady_state import SteadyState
-from pwatrack.simulation.visits import blocks
+from pwatrack.simulation.trace import tenths
+from pwatrack.simulation.visits import STEPS, blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
 _LOST = 0.01  # of the largest state: what differs by more from a periodic solution is not on it
 _HINT = "the plant does not stay bounded under these inputs by itself"
+_SOLVED = 1e-9  # of the terms of an equation: what is missed by less is rounding
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
 
@@ -92,7 +94,7 @@ def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = 
     period, largest = float(found.t[-1]), float(np.abs(found.multipliers).max(initial=0.0))
     if largest <= 1:
         return None
-    lost = period * np.log(_LOST / max(found.residual, np.finfo(np.float64).eps)) / np.log(largest)
+    lost = period * np.log(_LOST / max(found.residual, EPS)) / np.log(largest)
     if duration < lost:
         return None
     return Problem(
@@ -130,16 +132,18 @@ def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) ->
     assert trajectory.eta0 is not None
     n = len(trajectory.eta0)
     z = np.concatenate([trajectory.eta0, trajectory.exosystem.w0, [1.0]])
-    tenths, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
+    largest, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
+    edges, seen = tenths(STEPS + 1), 0
     try:
         for trace in blocks(plant, trajectory, z, duration):
-            number = np.minimum((trace.t * 10 / duration).astype(np.int64), 9)
+            number = np.searchsorted(edges[1:-1], np.arange(seen, seen + len(trace.t)), side="right")
             for k in np.unique(number):
-                tenths[k] = np.maximum(tenths[k], np.abs(trace.z[number == k, :n]).max(axis=0))
+                largest[k] = np.maximum(largest[k], np.abs(trace.z[number == k, :n]).max(axis=0))
+            seen += len(trace.t)
             z, cell = trace.z[-1], int(trace.modes[-1, 0])
     except CheckFailed:  # beyond all bounds
-        tenths[-1] = np.inf
-    return _Walked(tenths, cell, z)
+        largest[-1] = np.inf
+    return _Walked(largest, cell, z)
 
 
 def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, duration: float) -> bool:
@@ -154,7 +158,7 @@ def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, durati
 
 
 def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) -> Problem:
-    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), np.finfo(np.float64).tiny)
+    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), TINY)
     k = int(np.argmax(last / before))
     reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
     return Problem(
@@ -184,7 +188,7 @@ def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizo
     except np.linalg.LinAlgError:  # w has a mode of the plant's
         return False
     missed = np.abs(A @ X - X @ S + R).max(initial=0.0)
-    solved = missed <= 1e-9 * (np.abs(A) @ np.abs(X) + np.abs(X) @ np.abs(S) + np.abs(R)).max(initial=0.0)
+    solved = missed <= _SOLVED * (np.abs(A) @ np.abs(X) + np.abs(X) @ np.abs(S) + np.abs(R)).max(initial=0.0)
     definite = np.linalg.eigvalsh(P)[0] > 0 and np.linalg.eigvalsh(A.T @ P + P @ A)[-1] < -0.5
     if not (solved and definite):
         return False

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import TINY, Array
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -44,7 +44,7 @@ def realised(
     ends = np.append(starts[1:], horizon)
     rest = left_over(plant, trajectory)
     left, size = rest.sizes(starts, ends - starts)
-    scale = np.maximum(size.max(axis=(0, 1)), np.finfo(np.float64).tiny)  # (n,)
+    scale = np.maximum(size.max(axis=(0, 1)), TINY)  # (n,)
     wrong = (left > ROUNDING * scale).any(axis=2)  # (l, pieces)
     everywhere = not wrong[:, -1].any()  # the last piece goes on for ever
     if wrong.any():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import Part
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
@@ -24,6 +24,7 @@ MOST_EVENTS = 1_000_000  # at a time in memory
 _MOST_FINEST = 2.0**52  # finest steps of a run: their times must be different numbers
 _MOST_RADIANS = 2.0**32  # of what oscillates for good: its phase is then right to 1e-6
 _LASTING = 50.0, 1e-9  # time constants in a run, or part of its frequency, below which a decay does not count
+_ON_GRID = 1e-9, 1e-15  # of a finest step, or of the time: what is nearer to the grid is on it but for rounding
 _UNBOUNDED = 1e100  # no tracking loop gets there
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span")
 
@@ -365,7 +366,7 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
     if fastest * end > _MOST_RADIANS:
         message = (
             f"{end:.6g} s are too long for an oscillation of {fastest:.4g} rad/s: of {fastest * end:.3g} rad, floating "
-            f"point keeps {fastest * end * float(np.finfo(np.float64).eps):.2g}; at most {_MOST_RADIANS:.2g} are taken"
+            f"point keeps {fastest * end * EPS:.2g}; at most {_MOST_RADIANS:.2g} are taken"
         )
         raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
 
@@ -378,4 +379,4 @@ def _doublings(size: Array, sample_time: float) -> int:
 def _snapped(step: Array) -> Array:
     """Return times in steps, on the grid where they are there but for rounding."""
     grid = np.round(step)
-    return np.where(np.abs(step - grid) < np.maximum(1e-9, 1e-15 * step), grid, step)
+    return np.where(np.abs(step - grid) < np.maximum(_ON_GRID[0], _ON_GRID[1] * step), grid, step)

@@ -1,5 +1,6 @@
 """The controller as a program: it reads, computes and writes once in a sample time; the plant goes on in between."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,35 +27,44 @@ def sampled(flow: Flow, sampling: Sampling, at: Layout, *, measured: Array, law:
         measured: Rows of the measured output, (q, N).
         law: Rows of the input (10) or (19) by the cell of x_d, (l, m, N).
     """
-    z = np.eye(at.order)
     plant, observer, generator, *_ = flow.parts
     actuators = [part for part in flow.parts if isinstance(part, Actuator)]
-    step, read, cut = z.copy(), z.copy(), z.copy()
-    program, control = np.zeros((len(generator.F), *z.shape)), np.zeros((len(generator.F), *z.shape))
-    step[at.x_hat], step[at.eta_hat], step[at.w_held] = 0.0, 0.0, z[at.w]
-    program[:, at.eta_hat] = [_step(F + _rows(flow.F0, at.w_held), sampling)[at.eta_hat] for F in generator.F]
-    estimate = np.zeros_like(observer.F)
-    estimate[:, at.x_hat] = [_step(F + _rows(flow.F0, at.x_hat), sampling)[at.x_hat] for F in observer.F]
-    read[at.y], read[at.u] = measured, 0.0
-    control[:, at.u] = law
-    maps = [
-        SwitchedMap(J0=step, parts={"observer": estimate, "generator": program}),
-        SwitchedMap(J0=read, parts={"generator": control}),
-    ]
-    cuts = {}
-    for part in actuators:
-        row = at.u.start + part.input
-        cut[row] = 0.0
-        cuts[part.name] = np.zeros((len(part.cells), *z.shape))
-        for j, level in enumerate(part.levels):
-            cuts[part.name][j, row] = z[row] if level is None else level * z[-1]
-    if cuts:
-        maps.append(SwitchedMap(J0=cut, parts=cuts))
-
+    maps = [_stepped(flow, sampling, at), _read(flow, at, measured, law)] + [_cut_off(actuators, at)] * bool(actuators)
     F0 = flow.F0.copy()
     F0[at.x_hat], F0[at.w_held] = 0.0, 0.0
     still = [replace(part, F=np.zeros_like(part.F)) for part in (observer, generator, *actuators)]
     return Flow(F0=F0, parts=(plant, *still), clock=Clock(period=sampling.sample_time, maps=tuple(maps), first=1))
+
+
+def _stepped(flow: Flow, sampling: Sampling, at: Layout) -> SwitchedMap:
+    """Return the map that steps observer and generator on, and holds the reference as it now is."""
+    _, observer, generator, *_ = flow.parts
+    step, program, estimate = np.eye(at.order), np.zeros_like(generator.F), np.zeros_like(observer.F)
+    step[at.w_held] = step[at.w]
+    step[at.x_hat], step[at.eta_hat] = 0.0, 0.0
+    program[:, at.eta_hat] = [_step(F + _rows(flow.F0, at.w_held), sampling)[at.eta_hat] for F in generator.F]
+    estimate[:, at.x_hat] = [_step(F + _rows(flow.F0, at.x_hat), sampling)[at.x_hat] for F in observer.F]
+    return SwitchedMap(J0=step, parts={observer.name: estimate, generator.name: program})
+
+
+def _read(flow: Flow, at: Layout, measured: Array, law: Array) -> SwitchedMap:
+    """Return the map that measures the output and computes the input."""
+    generator = flow.parts[2]
+    read, control = np.eye(at.order), np.zeros_like(generator.F)
+    read[at.y], read[at.u], control[:, at.u] = measured, 0.0, law
+    return SwitchedMap(J0=read, parts={generator.name: control})
+
+
+def _cut_off(actuators: Sequence[Actuator], at: Layout) -> SwitchedMap:
+    """Return the map that replaces each input which is beyond a limit by that limit."""
+    z = np.eye(at.order)
+    cut, cuts = z.copy(), {}
+    for part in actuators:
+        row = at.u.start + part.input
+        cut[row] = 0.0
+        cuts[part.name] = np.zeros_like(part.F)
+        cuts[part.name][:, row] = [z[row] if level is None else level * z[-1] for level in part.levels]
+    return SwitchedMap(J0=cut, parts=cuts)
 
 
 def _rows(F: Array, where: slice) -> Array:

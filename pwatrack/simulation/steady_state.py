@@ -14,7 +14,7 @@ from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.trace import Trace
 
 _TOLERANCE = 1e-11  # of the largest state, after one period
-_MOST_STEPS = 50
+_MOST_STEPS = 50  # of Newton's method, which settles in a few or not at all
 _SINGULAR = 1e-10  # relative distance from 1 at which a multiplier of the period map counts as 1
 
 

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.simulation.flow import Flow, Mode
 
-_EPS = float(np.finfo(np.float64).eps)
 _NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _LARGEST = 1e100  # of an entry
@@ -126,4 +125,4 @@ def taylor(F: Array) -> Array:
 
 def unit(order: int) -> float:
     """Return what a sum of so many products, with a few steps of arithmetic, can be off by, of its terms' sizes."""
-    return max(64, 2 * order) * _EPS
+    return max(64, 2 * order) * EPS

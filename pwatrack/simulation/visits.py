@@ -14,7 +14,8 @@ from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import pieces, trace_blocks
 from pwatrack.simulation.trace import Trace
 
-_SAMPLES, _BLOCK = 2000, 500  # of a walk: it stops after the block in which something is found
+STEPS = 2000  # from sample to sample, of a walk
+_BLOCK = 500  # samples: a walk stops after the block in which something is found
 _LONGEST = 5e6  # radians, or time constants, that a walk may take
 
 
@@ -58,5 +59,5 @@ def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration:
     F[:, :p] = trajectory.rate
     part = SwitchedPart.of("x_d", plant, trajectory.x_d, F)
     resets = pieces(system, slice(p, p + len(system.w0)))
-    step = duration / _SAMPLES
+    step = duration / STEPS
     return trace_blocks(Flow(F0=F0, parts=(part,)), z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)

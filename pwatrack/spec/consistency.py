@@ -1,6 +1,6 @@
 """Sections of a spec that do not go together, or ask for what has no meaning."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,15 @@ from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.names import unknown_names
 from pwatrack.spec.paths import path_text
-from pwatrack.spec.schema import CostSection, GoalSection, SimulationSection, SpecFile, SystemSection
+from pwatrack.spec.schema import (
+    CellSection,
+    CostSection,
+    GoalSection,
+    HyperplaneSection,
+    SimulationSection,
+    SpecFile,
+    SystemSection,
+)
 from pwatrack.spec.wording import shown
 
 _MOST_SAMPLES = 10_000_000  # more are hours of a run, and gigabytes of its trace
@@ -46,31 +54,37 @@ def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem
 def plant_problems(system: SystemSection) -> list[Problem]:
     """Check that the plant is written in exactly one of the three ways."""
     problems: list[tuple[str, Subject]] = []
-    if system.cells is None:
-        if system.A is None:
-            problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
-        if system.hyperplanes is not None:
-            problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
-    else:
+    if system.cells is not None:
         problems += [
             (f"system.{name} does not go with cells: give one or the other", ("system", name))
             for name in ("A", "b", "nonlinearities")
             if getattr(system, name) is not None
         ]
-        wanted = "where" if system.hyperplanes is None else "signs"
-        for k, cell in enumerate(system.cells):
-            subject: Subject = ("system", "cells", k)
-            if wanted == "signs" and (cell.where is not None or len(cell.signs or []) != len(system.hyperplanes or [])):
-                count = len(system.hyperplanes or [])
-                found = "none" if cell.signs is None else str(len(cell.signs))
-                problems.append((f"cell '{cell.name}': {found} signs, expected {count}, one per hyperplane", subject))
-            if wanted == "where" and cell.signs is not None:
-                problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
+        problems += _sign_problems(system.cells, system.hyperplanes)
+    elif system.A is None:
+        problems.append(("system.cells, or system.A with nonlinearities, is missing", ("system",)))
+    if system.cells is None and system.hyperplanes is not None:
+        problems.append(("hyperplanes need cells with signs", ("system", "hyperplanes")))
     for k, element in enumerate(system.nonlinearities or []):
         for state, meant in unknown_names(element.into, system.states):
             subject = ("system", "nonlinearities", k, "into", state)
             problems.append((f"nonlinearity '{element.name}': {shown(state)} is no state{meant}", subject))
     return [Problem(message=message, subject=subject) for message, subject in problems]
+
+
+def _sign_problems(
+    cells: Sequence[CellSection], hyperplanes: Sequence[HyperplaneSection] | None
+) -> list[tuple[str, Subject]]:
+    """Check that cells have one sign for each hyperplane, and none without hyperplanes."""
+    problems: list[tuple[str, Subject]] = []
+    for k, cell in enumerate(cells):
+        subject, given, wanted = ("system", "cells", k), len(cell.signs or []), len(hyperplanes or [])
+        if hyperplanes is None and cell.signs is not None:
+            problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
+        if hyperplanes is not None and (cell.where is not None or given != wanted):
+            found = "none" if cell.signs is None else given
+            problems.append((f"cell '{cell.name}': {found} signs, expected {wanted}, one per hyperplane", subject))
+    return problems
 
 
 def reference_problems(file: SpecFile) -> list[Problem]:

@@ -13,12 +13,11 @@ from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.paths import path_text
 from pwatrack.spec.schema import CourseSection, PolylineSection, StepSection, TrapezoidSection
-from pwatrack.spec.table import read_table
+from pwatrack.spec.table import FINEST, read_table
 
-_MOST_PERIODS = 10_000
+_MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
-_FINEST = 1e-12  # of the duration: times that are closer are one time, but for rounding
 
 
 def build_courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:
@@ -150,10 +149,10 @@ def _polyline(section: PolylineSection, horizon: float, subject: Subject) -> Pro
 
 def _check_fine(what: str, length: float, span: float, subject: Subject) -> None:
     """Refuse times that are not apart but for rounding."""
-    if length < _FINEST * span:
+    if length < FINEST * span:
         raise _refused(
             f"{path_text(subject)}: {what} is too short beside {span:g} s: "
-            f"at least {_FINEST * span:.1g} s are told apart",
+            f"at least {FINEST * span:.1g} s are told apart",
             subject,
         )
 

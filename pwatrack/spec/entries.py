@@ -12,13 +12,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, PlainValidator, Tag, ValidationInfo
 
-from pwatrack.model.signal import ExponentialPolynomial, NotRepresentable
+from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
 from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, number, real
 from pwatrack.spec.wording import odd_character, shown
 
-_LARGEST = 1e60  # products of a few entries stay finite, and those of the smallest do not vanish
-_LONGEST_NAME = 100
+_LONGEST_NAME = 100  # characters: names are columns of tables and of the trace
 _COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
 _LONGEST_LABEL = 200  # of a title, or the name of a cell
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
@@ -51,10 +50,10 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
 
 def _sized(value: float | Fraction) -> None:
     size = abs(float(value))
-    if size > _LARGEST:
-        raise ValueError(f"{float(value):g} is larger than {_LARGEST:g}")
-    if value != 0 and size < 1 / _LARGEST:
-        raise ValueError(f"{float(value):g} is smaller than {1 / _LARGEST:g} but not 0: write 0, or use other units")
+    if size > LARGEST:
+        raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
+    if value != 0 and size < 1 / LARGEST:
+        raise ValueError(f"{float(value):g} is smaller than {1 / LARGEST:g} but not 0: write 0, or use other units")
 
 
 def _sized_form(form: LinearForm) -> LinearForm:

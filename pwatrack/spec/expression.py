@@ -28,7 +28,7 @@ FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name
 CONSTANTS = {"pi": math.pi}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
-_LONGEST = 500
+_LONGEST = 500  # characters of an expression: nobody writes longer ones by hand
 _PLAIN = re.compile(r"-?(0|[1-9][0-9]{0,14})(\.[0-9]{1,15})?")
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,

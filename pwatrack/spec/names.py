@@ -17,53 +17,53 @@ _COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuato
 
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check on the raw tree that every name stands for one thing."""
-    problems = []
+    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs))]
+    units = at_path(data, ("system", "units"))
+    units = units if isinstance(units, dict) and context.states else ()
+    problems = [*_declared_twice(context), *_of_the_trace(signals)]
+    for name, meant in unknown_names(units, signals):
+        message = f"system.units: {shown(name)} is no state, input or output{meant}"
+        problems.append(Problem(message=message, subject=("system", "units", name)))
+    return [*problems, *_repeated(data, "cells", "cell"), *_repeated(data, "nonlinearities", "nonlinearity")]
+
+
+def _declared_twice(context: Context) -> Iterator[Problem]:
     taken: dict[str, str] = {}
     for kind in ("parameters", "states", "inputs", "outputs"):
-        for name in context.parameters if kind == "parameters" else getattr(context, kind):
+        for name in getattr(context, kind):
             if taken.get(name, kind) != kind:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                problems.append(Problem(message=message, subject=("system", kind)))
+                yield Problem(message=message, subject=("system", kind))
             taken[name] = kind
-    signals = {name: None for kind in (context.states, context.inputs, context.outputs) for name in kind}
-    for name in signals:
-        for suffix in ("_hat", "_d", "_ff"):
-            if name + suffix in signals:
-                message = f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
-                problems.append(Problem(message=message, subject=("system",), hint="choose another name"))
-    problems += [
-        Problem(
-            message=f"'{name}' is how the trace names a column of its own",
-            subject=("system",),
-            hint="choose another name",
-        )
+
+
+def _of_the_trace(signals: Collection[str]) -> Iterator[Problem]:
+    """Yield a problem for each signal that is called like a column of the trace that is another one."""
+    known = set(signals)
+    messages = [
+        f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
         for name in signals
-        if _COLUMN.fullmatch(name)
+        for suffix in ("_hat", "_d", "_ff")
+        if name + suffix in known
     ]
-    system = data.get("system")
-    system = system if isinstance(system, dict) else {}
-    units = system.get("units")
-    problems += [
-        Problem(
-            message=f"system.units: {shown(name)} is no state, input or output{meant}",
-            subject=("system", "units", name),
-        )
-        for name, meant in unknown_names(units if isinstance(units, dict) and context.states else (), signals)
-    ]
-    for section, kind in (("cells", "cell"), ("nonlinearities", "nonlinearity")):
-        seen = set[str]()
-        entries = system.get(section)
-        for k, entry in enumerate(entries if isinstance(entries, list) else []):
-            name = entry.get("name") if isinstance(entry, dict) else None
-            subject: Subject = ("system", section, k, "name")
-            if not isinstance(name, str):
-                continue
-            if not name.strip():
-                problems.append(Problem(message=f"this {kind} has an empty name", subject=subject))
-            elif name.strip() in seen:
-                problems.append(Problem(message=f"a second {kind} is named {shown(name.strip())}", subject=subject))
-            seen.add(name.strip())
-    return problems
+    messages += [f"'{name}' is how the trace names a column of its own" for name in signals if _COLUMN.fullmatch(name)]
+    for message in messages:
+        yield Problem(message=message, subject=("system",), hint="choose another name")
+
+
+def _repeated(data: Mapping[str, Any], section: str, kind: str) -> Iterator[Problem]:
+    """Yield a problem for each entry of a section that has no name, or the name of an earlier one."""
+    entries, seen = at_path(data, ("system", section)), set[str]()
+    for k, entry in enumerate(entries if isinstance(entries, list) else []):
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if not isinstance(name, str):
+            continue
+        name, subject = name.strip(), ("system", section, k, "name")
+        if not name:
+            yield Problem(message=f"this {kind} has an empty name", subject=subject)
+        elif name in seen:
+            yield Problem(message=f"a second {kind} is named {shown(name)}", subject=subject)
+        seen.add(name)
 
 
 def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:

@@ -47,7 +47,7 @@ from pwatrack.spec.entries import (
 )
 
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
-_MOST_PORTRAITS = 50
+_MOST_PORTRAITS = 50  # each is a picture
 
 
 class Section(BaseModel):

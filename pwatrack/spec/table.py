@@ -10,11 +10,11 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Table
+from pwatrack.model.signal import LARGEST
 
 LARGEST_FILE = 50_000_000  # bytes
-MOST_ROWS = 200_000
-_LARGEST = 1e60  # value: the same as for a number of a description
-_FINEST = 1e-12  # of the time: rows that are closer are one time, but for rounding
+MOST_ROWS = 200_000  # each is a piece of the signal
+FINEST = 1e-12  # of the time: times that are closer are one time, but for rounding
 
 
 def read_table(path: Path, column: str | None, subject: Subject) -> Table:
@@ -107,14 +107,14 @@ def _check(values: Array) -> None:
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         raise ValueError(f"row {int(np.argmin(finite)) + 2} is not finite")
-    large = np.abs(values).max(axis=1) > _LARGEST
+    large = np.abs(values).max(axis=1) > LARGEST
     if large.any():
-        raise ValueError(f"row {int(np.argmax(large)) + 2} has a number beyond {_LARGEST:g}")
-    close = np.diff(t) <= _FINEST * np.abs(t).max()
+        raise ValueError(f"row {int(np.argmax(large)) + 2} has a number beyond {LARGEST:g}")
+    close = np.diff(t) <= FINEST * np.abs(t).max()
     if close.any():
         k = int(np.argmax(close))
         gap = t[k + 1] - t[k]
-        far = "" if gap <= 0 else f" enough: {gap:.3g} s, at least {_FINEST * np.abs(t).max():.1g} s are told apart"
+        far = "" if gap <= 0 else f" enough: {gap:.3g} s, at least {FINEST * np.abs(t).max():.1g} s are told apart"
         raise ValueError(f"t does not increase{far} at row {k + 3}")
     if t[0] > 0:
         raise ValueError(f"t starts at {t[0]:g} s, after 0")

@@ -16,7 +16,7 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem
 
 _USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
-_DEEPEST = 20
+_DEEPEST = 20  # levels: more than twice what a spec needs
 _LONGEST = 2**20  # characters
 _Node = (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -82,6 +82,32 @@ def _place_in(text: str, position: int, file: str) -> Place:
     return Place(file, before.count("\n") + 1, position - before.rfind("\n"))
 
 
+@dataclass
+class _Open:
+    """A mapping or list that is being read, its path, and the key whose value comes next; no path for the root."""
+
+    value: Any
+    path: Subject | None
+    key: str | None = None
+
+    @property
+    def wants_key(self) -> bool:
+        return isinstance(self.value, dict) and self.key is None
+
+    def put(self, value: Any) -> Subject:
+        """Add what was read, and return its path."""
+        if self.path is None:
+            self.value.append(value)
+            return ()
+        step: str | int = len(self.value)
+        if isinstance(self.value, dict):
+            step, self.key = self.key or "", None
+            self.value[step] = value
+        else:
+            self.value.append(value)
+        return (*self.path, step)
+
+
 class _Builder:
     """Builds the tree from parser events, with an explicit stack: depth and size are bounded."""
 
@@ -91,54 +117,42 @@ class _Builder:
 
     def build(self, events: Iterable[Any]) -> Document:
         root: list[Any] = []
-        stack: list[tuple[Any, Subject]] = [(root, ())]
-        key: list[str | None] = [None]
+        stack = [_Open(root, None)]
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent) and root:
                 self._stop(event, "a second document starts here; a spec is one document")
-            if isinstance(event, yaml.AliasEvent):
-                self._stop(event, f"alias '*{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
+            self._check_plain(event)
             if isinstance(event, yaml.CollectionEndEvent):
                 stack.pop()
-                key.pop()
-                continue
-            if not isinstance(event, _Node):
-                continue
-            if event.anchor:
-                self._stop(event, f"anchor '&{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
-            if event.tag and not _plain_tag(event):
-                self._stop(event, f"tag '{event.tag}': tags are not supported")
-            container, path = stack[-1]
-            if isinstance(container, dict) and key[-1] is None:
-                key[-1] = self._key(event, container)
-                continue
-            value: Any = (
-                event.value
-                if isinstance(event, yaml.ScalarEvent)
-                else ({} if isinstance(event, yaml.MappingStartEvent) else [])
-            )
-            if isinstance(container, dict):
-                here: Subject = (*path, key[-1] or "")
-                container[key[-1] or ""] = value
-                key[-1] = None
-            else:
-                here = (*path, len(container)) if container is not root else ()
-                container.append(value)
-            self.document.places[here] = self._place(event)
-            if not isinstance(event, yaml.ScalarEvent):
-                if len(stack) > _DEEPEST:
-                    self._stop(event, f"nested deeper than {_DEEPEST} levels")
-                stack.append((value, here))
-                key.append(None)
+            elif isinstance(event, _Node) and stack[-1].wants_key:
+                stack[-1].key = self._key(event, stack[-1].value)
+            elif isinstance(event, _Node):
+                value = self._value(event)
+                here = stack[-1].put(value)
+                self.document.places[here] = self._place(event)
+                if isinstance(value, dict | list):
+                    if len(stack) > _DEEPEST:
+                        self._stop(event, f"nested deeper than {_DEEPEST} levels")
+                    stack.append(_Open(value, here))
         if not root or not isinstance(root[0], dict):
-            raise InvalidSpec(
-                Problem(
-                    message="the file must hold a mapping of sections (name, system, …)",
-                    place=Place(self.file, 1, 1),
-                )
-            )
+            message = "the file must hold a mapping of sections (name, system, …)"
+            raise InvalidSpec(Problem(message=message, place=Place(self.file, 1, 1)))
         self.document.data.update(root[0])
         return self.document
+
+    def _check_plain(self, event: Any) -> None:
+        """Refuse what lets a short file stand for a long one, or for objects."""
+        if isinstance(event, yaml.AliasEvent):
+            self._stop(event, f"alias '*{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
+        if isinstance(event, _Node) and event.anchor:
+            self._stop(event, f"anchor '&{event.anchor}': anchors and aliases are not supported", _USE_PARAMETERS)
+        if isinstance(event, _Node) and event.tag and not _plain_tag(event):
+            self._stop(event, f"tag '{event.tag}': tags are not supported")
+
+    def _value(self, event: Any) -> Any:
+        if isinstance(event, yaml.ScalarEvent):
+            return event.value
+        return {} if isinstance(event, yaml.MappingStartEvent) else []
 
     def _key(self, event: Any, container: dict[str, Any]) -> str:
         if not isinstance(event, yaml.ScalarEvent):
