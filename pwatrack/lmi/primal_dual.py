@@ -28,6 +28,8 @@ from pwatrack.lmi.program import Program, Solution
 _FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
+_STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
+_PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 100  # iterations
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
@@ -129,7 +131,7 @@ def _minimise(
     linear: LinearMap, at: _Iterate, share: float, against: float | None
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
-    best = None
+    best, gaps = None, list[float]()
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings, rough = _scalings(linear, at), share > _ROUGHLY
     for number in range(_MOST):
@@ -147,7 +149,12 @@ def _minimise(
             best = at, number, False
             if against is not None and rest.objective < against:
                 return best
-        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and abs(float(rest.slope @ at.v)) <= wanted)
+        slight = abs(float(rest.slope @ at.v)) <= wanted or gap <= _STALLED * wanted
+        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and slight)
+        if off[0] <= _OFF and off[1] <= _ROUNDED:
+            gaps.append(gap)
+            if len(gaps) > _PATIENCE and gap > _FALLEN * gaps[-1 - _PATIENCE]:
+                return at, number, False
         done = off[0] <= _OFF and flat and gap <= wanted
         if done and (not rough or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
             return at, number, False
