@@ -25,6 +25,11 @@ from pwatrack.errors import Infeasible, PwatrackError
 
 def feasible(seed: int, n: int, m: int, cells: int, margin: float) -> tuple[Array, Array]:
     """Return A (l, n, n) and B (n, m) for which (8) has a solution with this margin, relative to ‖A‖."""
+    return observed(seed, n, m, cells, margin)[:2]
+
+
+def observed(seed: int, n: int, m: int, cells: int, margin: float) -> tuple[Array, Array, Array]:
+    """Return A, B and C (m, n) for which (8) and (9) have one: with K = C for the one, and L = B for the other."""
     random = np.random.default_rng(seed)
     orthogonal = np.linalg.qr(random.normal(size=(n, n)))[0]
     root = (orthogonal * 10.0 ** random.uniform(-0.5, 0.5, size=n)) @ orthogonal.T
@@ -35,7 +40,7 @@ def feasible(seed: int, n: int, m: int, cells: int, margin: float) -> tuple[Arra
         stable = G - G.T - F @ F.T / n
         size = np.linalg.norm(stable, 2)
         A[i] = root @ (stable - margin * size * np.eye(n)) @ np.linalg.inv(root) - B @ K
-    return A, B
+    return A, B, K
 
 
 def infeasible(seed: int, n: int, m: int, cells: int, margin: float) -> tuple[Array, Array]:

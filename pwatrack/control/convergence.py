@@ -25,6 +25,7 @@ _STEPS = 14  # at most so many rates are tried
 _CONVERGED = 1e-4  # relative distance to the next rate to try at which the search ends
 _NEAR = 1e-2  # gap of the margins: the next one can begin where such a one ended, and P is well inside
 _ENCLOSED = 1e-3  # of a rate that is out of reach: where the best one is that near, the search ends
+_CLOSE = 1e-4  # gap of the least condition number, whose root is the overshoot
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
@@ -122,7 +123,7 @@ def least_overshoot_certificate(
     at = _near(M, start)
     inequality = lyapunov(at.system(extreme(M)), rate / at.speed)
     try:
-        candidate = solve(least_condition(inequality, at.driven(np.eye(M.shape[1]))), solver)
+        candidate = solve(least_condition(inequality, at.driven(np.eye(M.shape[1]))), solver, gap=_CLOSE)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
     return None if candidate is None else prove(M, at.matrix(candidate.P))

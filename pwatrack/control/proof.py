@@ -42,14 +42,14 @@ def prove_design(
         (OBSERVER, design.L, design.observer),
     ):
         closed = Task.of(plant, role).exactly_closed(role.oriented(gain))
-        proofs += _prove(role, different(closed), certificate, solver)
+        proofs += prove_inequality(role, different(closed), certificate, solver)
     if generator is not None and generator.A_eta.shape[1]:
         M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
-        proofs += _prove(GENERATOR, M, generator.certificate, solver)
+        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver)
     return tuple(proofs)
 
 
-def _prove(role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
+def prove_inequality(role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot."""
     best = prove_exactly(role, M, certificate.P, certificate.rate)
     if best is None:

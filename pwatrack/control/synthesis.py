@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -158,6 +159,11 @@ class Search:
         self.best_margin = -np.inf
         self._refutations = dict[float, Refutation | None]()
 
+    @cached_property
+    def _idle(self) -> Proved | None:
+        """The gain 0 with the proof of its best rate."""
+        return self.proved(self.candidates.nothing(), 0.0)
+
     def refuted(self, rate: float) -> Refutation | None:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
         if rate not in self._refutations:
@@ -255,9 +261,8 @@ class Search:
         A candidate counts only if its own P proves it: so each call solves a few programs, and a search
         that makes many of them ends.
         """
-        found = self.proved(self.candidates.nothing(), rate)
-        if found is not None:
-            return found
+        if self._idle is not None and reaches(self._idle[1], rate):
+            return self._idle
         for sequence in self.candidates.smallest(rate, soon=bound is not None):
             best = None
             for candidate in sequence:

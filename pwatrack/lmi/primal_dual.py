@@ -28,9 +28,10 @@ from pwatrack.lmi.program import Program, Solution
 _FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
+_STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
+_PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 100  # iterations
-_PATIENCE = 8  # iterations in which the gap is not halved, after which it ends where all is satisfied
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
 _LEAST_STEP = 1e-7
 _ROUGH, _FINE = 0.15, 0.06  # relative errors of step lengths, of the direction that tells μ and of the others
@@ -130,7 +131,7 @@ def _minimise(
     linear: LinearMap, at: _Iterate, share: float, against: float | None
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
-    best, least, since = None, np.inf, 0
+    best, gaps = None, list[float]()
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings, rough = _scalings(linear, at), share > _ROUGHLY
     for number in range(_MOST):
@@ -148,20 +149,20 @@ def _minimise(
             best = at, number, False
             if against is not None and rest.objective < against:
                 return best
-        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and abs(float(rest.slope @ at.v)) <= wanted)
+        slight = abs(float(rest.slope @ at.v)) <= wanted or gap <= _STALLED * wanted
+        flat = off[1] <= _OFF or (off[1] <= _ROUNDED and slight)
+        if off[0] <= _OFF and off[1] <= _ROUNDED:
+            gaps.append(gap)
+            if len(gaps) > _PATIENCE and gap > _FALLEN * gaps[-1 - _PATIENCE]:
+                return at, number, False
         done = off[0] <= _OFF and flat and gap <= wanted
         if done and (not rough or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
             return at, number, False
-        if best is not None:
-            since = 0 if gap < least / 2 else since + 1
-            least = min(least, gap)
-        if since > _PATIENCE:  # rounding allows no more
-            break
         moved = None
         with suppress(np.linalg.LinAlgError):  # a scaling is singular to working precision
             step = _Step(linear, scalings, rest)
-            lowest = wanted / 2 / linear.blocks.order if rough else 0.0
-            move, reach = step.centring(mu) if done else step.corrected(mu, lowest)
+            least = wanted / 2 / linear.blocks.order if rough else 0.0
+            move, reach = step.centring(mu) if done else step.corrected(mu, least)
             moved = step.taken(at, move, reach)
         if moved is None:
             break
