@@ -1,6 +1,5 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
-from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState, periodic_state
@@ -120,23 +119,23 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
-    watch = Watch(loop, samples, units=spec.problem.units)
+    plant, watch = spec.problem.plant, Watch(loop, samples, units=spec.problem.units)
+    measuring = Measuring(samples, outputs=plant.outputs, inputs=plant.inputs, bands=spec.scenario.bands)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
-    def blocks() -> Iterator[Response]:
-        number = 0
-        for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
-            kept.append(trace if spool is None else trace.every(step, number))
-            if spool is not None:
-                spool.add(trace)
-            number += len(trace.t)
-            response = loop.response(trace)
-            watch.see(response)
-            yield response
-
-    figures = Figures.of(blocks(), samples)
-    return loop.response(kept[0] if spool is None else Trace.coarse(kept)), figures, watch.outcome(), spool
+    number = 0
+    for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
+        kept.append(trace if spool is None else trace.every(step, number))
+        if spool is not None:
+            spool.add(trace)
+        number += len(trace.t)
+        response = loop.response(trace)
+        watch.see(response)
+        measuring.see(response)
+    if spool is None:
+        return response, measuring.figures([response]), watch.outcome(), None
+    return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch.outcome(), spool
 
 
 def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:

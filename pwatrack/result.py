@@ -100,7 +100,7 @@ class Result:
     @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
-        return self.figures.final_tracking_error
+        return self.figures.final_error
 
     def blocks(self) -> Iterator[Response]:
         """Yield the signals at all samples, with all events; those of a long run block by block, off the disk."""

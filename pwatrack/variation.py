@@ -13,6 +13,7 @@ from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
+from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
 from pwatrack.simulation.trace import Trace
@@ -61,6 +62,7 @@ class EnsembleResult:
         seed: Of the random numbers.
         ensemble: The members; number k in files and messages is index k − 1.
         outcomes: How each member ended, judged as a single run is.
+        figures: What was measured of each, as of a single run.
     """
 
     nominal: Result
@@ -68,6 +70,7 @@ class EnsembleResult:
     seed: int
     ensemble: Ensemble
     outcomes: tuple[Outcome, ...]
+    figures: tuple[Figures, ...]
 
     @property
     def failed(self) -> tuple[int, ...]:
@@ -136,13 +139,23 @@ def ensemble(
             workers=workers,
             progress=progress,
         )
+        judged = [verdict for verdict in kept.verdicts if isinstance(verdict, _Judged)]
         return EnsembleResult(
             nominal=result,
             variation=variation,
             seed=seed,
             ensemble=kept,
-            outcomes=tuple(verdict for verdict in kept.verdicts if isinstance(verdict, Outcome)),
+            outcomes=tuple(judged_one.outcome for judged_one in judged),
+            figures=tuple(judged_one.figures for judged_one in judged),
         )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What is said of a member."""
+
+    outcome: Outcome
+    figures: Figures
 
 
 def other_starts(result: Result, count: int, seed: int) -> Variation:
@@ -239,10 +252,13 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 def _member(result: Result, loop: ClosedLoop) -> Member:
     resets = tuple(loop.resets(result.spec.scenario.duration))
 
-    def judge(trace: Trace) -> Outcome:
-        watch = Watch(loop, len(trace.t), units=result.spec.problem.units)
-        watch.see(loop.response(trace))
-        return watch.outcome()
+    spec, plant = result.spec, result.spec.problem.plant
+
+    def judge(trace: Trace) -> _Judged:
+        watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
+        watch.see(response)
+        bands = spec.scenario.bands
+        return _Judged(watch.outcome(), Figures.of(response, outputs=plant.outputs, inputs=plant.inputs, bands=bands))
 
     return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets, judge=judge)
 

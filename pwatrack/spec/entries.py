@@ -44,7 +44,12 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
         return value
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
-    result = number(value, info.context.parameters)
+    return sized_number(value, info.context)
+
+
+def sized_number(text: str, context: Context) -> float:
+    """Return the value of an expression in the parameters, as a double; raises as `sized_real`."""
+    result = number(text, context.parameters)
     _sized(result)
     return result
 

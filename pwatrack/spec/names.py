@@ -104,6 +104,7 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("disturbance",), simulation.disturbance, system.states, "state"))
     if simulation.noise is not None:
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
+    given.append((("settled",), simulation.settled, system.outputs, "output"))
     return [
         Problem(
             message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",

@@ -105,4 +105,5 @@ def build_scenario(section: SimulationSection, states: Sequence[str], conditions
         regions=regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
         portraits=tuple((first, second) for first, second in section.portraits),
+        bands=section.settled,
     )

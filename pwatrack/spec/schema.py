@@ -350,6 +350,8 @@ class SimulationSection(Section):
 
     duration: Positive
     sample_time: Positive
+    settled: dict[str, Positive] = {}
+    """By name: how far from its rest an output counts as settled, in its unit."""
     initial: InitialSection = InitialSection()
     plant: PlantSection | None = None
     actuator: ActuatorSection | None = None
@@ -387,3 +389,4 @@ class SpecFile(Section):
     simulation: SimulationSection
     tolerance: ToleranceSection = ToleranceSection()
     expect: ExpectSection | None = None
+    require: Any = None  # see `requirement`

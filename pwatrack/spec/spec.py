@@ -17,6 +17,7 @@ from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spelling import located
 
 
@@ -76,6 +77,7 @@ class Scenario:
         regions: Where the members of an ensemble start, by part; empty where the file says nothing.
         intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
         portraits: Pairs of linear forms of the states to draw against each other.
+        bands: How far from its rest an output counts as settled, in its unit, by name where that is given.
     """
 
     duration: float
@@ -85,6 +87,7 @@ class Scenario:
     regions: Mapping[str, Region]
     intervals: Mapping[str, tuple[float, float]]
     portraits: tuple[tuple[LinearForm, LinearForm], ...]
+    bands: Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +103,7 @@ class Spec:
         problem: What is controlled, and what it is to track.
         objectives: What the gains are to achieve.
         scenario: What is simulated.
+        requirements: What figures of design, run and ensemble must achieve.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -112,6 +116,7 @@ class Spec:
     problem: TrackingProblem
     objectives: Objectives
     scenario: Scenario
+    requirements: tuple[Requirement, ...]
     expected_exit: int
     places: Mapping[Subject, Place]
 
