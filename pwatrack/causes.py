@@ -18,6 +18,7 @@ class Part(Enum):
     C = auto()
     REFERENCE = auto()
     START = auto()  # of x_d
+    GENERATOR_START = auto()  # eta_hat(0)
     DESIGN = auto()
     CONTROLLER = auto()
     OBSERVER = auto()

@@ -1,5 +1,6 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,13 +22,14 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.spool import Spool
-from pwatrack.simulation.steady_state import SteadyState, periodic_state
+from pwatrack.simulation.startup import measured_start, steady_start
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.spec import Spec
+from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.wording import guess, shown
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
-_LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 
 def design(spec: Spec, *, growing: bool = False) -> Controller:
@@ -88,10 +90,11 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         fixed, initial = controller.trajectory.eta0, spec.scenario.initial
         if initial.generator is not None and start_fixed(spec, controller):
             raise start_given_twice(("simulation", "initial", "generator"))
+        x, observer = _initial(initial.plant, n, "plant"), initial.observer
         start = loop.start(
-            plant=_initial(initial.plant, n, "plant"),
-            observer=_initial(initial.observer, n, "observer"),
-            generator=fixed if fixed is not None else _initial(initial.generator, p, "generator"),
+            plant=x,
+            observer=measured_start(loop, x) if isinstance(observer, Measured) else _initial(observer, n, "observer"),
+            generator=_generator_start(initial.generator, controller) if fixed is None else fixed,
         )
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and starts_periodic(spec):
@@ -146,15 +149,36 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     if not p or period is None or not (controller.generator or starts_periodic(spec)):
         return None
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period
-    if radians > _LONGEST_PERIOD and not starts_periodic(spec):
+    if radians > LONGEST_PERIOD and not starts_periodic(spec):
         return None
-    if radians > _LONGEST_PERIOD:
+    if radians > LONGEST_PERIOD:
         message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
-        message += f"fastest; up to {_LONGEST_PERIOD:.0e} are followed"
+        message += f"fastest; up to {LONGEST_PERIOD:.0e} are followed"
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
         raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
+
+
+def _generator_start(given: Array | Mapping[str, float] | Steady | None, controller: Controller) -> Array:
+    """Return η̂(0), in order or by the names of the states of the generator."""
+    names, subject = controller.trajectory.names, ("simulation", "initial", "generator")
+    if isinstance(given, Steady):
+        return steady_start(controller)
+    if not isinstance(given, Mapping):
+        return _initial(given, len(names), "generator")
+    unknown = [
+        Problem(
+            message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
+            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
+            subject=(*subject, name),
+        )
+        for name in given
+        if name not in names
+    ]
+    if unknown:
+        raise InvalidSpec(*unknown)
+    return np.array([given.get(name, 0.0) for name in names])
 
 
 def _initial(values: Array | None, length: int, part: str) -> Array:

@@ -16,7 +16,9 @@ from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.trace import Trace
+from pwatrack.spec.spec import Measured, Spec
 from pwatrack.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
@@ -182,6 +184,8 @@ def other_starts(result: Result, count: int, seed: int) -> Variation:
         if part == "generator":
             _check_generator(result, drawn.shape[1])
         starts[:, where] = drawn
+    for start in starts:
+        _observe(spec, loop, start)
     member = _member(result, loop)
     return Variation(
         over="initial",
@@ -241,7 +245,9 @@ def other_noise(result: Result, count: int, seed: int) -> Variation:
 
     def member(number: int) -> Member:
         conditions = replace(loop.conditions, noise=replace(noise, seed=int(seeds[number])))
-        return replace(first, resets=tuple(replace(loop, conditions=conditions).resets(result.spec.scenario.duration)))
+        varied, start = replace(loop, conditions=conditions), result.start.copy()
+        _observe(result.spec, varied, start)
+        return replace(first, z0=start, resets=tuple(varied.resets(result.spec.scenario.duration)))
 
     return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
 
@@ -260,7 +266,15 @@ def _member(result: Result, loop: ClosedLoop) -> Member:
         bands = spec.scenario.bands
         return _Judged(watch.outcome(), Figures.of(response, outputs=plant.outputs, inputs=plant.inputs, bands=bands))
 
-    return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets, judge=judge)
+    start = result.start.copy()
+    _observe(spec, loop, start)
+    return Member(flow=loop.flow, z0=start, error=loop.tracking_error, resets=resets, judge=judge)
+
+
+def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
+    """Let the observer of a member start from what is measured of its own plant, where the spec asks for it."""
+    if isinstance(spec.scenario.initial.observer, Measured):
+        start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 
 def _around(result: Result) -> dict[str, Region]:

@@ -243,6 +243,10 @@ def _start_kind(value: Any) -> str:
     return "by name" if isinstance(value, dict) else "in order"
 
 
+def _start_or_word(value: Any) -> str:
+    return "a word" if isinstance(value, str) else _start_kind(value)
+
+
 def listed(value: Any) -> Any:
     """One of them may stand without a list."""
     return [value] if isinstance(value, dict) else value
@@ -267,8 +271,14 @@ Vector = list[Number]
 Rows = list[list[Number]]
 ExactVector = list[Exact]
 ExactRows = list[list[Exact]]
-Start = Annotated[
-    Annotated[dict[str, Number], Tag("by name")] | Annotated[Vector, Tag("in order")], Discriminator(_start_kind)
+_ByName = Annotated[dict[str, Number], Tag("by name")]
+_InOrder = Annotated[Vector, Tag("in order")]
+Start = Annotated[_ByName | _InOrder, Discriminator(_start_kind)]
+StartOrMeasured = Annotated[
+    Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
+]
+StartOrSteady = Annotated[
+    Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
 PositiveOrLargest = Annotated[float | Literal["largest"], PlainValidator(_positive_or("largest"))]

@@ -73,6 +73,11 @@ def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     if isinstance(regions, dict) and not any(regions.values()):
         message = f"{path_text(subject)}: nothing is varied"
         problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
+    both = at_path(data, ("simulation", "initial", "observer")) == "measured"
+    if both and at_path(data, (*subject, "observer")) is not None:
+        message = f"{path_text((*subject, 'observer'))}: each observer starts from what is measured then"
+        hint = "leave it out, or 'observer: measured' under simulation.initial"
+        problems.append(Problem(message=message, subject=(*subject, "observer"), hint=hint))
     for part in ("plant", "observer"):
         inside: Subject = (*subject, part, "ellipsoid")
         places: list[Subject] = [("simulation", "initial", part)]

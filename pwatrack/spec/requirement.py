@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pwatrack.errors import Problem, Subject
+from pwatrack.causes import Subject
+from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context, sized_number
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.wording import guess, shown

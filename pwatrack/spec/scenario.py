@@ -19,8 +19,8 @@ from pwatrack.spec.schema import (
     GoalSection,
     SimulationSection,
 )
-from pwatrack.spec.spec import InitialStates, Objectives, Scenario
-from pwatrack.spec.starts import in_order, regions
+from pwatrack.spec.spec import Objectives, Scenario
+from pwatrack.spec.starts import initial_states, regions
 
 
 def build_objectives(section: DesignSection) -> Objectives:
@@ -92,17 +92,13 @@ def build_conditions(
 
 def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
     """Return what is simulated under given conditions."""
-    plant, observer = (in_order(values, states) for values in (section.initial.plant, section.initial.observer))
-    generator = section.initial.generator
-    initial = InitialStates(
-        plant=plant, observer=observer, generator=None if generator is None else readonly(generator)
-    )
+    initial = initial_states(section.initial, states)
     return Scenario(
         duration=section.duration,
         sample_time=section.sample_time,
         initial=initial,
         conditions=conditions,
-        regions=regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
+        regions=regions(section.ensemble.initial, states, initial),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
         portraits=tuple((first, second) for first, second in section.portraits),
         bands=section.settled,

@@ -39,6 +39,8 @@ from pwatrack.spec.entries import (
     Rounding,
     Rows,
     Start,
+    StartOrMeasured,
+    StartOrSteady,
     Time,
     Whole,
     as_course,
@@ -277,11 +279,11 @@ class ReferenceSection(Section):
 
 
 class InitialSection(Section):
-    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name."""
+    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name; or a word says how."""
 
     plant: Start | None = None
-    observer: Start | None = None
-    generator: list[Number] | None = None
+    observer: StartOrMeasured | None = None
+    generator: StartOrSteady | None = None
 
 
 class PlantSection(Section):

@@ -57,13 +57,23 @@ class Objectives:
     solver: Solver
 
 
+@dataclass(frozen=True)
+class Measured:
+    """A start of the observer: from what is measured then."""
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A start of the generator: in its steady state for the reference as it begins."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class InitialStates:
-    """Where a simulation starts: plant (n,), observer (n,), generator (p,); None for zero."""
+    """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name; None for zero."""
 
     plant: Array | None = None
-    observer: Array | None = None
-    generator: Array | None = None
+    observer: Array | Measured | None = None
+    generator: Array | Mapping[str, float] | Steady | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ _PATHS: Mapping[Part, Subject] = {
     Part.DESIGN: ("design",),
     Part.CONTROLLER: ("design", "controller"),
     Part.OBSERVER: ("design", "observer"),
+    Part.GENERATOR_START: ("simulation", "initial", "generator"),
     Part.DURATION: ("simulation", "duration"),
     # of a cell
     Part.A: ("A",),
