@@ -33,6 +33,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
+from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 from pwatrack.version import __version__
 
@@ -70,7 +71,7 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
             "figures": gain_figures(controller),
-            "remarks": list(controller.plant.remarks),
+            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller)],
         }
         index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)

@@ -33,6 +33,7 @@ from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
+from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
@@ -131,7 +132,7 @@ def print_design(console: Console, spec: Spec, controller: Controller, checked: 
     _missed_rows(table, checked)
     _met_row(table, checked)
     _proved_rows(table, spec, controller)
-    _remark_rows(table, controller.plant.remarks)
+    _remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller)))
     console.print(table)
 
 

@@ -150,6 +150,12 @@ def _pair(values: list[LinearForm]) -> list[LinearForm]:
     return values
 
 
+def _scale(value: Any, info: ValidationInfo[Context]) -> float | dict[str, float]:
+    if isinstance(value, dict):
+        return {name: _number(entry, info) for name, entry in value.items()}
+    return _number(value, info)
+
+
 def _not_negative(value: float) -> float:
     if value < 0:
         raise ValueError(f"{value:g} is negative")
@@ -285,6 +291,7 @@ PositiveOrLargest = Annotated[float | Literal["largest"], PlainValidator(_positi
 PositiveOrSmallest = Annotated[float | Literal["smallest"], PlainValidator(_positive_or("smallest"))]
 PeriodicOrVector = Annotated[list[float], PlainValidator(_start)]
 Limits = Annotated[list[float], PlainValidator(_limits)]
+Scale = Annotated[float | dict[str, float], PlainValidator(_scale)]
 Rounding = Annotated[Positive, AfterValidator(_rounding)]
 ExitNumber = Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
 Form = Annotated[LinearForm, PlainValidator(_form)]

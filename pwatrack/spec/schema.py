@@ -38,6 +38,7 @@ from pwatrack.spec.entries import (
     PositiveOrSmallest,
     Rounding,
     Rows,
+    Scale,
     Start,
     StartOrMeasured,
     StartOrSteady,
@@ -244,11 +245,25 @@ class PolylineSection(Section):
     smooth: Positive | None = None
 
 
+class FilterSection(Section):
+    """What is left of a measured table: what is slower than the cutoff (Hz), without a phase."""
+
+    cutoff: Positive
+
+
 class TableSection(Section):
-    """A CSV file with a header: column t (s) and the signal's column, joined by a spline."""
+    """A text file with a header, a column of times and the signal's column, joined by a spline.
+
+    `scale` is that of the times, in s, or of each column by its name.
+    """
 
     file: str
     column: str | None = None
+    time: str = "t"
+    scale: Scale = 1.0
+    delimiter: Literal[",", ";", "\t", " ", "|"] | None = None
+    decimal: Literal[".", ","] | None = None
+    filter: FilterSection | None = None
 
 
 class CourseSection(Section):
