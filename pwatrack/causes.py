@@ -27,6 +27,7 @@ class Part(Enum):
     RATE = auto()
     BOUND = auto()  # of the norm of a gain
     COST = auto()
+    SAMPLE_TIME = auto()  # of the controller
     DURATION = auto()
 
 
@@ -50,6 +51,7 @@ class Way(Enum):
     GAIN_BOUND = auto()
     DESIRED_STATE = auto()
     DESIRED_START = auto()
+    FASTER_SAMPLES = auto()  # the longest time in s that would do
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
+from pwatrack.simulation.sample_map import check_sample_time
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start, steady_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
@@ -85,6 +86,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
+        check_sample_time(controller, spec.scenario.conditions)
         loop = closed_loop(controller, spec.scenario.conditions)
         n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed, initial = controller.trajectory.eta0, spec.scenario.initial

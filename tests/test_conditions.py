@@ -135,13 +135,13 @@ def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
         } >= {3}
 
 
-@pytest.mark.parametrize("method", ["exponential", "euler"])
+@pytest.mark.parametrize(("method", "late"), [("exponential", 0), ("euler", 0), ("exponential", 1), ("euler", 3)])
 @pytest.mark.parametrize("extra", ["", EXTRAS["limits"] + EXTRAS["parameters"] + EXTRAS["disturbance"]])
 def test_a_sampled_controller_is_the_program_written_by_hand(
-    method: str, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
+    method: str, late: int, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
 ) -> None:
-    step = 0.02
-    extra += f"  controller: {{sample_time: {step}, method: {method}}}\n"
+    step, waiting = 0.02, [np.zeros(1)] * late
+    extra += f"  controller: {{sample_time: {step}, method: {method}, delay: {late}}}\n"
     result = simulate(loaded(paper_spec, tmp_path, extra, 2.0), paper.controller)
     machine = Machine(result)
     x, x_hat, eta_hat = np.split(result.response.trace.z[0, : sum(machine.sizes)], np.cumsum(machine.sizes)[:-1])
@@ -151,7 +151,8 @@ def test_a_sampled_controller_is_the_program_written_by_hand(
         np.testing.assert_allclose(result.response.x[row], x, atol=1e-8)
         np.testing.assert_allclose(result.response.x_hat[row], x_hat, atol=1e-8)
         np.testing.assert_allclose(result.response.eta_hat[row], eta_hat, atol=1e-8)
-        u, y = machine.input(t, x_hat, eta_hat), machine.measured(x, np.zeros(1))
+        waiting.append(machine.input(t, x_hat, eta_hat))
+        u, y = waiting.pop(0), machine.measured(x, np.zeros(1))
         np.testing.assert_allclose(result.response.u[row], u, atol=1e-7)
         found = solve_ivp(machine.motion, (t, t + step), x, args=(u,), max_step=step / 4, **TIGHT)
         x, cell = found.y[:, -1], machine.desired(t, eta_hat)[2]

@@ -36,10 +36,12 @@ class Sampling:
         sample_time: In s.
         method: How observer and generator step on in the cell they are in: "exponential" is exact for what
             the controller knows, "euler" is one explicit Euler step.
+        delay: How many sample times an input is put out after what it is computed from was measured.
     """
 
     sample_time: float
     method: Method = "exponential"
+    delay: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,9 @@ class Conditions:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
             said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
         if self.sampling is not None:
-            said.append(f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})")
+            late = self.sampling.delay
+            text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
+            said.append(text + (f", its output {late} sample{'s' * (late > 1)} late" if late else ""))
         return said
 
     @property

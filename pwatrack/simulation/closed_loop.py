@@ -181,7 +181,8 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     ]
     u = switched + steady
     if conditions.limits is not None:
-        parts += actuators(conditions.limits, u, parts[-1], plant, model, at)
+        meant = switched + z[at.computed] if sampling else u
+        parts += actuators(conditions.limits, meant, parts[-1], plant, model, at)
     flow = Flow(F0=F0, parts=tuple(parts))
     return ClosedLoop(
         controller=controller,

@@ -17,7 +17,8 @@ def sampled(flow: Flow, sampling: Sampling, at: Layout, *, measured: Array, law:
 
     At each tick the program steps observer and generator on from the last tick, in the cells they were in then,
     with the input and the measured output that it holds. Then it measures and computes the new input, and
-    cuts it off at the limits of the actuator. The first tick, at t = 0, has no step.
+    cuts it off at the limits of the actuator; where it is late, the input goes behind those that wait, and the first of
+    them is put out. The first tick, at t = 0, has no step.
 
     Args:
         flow: The same loop, where observer and generator move in continuous time under held u, y and w.
@@ -35,15 +36,17 @@ def sampled(flow: Flow, sampling: Sampling, at: Layout, *, measured: Array, law:
     program[:, at.eta_hat] = [_step(F + _rows(flow.F0, at.w_held), sampling)[at.eta_hat] for F in generator.F]
     estimate = np.zeros_like(observer.F)
     estimate[:, at.x_hat] = [_step(F + _rows(flow.F0, at.x_hat), sampling)[at.x_hat] for F in observer.F]
-    read[at.y], read[at.u] = measured, 0.0
-    control[:, at.u] = law
+    m, waiting = at.u.stop - at.u.start, slice(at.u.start, at.late.stop)
+    read[at.y] = measured
+    read[waiting] = np.vstack([z[at.late], np.zeros((m, at.order))])  # each moves up by one
+    control[:, at.computed] = law
     maps = [
         SwitchedMap(J0=step, parts={"observer": estimate, "generator": program}),
         SwitchedMap(J0=read, parts={"generator": control}),
     ]
     cuts = {}
     for part in actuators:
-        row = at.u.start + part.input
+        row = at.computed.start + part.input
         cut[row] = 0.0
         cuts[part.name] = np.zeros((len(part.cells), *z.shape))
         for j, level in enumerate(part.levels):

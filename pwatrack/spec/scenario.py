@@ -84,7 +84,11 @@ def build_conditions(
         limits=limits if limits is not None and np.isfinite(limits).any() else None,
         disturbance=disturbance,
         noise=noise,
-        sampling=Sampling(sample_time=section.controller.sample_time, method=section.controller.method)
+        sampling=Sampling(
+            sample_time=section.controller.sample_time,
+            method=section.controller.method,
+            delay=section.controller.delay,
+        )
         if section.controller
         else None,
     )

@@ -51,6 +51,7 @@ from pwatrack.spec.entries import (
 
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
 _MOST_PORTRAITS = 50
+_MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
 
 
 class Section(BaseModel):
@@ -322,10 +323,11 @@ class NoiseSection(Section):
 
 
 class SampledSection(Section):
-    """The controller as a program that runs once in a sample time (s)."""
+    """The controller as a program that runs once in a sample time (s), its output late by some samples."""
 
     sample_time: Positive
     method: Method = "exponential"
+    delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE)] = 0
 
 
 class RadiiSection(Section):
