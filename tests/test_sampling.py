@@ -120,3 +120,59 @@ def test_a_late_output_is_said(tmp_path: Path) -> None:
     (said,) = result.loop.conditions.texts(result.loop.plant)
     assert said == "controller sampled every 0.01 s (exponential), its output 2 samples late"
     assert not result.response.u[:1].any()
+
+
+MACHINE = "controller: {sample_time: 0.01}", "quantum: {y: 1e-3, u: 0.25}", "rate_limit: {u: 3}"
+
+
+def test_what_is_put_out_and_measured_comes_in_steps_and_changes_no_faster(tmp_path: Path) -> None:
+    limits = "actuator: {limits: {u: [-2, 2]}}"
+    result, free = (
+        simulate(load_spec(cart(tmp_path, *conditions, limits, reference="0.08*cos(t)")))
+        for conditions in (MACHINE, MACHINE[:2])
+    )
+    u, y = result.response.u[:, 0], result.response.trace.z[:, result.loop.at.y]
+    for values, quantum in ((u, 0.25), (y, 1e-3)):
+        np.testing.assert_allclose(values / quantum, np.round(values / quantum), atol=1e-9)
+    assert np.abs(u).max() <= 2
+    assert np.abs(np.diff(u)).max() == pytest.approx(0.25)  # 0.03 at a time, of which a step comes now and then
+    assert (u[0], abs(free.response.u[0, 0])) == pytest.approx((0, 0.25))
+    assert result.outcome.kind in ("tracks", "off")
+    assert result.loop.conditions.texts(result.loop.plant)[-3:] == [
+        "y in steps of 0.001",
+        "u in steps of 0.25",
+        "|du/dt| at most 3",
+    ]
+    assert result.remarks == ()
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_steps_and_rates_are_those_of_a_sampled_controller(tmp_path: Path, number: int) -> None:
+    error = refused(call("check", cart(tmp_path, MACHINE[number])), 2)
+    name = MACHINE[number].partition(":")[0]
+    assert f"simulation.{name} is about the values of a sampled controller, and there is none" in error
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        ("quantum: {q: 1}", "simulation.quantum: 'q' is no input or output (u, y)"),
+        ("rate_limit: {y: 1}", "simulation.rate_limit: 'y' is no input (u)"),
+        ("quantum: {y: 0}", "simulation.quantum.y: 0 is not positive"),
+    ],
+)
+def test_names_and_sizes_of_steps_are_checked(tmp_path: Path, condition: str, said: str) -> None:
+    assert said in refused(call("check", cart(tmp_path, MACHINE[0], condition)), 2)
+
+
+def test_an_observer_starts_from_a_whole_step(tmp_path: Path) -> None:
+    path = cart(tmp_path, MACHINE[0], "quantum: {y: 0.04}", duration=1)
+    path.write_text(path.read_text(encoding="utf-8").replace("[0.05, 0]", "[0.05, 0], observer: measured"))
+    assert simulate(load_spec(path)).response.x_hat[0].tolist() == pytest.approx([0.04, 0])
+
+
+def test_the_files_of_a_run_with_steps_and_rates_are_written(tmp_path: Path) -> None:
+    run = call("simulate", cart(tmp_path, *MACHINE, duration=2), "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    header = (tmp_path / "out" / "trace.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith("cell_rate_u")

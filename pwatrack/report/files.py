@@ -28,7 +28,7 @@ from pwatrack.report.figures import (
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.result import Result
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
@@ -256,6 +256,8 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     if isinstance(part, Actuator):
         limits = {level for level in (part.levels[before], part.levels[after]) if level is not None}
         return " and ".join(f"{loop.controller.plant.inputs[part.input]} = {limit:g}" for limit in sorted(limits))
+    if isinstance(part, RateLimit):
+        return f"change of {loop.controller.plant.inputs[part.input]} by {part.most:g}"
     plant = loop.plant if part.name == "plant" else loop.controller.plant
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 

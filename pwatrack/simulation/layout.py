@@ -12,13 +12,13 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, η̂, w, d, v, u, late, y, w', 1); what the conditions do not ask for is empty.
+    """z = (x, x̂, η̂, w, d, v, u, late, before, y, w', 1); what the conditions do not ask for is empty.
 
     Attributes:
         x, x_hat, eta_hat, w: Plant, observer, generator, exosystem.
         d, v: Exosystem of the disturbances, noise.
         u, late, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next one
-            first, the measured output, a copy of w.
+            first, the one computed last where that matters, the measured output, a copy of w.
         order: N, the length of z.
     """
 
@@ -30,6 +30,7 @@ class Layout:
     v: slice
     u: slice
     late: slice
+    before: slice
     y: slice
     w_held: slice
     order: int
@@ -43,9 +44,15 @@ class Layout:
         sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
         sizes["v"] = q if conditions.noise else 0
         sampling = conditions.sampling
-        sizes |= dict.fromkeys(("u", "late", "y", "w_held"), 0)
+        sizes |= dict.fromkeys(("u", "late", "before", "y", "w_held"), 0)
         if sampling is not None:
-            sizes |= {"u": m, "late": m * sampling.delay, "y": q, "w_held": s}
+            sizes |= {
+                "u": m,
+                "late": m * sampling.delay,
+                "before": m * (conditions.rates is not None),
+                "y": q,
+                "w_held": s,
+            }
         edges = np.cumsum([0, *sizes.values()]).tolist()
         return Layout(**dict(zip(sizes, map(slice, edges[:-1], edges[1:]), strict=True)), order=edges[-1] + 1)
 

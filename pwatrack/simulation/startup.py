@@ -24,6 +24,8 @@ def measured_start(loop: ClosedLoop, x: Array) -> Array:
     if loop.conditions.noise is not None:
         (drawn,) = (reset.values[0] for reset in loop.resets(0.0) if reset.where == loop.at.v)
         y = y + drawn
+    if loop.conditions.quanta is not None:
+        y = loop.conditions.quanta.measured(y)
     sizes = np.ones(len(x))  # "smallest" and "nearest" compare the states in these
     x_hat: Array = sizes * (np.linalg.pinv(C * sizes) @ y)
     return x_hat

@@ -12,7 +12,9 @@ from pwatrack.spec.problems import MOST
 from pwatrack.spec.schema import SpecFile
 from pwatrack.spec.wording import guess, shown
 
-_COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuator_.+)")  # of the trace, beside signals
+_COLUMN = re.compile(
+    r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|(actuator|rate)_.+)"
+)  # of the trace, beside signals
 
 
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
@@ -110,6 +112,8 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
     if simulation.noise is not None:
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
     given.append((("settled",), simulation.settled, system.outputs, "output"))
+    given.append((("quantum",), simulation.quantum, (*system.inputs, *system.outputs), "input or output"))
+    given.append((("rate_limit",), simulation.rate_limit, system.inputs, "input"))
     return [
         Problem(
             message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",

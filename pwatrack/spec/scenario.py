@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import readonly
 from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
-from pwatrack.model.conditions import Conditions, Noise, Sampling
+from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
 from pwatrack.spec.courses import build_courses
@@ -78,7 +78,17 @@ def build_conditions(
         disturbance = found if found.Q.any() else None
     if section.plant is not None:
         running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
+    quanta = rates = None
+    if section.quantum:
+        quanta = Quanta(
+            inputs=readonly([section.quantum.get(name, 0.0) for name in plant.inputs]),
+            outputs=readonly([section.quantum.get(name, 0.0) for name in plant.outputs]),
+        )
+    if section.rate_limit:
+        rates = readonly([section.rate_limit.get(name, np.inf) for name in plant.inputs])
     return Conditions(
+        quanta=quanta,
+        rates=rates,
         plant=running,
         parameters=changed,
         limits=limits if limits is not None and np.isfinite(limits).any() else None,

@@ -376,6 +376,10 @@ class SimulationSection(Section):
     actuator: ActuatorSection | None = None
     disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
     noise: NoiseSection | None = None
+    quantum: dict[str, Positive] = {}
+    """Steps of inputs and measured outputs, by name, in their units."""
+    rate_limit: dict[str, Positive] = {}
+    """By how much inputs may change, by name, in their unit per second."""
     controller: SampledSection | None = None
     portraits: Annotated[
         list[FormPair],
