@@ -142,13 +142,9 @@ def ensemble(
             progress=progress,
         )
         judged = [verdict for verdict in kept.verdicts if isinstance(verdict, _Judged)]
+        outcomes, figures = tuple(one.outcome for one in judged), tuple(one.figures for one in judged)
         return EnsembleResult(
-            nominal=result,
-            variation=variation,
-            seed=seed,
-            ensemble=kept,
-            outcomes=tuple(judged_one.outcome for judged_one in judged),
-            figures=tuple(judged_one.figures for judged_one in judged),
+            nominal=result, variation=variation, seed=seed, ensemble=kept, outcomes=outcomes, figures=figures
         )
 
 

@@ -100,7 +100,8 @@ def required(
         nominal = result or (many.nominal if many else None)
         found += [_checked(asked, signal, each, _unit(spec, nominal, asked, signal)) for signal, each in values.items()]
     if problems:
-        raise InvalidSpec(*problems)
+        with spec.located():
+            raise InvalidSpec(*problems)
     return tuple(found)
 
 

@@ -50,8 +50,7 @@ def run(
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
-        CheckFailed: After all is written and printed, if the loop or a member of its ensemble grows without bound or
-            contradicts its proof, or a requirement is missed.
+        CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     screen, made, many = console(), _Made(path=path, parameters=assignments(parameters)), None
     with console(stderr=True).status("Reading the spec") as status:
@@ -69,8 +68,7 @@ def run(
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):
                     found = _fronts(spec, controller) if fronts else []
-            with spec.located():
-                checked = required(spec, controller, result, many)
+            checked = required(spec, controller, result, many)
         except PwatrackError as refusal:
             made.keep(refusal, folder)
             raise
@@ -86,8 +84,7 @@ def run(
     if many:
         summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
-    with spec.located():
-        _check(result, many, checked)
+    _check(spec, result, many, checked)
 
 
 @dataclass(kw_only=True)
@@ -134,7 +131,7 @@ class _Made:
             refusal.add_note(f"  {unwritable}")
 
 
-def _check(result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:
+def _check(spec: Spec, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:
     """Refuse a loop, or a member of its ensemble, that grows without bound, contradicts its proof, or misses a wish."""
     found: list[Problem] = []
     if result is not None and result.outcome.code != ExitCode.DONE:
@@ -148,7 +145,8 @@ def _check(result: Result | None, many: EnsembleResult | None, checked: Sequence
         if not each.met
     ]
     if found:
-        raise CheckFailed(*found)
+        with spec.located():
+            raise CheckFailed(*found)
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:
