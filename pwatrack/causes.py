@@ -18,6 +18,7 @@ class Part(Enum):
     C = auto()
     REFERENCE = auto()
     START = auto()  # of x_d
+    GENERATOR_START = auto()  # eta_hat(0)
     DESIGN = auto()
     CONTROLLER = auto()
     OBSERVER = auto()
@@ -26,6 +27,7 @@ class Part(Enum):
     RATE = auto()
     BOUND = auto()  # of the norm of a gain
     COST = auto()
+    SAMPLE_TIME = auto()  # of the controller
     DURATION = auto()
 
 
@@ -49,6 +51,7 @@ class Way(Enum):
     GAIN_BOUND = auto()
     DESIRED_STATE = auto()
     DESIRED_START = auto()
+    FASTER_SAMPLES = auto()  # the longest time in s that would do
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,16 +19,18 @@ from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
-from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
+from pwatrack.simulation.sample_map import check_sample_time
 from pwatrack.simulation.spool import Spool
-from pwatrack.simulation.steady_state import SteadyState, periodic_state
+from pwatrack.simulation.startup import measured_start, steady_start
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.spec import Spec
+from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.wording import guess, shown
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
-_LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 
 def design(spec: Spec, *, growing: bool = False) -> Controller:
@@ -84,15 +86,17 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
+        check_sample_time(controller, spec.scenario.conditions)
         loop = closed_loop(controller, spec.scenario.conditions)
         n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed, initial = controller.trajectory.eta0, spec.scenario.initial
         if initial.generator is not None and start_fixed(spec, controller):
             raise start_given_twice(("simulation", "initial", "generator"))
+        x, observer = _initial(initial.plant, n, "plant"), initial.observer
         start = loop.start(
-            plant=_initial(initial.plant, n, "plant"),
-            observer=_initial(initial.observer, n, "observer"),
-            generator=fixed if fixed is not None else _initial(initial.generator, p, "generator"),
+            plant=x,
+            observer=measured_start(loop, x) if isinstance(observer, Measured) else _initial(observer, n, "observer"),
+            generator=_generator_start(initial.generator, controller) if fixed is None else fixed,
         )
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and starts_periodic(spec):
@@ -120,23 +124,23 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
-    watch = Watch(loop, samples, units=spec.problem.units)
+    plant, watch = spec.problem.plant, Watch(loop, samples, units=spec.problem.units)
+    measuring = Measuring(samples, outputs=plant.outputs, inputs=plant.inputs, bands=spec.scenario.bands)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
-    def blocks() -> Iterator[Response]:
-        number = 0
-        for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
-            kept.append(trace if spool is None else trace.every(step, number))
-            if spool is not None:
-                spool.add(trace)
-            number += len(trace.t)
-            response = loop.response(trace)
-            watch.see(response)
-            yield response
-
-    figures = Figures.of(blocks(), samples)
-    return loop.response(kept[0] if spool is None else Trace.coarse(kept)), figures, watch.outcome(), spool
+    number = 0
+    for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
+        kept.append(trace if spool is None else trace.every(step, number))
+        if spool is not None:
+            spool.add(trace)
+        number += len(trace.t)
+        response = loop.response(trace)
+        watch.see(response)
+        measuring.see(response)
+    if spool is None:
+        return response, measuring.figures([response]), watch.outcome(), None
+    return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch.outcome(), spool
 
 
 def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:
@@ -147,15 +151,36 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     if not p or period is None or not (controller.generator or starts_periodic(spec)):
         return None
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period
-    if radians > _LONGEST_PERIOD and not starts_periodic(spec):
+    if radians > LONGEST_PERIOD and not starts_periodic(spec):
         return None
-    if radians > _LONGEST_PERIOD:
+    if radians > LONGEST_PERIOD:
         message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
-        message += f"fastest; up to {_LONGEST_PERIOD:.0e} are followed"
+        message += f"fastest; up to {LONGEST_PERIOD:.0e} are followed"
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
         raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
+
+
+def _generator_start(given: Array | Mapping[str, float] | Steady | None, controller: Controller) -> Array:
+    """Return η̂(0), in order or by the names of the states of the generator."""
+    names, subject = controller.trajectory.names, ("simulation", "initial", "generator")
+    if isinstance(given, Steady):
+        return steady_start(controller)
+    if not isinstance(given, Mapping):
+        return _initial(given, len(names), "generator")
+    unknown = [
+        Problem(
+            message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
+            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
+            subject=(*subject, name),
+        )
+        for name in given
+        if name not in names
+    ]
+    if unknown:
+        raise InvalidSpec(*unknown)
+    return np.array([given.get(name, 0.0) for name in names])
 
 
 def _initial(values: Array | None, length: int, part: str) -> Array:

@@ -15,7 +15,7 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import start_fixed
+from pwatrack.tracking import reference_remarks, start_fixed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,7 @@ class Result:
         S = self.controller.trajectory.exosystem.S
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
         remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
+        remarks += reference_remarks(self.spec, self.controller)
         duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
         if fastest * step > 2 * np.pi / 10:
             remarks.append(
@@ -100,7 +101,7 @@ class Result:
     @property
     def final_error(self) -> float:
         """The largest norm of the tracking error in the last tenth of the simulation."""
-        return self.figures.final_tracking_error
+        return self.figures.final_error
 
     def blocks(self) -> Iterator[Response]:
         """Yield the signals at all samples, with all events; those of a long run block by block, off the disk."""

@@ -13,6 +13,7 @@ from pwatrack.control.synthesis import Design
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.model.course import Table
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import (
     InputReference,
@@ -105,6 +106,27 @@ def _state_desired(spec: Spec) -> DesiredTrajectory:
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
     return realised(plant, x_d, horizon=spec.scenario.duration, subject=("reference", "state"))  # (3)
+
+
+def reference_remarks(spec: Spec, controller: Controller) -> tuple[str, ...]:
+    """Say where the feedforward follows noise of a measured reference more than the reference."""
+    reference, generator = spec.problem.reference, controller.generator
+    if not isinstance(reference, OutputReference) or generator is None:
+        return ()
+    r, plant, said = generator.r, spec.problem.plant, list[str]()
+    unit = spec.problem.units.get(plant.inputs[0], "")
+    for course in reference.courses:
+        rough = course.roughness(r) if isinstance(course, Table) else None
+        if rough is not None:
+            whole, left = (
+                f"{abs(size / generator.form.delta):.3g} {unit}".rstrip() for size in (rough.whole, rough.left)
+            )
+            said.append(
+                f"noise or corners of the table make its derivative {r} {rough.whole / rough.left:.3g} times as large "
+                f"as what is left of it below {rough.cutoff:.3g} Hz; the feedforward follows: about {whole} instead of "
+                f"{left}; 'filter: {{cutoff: {rough.cutoff:.3g}}}' in the table takes them away"
+            )
+    return tuple(said)
 
 
 def check_breaks(

@@ -13,9 +13,12 @@ from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
+from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.trace import Trace
+from pwatrack.spec.spec import Measured, Spec
 from pwatrack.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
@@ -61,6 +64,7 @@ class EnsembleResult:
         seed: Of the random numbers.
         ensemble: The members; number k in files and messages is index k − 1.
         outcomes: How each member ended, judged as a single run is.
+        figures: What was measured of each, as of a single run.
     """
 
     nominal: Result
@@ -68,6 +72,7 @@ class EnsembleResult:
     seed: int
     ensemble: Ensemble
     outcomes: tuple[Outcome, ...]
+    figures: tuple[Figures, ...]
 
     @property
     def failed(self) -> tuple[int, ...]:
@@ -136,13 +141,19 @@ def ensemble(
             workers=workers,
             progress=progress,
         )
+        judged = [verdict for verdict in kept.verdicts if isinstance(verdict, _Judged)]
+        outcomes, figures = tuple(one.outcome for one in judged), tuple(one.figures for one in judged)
         return EnsembleResult(
-            nominal=result,
-            variation=variation,
-            seed=seed,
-            ensemble=kept,
-            outcomes=tuple(verdict for verdict in kept.verdicts if isinstance(verdict, Outcome)),
+            nominal=result, variation=variation, seed=seed, ensemble=kept, outcomes=outcomes, figures=figures
         )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What is said of a member."""
+
+    outcome: Outcome
+    figures: Figures
 
 
 def other_starts(result: Result, count: int, seed: int) -> Variation:
@@ -169,6 +180,8 @@ def other_starts(result: Result, count: int, seed: int) -> Variation:
         if part == "generator":
             _check_generator(result, drawn.shape[1])
         starts[:, where] = drawn
+    for start in starts:
+        _observe(spec, loop, start)
     member = _member(result, loop)
     return Variation(
         over="initial",
@@ -228,7 +241,9 @@ def other_noise(result: Result, count: int, seed: int) -> Variation:
 
     def member(number: int) -> Member:
         conditions = replace(loop.conditions, noise=replace(noise, seed=int(seeds[number])))
-        return replace(first, resets=tuple(replace(loop, conditions=conditions).resets(result.spec.scenario.duration)))
+        varied, start = replace(loop, conditions=conditions), result.start.copy()
+        _observe(result.spec, varied, start)
+        return replace(first, z0=start, resets=tuple(varied.resets(result.spec.scenario.duration)))
 
     return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
 
@@ -239,12 +254,23 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 def _member(result: Result, loop: ClosedLoop) -> Member:
     resets = tuple(loop.resets(result.spec.scenario.duration))
 
-    def judge(trace: Trace) -> Outcome:
-        watch = Watch(loop, len(trace.t), units=result.spec.problem.units)
-        watch.see(loop.response(trace))
-        return watch.outcome()
+    spec, plant = result.spec, result.spec.problem.plant
 
-    return Member(flow=loop.flow, z0=result.start, error=loop.tracking_error, resets=resets, judge=judge)
+    def judge(trace: Trace) -> _Judged:
+        watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
+        watch.see(response)
+        bands = spec.scenario.bands
+        return _Judged(watch.outcome(), Figures.of(response, outputs=plant.outputs, inputs=plant.inputs, bands=bands))
+
+    start = result.start.copy()
+    _observe(spec, loop, start)
+    return Member(flow=loop.flow, z0=start, error=loop.tracking_error, resets=resets, judge=judge)
+
+
+def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
+    """Let the observer of a member start from what is measured of its own plant, where the spec asks for it."""
+    if isinstance(spec.scenario.initial.observer, Measured):
+        start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 
 def _around(result: Result) -> dict[str, Region]:

@@ -5,6 +5,7 @@ import re
 import stat
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -200,8 +201,8 @@ def test_initial_states_by_name_are_those_in_order(tmp_path: Path) -> None:
         written(tmp_path, ("{plant: [gap, 0]}", "{plant: [gap, 0], observer: [0, -1]}"))
     ).scenario.initial
     for one, other in ((by_name.plant, in_order.plant), (by_name.observer, in_order.observer)):
-        assert one is not None
-        assert other is not None
+        assert isinstance(one, np.ndarray)
+        assert isinstance(other, np.ndarray)
         assert one.tolist() == other.tolist()
 
 

@@ -286,7 +286,7 @@ def test_any_time_is_a_time_limit(stand: Stand, tmp_path: Path, timeout: str, co
 
 
 ODD = {
-    "text": '{"exit": 0, "figures": {"norm_K": "large", "norm_L": null, "final_tracking_error": true}}',
+    "text": '{"exit": 0, "figures": {"norm_K": "large", "norm_L": null, "final_error": true}}',
     "list": '{"exit": 0, "figures": [1, 2], "remarks": "no list", "simulation": [], "verdict": 3}',
     "words": '{"exit": 0, "remarks": [1, {}], "simulation": {"outcome": "off", "said": 4}}',
     "deep": "[" * 100_000,

@@ -14,6 +14,7 @@ from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
 from pwatrack.pipeline import design
 from pwatrack.report import summary
+from pwatrack.report.required import required
 from pwatrack.report.verify import verify
 from pwatrack.tracking import check_reference
 from tests.test_outcome import ROD, RUNAWAY, cart
@@ -27,6 +28,7 @@ EXTRA = {
     "input": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: periodic}",
     "response": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: [0, 0]}",
     "cost": "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}\nreference: {output: 0.1*sin(t)}",
+    "required": "reference: {output: {constant: 0.01}}\nrequire: {rate: 99, norm_K: 1e-9, norm_L: 1e9, overshoot: 99}",
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
@@ -59,8 +61,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference)
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
-        summary.print_design(console, spec, controller)
-        summary.print_result(console, result)
+        checked = required(spec, controller, result)
+        summary.print_design(console, spec, controller, required(spec, controller))
+        summary.print_result(console, result, checked)
         if path.stem in ("state", "cart"):
             summary.print_ensemble(console, ensemble(result, 3))
         for sentence in verify(write_result(result, tmp_path / "run"), path):

@@ -63,8 +63,17 @@ class Machine:
 
     def input(self, t: float, x_hat: Array, eta_hat: Array) -> Array:
         x_d, u_ff, _ = self.desired(t, eta_hat)
-        u: Array = u_ff + self.K @ (x_hat - x_d)
+        return self.limited(u_ff + self.K @ (x_hat - x_d))
+
+    def limited(self, u: Array) -> Array:
         return u if self.limits is None else np.clip(u, self.limits[:, 0], self.limits[:, 1])
+
+    def put_out(self, u: Array, before: Array) -> Array:
+        """What a sampled controller makes of an input that it computed, after another."""
+        rates, sampling = self.conditions.rates, self.conditions.sampling
+        if rates is not None and sampling is not None:
+            u = np.clip(u, before - rates * sampling.sample_time, before + rates * sampling.sample_time)
+        return self.limited(u)
 
     def observer(self, x_hat: Array, u: Array, y: Array) -> Array:
         i = cell_of(self.model, x_hat)
@@ -135,13 +144,22 @@ def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
         } >= {3}
 
 
-@pytest.mark.parametrize("method", ["exponential", "euler"])
-@pytest.mark.parametrize("extra", ["", EXTRAS["limits"] + EXTRAS["parameters"] + EXTRAS["disturbance"]])
+@pytest.mark.parametrize(("method", "late"), [("exponential", 0), ("euler", 0), ("exponential", 1), ("euler", 3)])
+@pytest.mark.parametrize(
+    "extra",
+    [
+        "",
+        EXTRAS["limits"] + EXTRAS["parameters"] + EXTRAS["disturbance"],
+        "  quantum: {y: 0.003, u: 0.07}\n",
+        "  rate_limit: {u: 40}\n",
+        EXTRAS["limits"] + "  quantum: {y: 0.003, u: 0.1}\n  rate_limit: {u: 30}\n",
+    ],
+)
 def test_a_sampled_controller_is_the_program_written_by_hand(
-    method: str, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
+    method: str, late: int, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
 ) -> None:
-    step = 0.02
-    extra += f"  controller: {{sample_time: {step}, method: {method}}}\n"
+    step, waiting, last = 0.02, [np.zeros(1)] * late, np.zeros(1)
+    extra += f"  controller: {{sample_time: {step}, method: {method}, delay: {late}}}\n"
     result = simulate(loaded(paper_spec, tmp_path, extra, 2.0), paper.controller)
     machine = Machine(result)
     x, x_hat, eta_hat = np.split(result.response.trace.z[0, : sum(machine.sizes)], np.cumsum(machine.sizes)[:-1])
@@ -151,7 +169,13 @@ def test_a_sampled_controller_is_the_program_written_by_hand(
         np.testing.assert_allclose(result.response.x[row], x, atol=1e-8)
         np.testing.assert_allclose(result.response.x_hat[row], x_hat, atol=1e-8)
         np.testing.assert_allclose(result.response.eta_hat[row], eta_hat, atol=1e-8)
-        u, y = machine.input(t, x_hat, eta_hat), machine.measured(x, np.zeros(1))
+        x_d, u_ff, _ = machine.desired(t, eta_hat)
+        last = machine.put_out(u_ff + machine.K @ (x_hat - x_d), last)
+        quanta = result.loop.conditions.quanta
+        waiting.append(last if quanta is None else quanta.inputs * np.round(last / quanta.inputs))
+        u, y = waiting.pop(0), machine.measured(x, np.zeros(1))
+        if quanta is not None:
+            y = quanta.outputs * np.round(y / quanta.outputs)
         np.testing.assert_allclose(result.response.u[row], u, atol=1e-7)
         found = solve_ivp(machine.motion, (t, t + step), x, args=(u,), max_step=step / 4, **TIGHT)
         x, cell = found.y[:, -1], machine.desired(t, eta_hat)[2]

@@ -129,11 +129,12 @@ def test_a_table_is_read_with_a_byte_order_mark_and_from_before_0(tmp_path: Path
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (rows(T, T, between=";"), "no column 't'; it has 't;y'; it is written with semicolons: write commas"),
-        (rows(T, T, between=";", point=","), "it is written with semicolons, and decimal commas: write commas"),
-        (rows(T, T, between="\t"), "it is written with tabs: write commas between columns"),
-        (rows(T, T, point=","), "row 2 has 4 entries, the header 2: decimal commas? write points in numbers"),
-        ('t,y\n"0,5",1\n', "row 2: '0,5', '1' are no two numbers: write points in numbers, not commas"),
+        (rows(T, T, point=","), "row 2 has 4 entries, the header 2: decimal commas? write points in numbers, or"),
+        ('t,y\n"0,5",1\n', "row 2: '0,5', '1' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
+        ("t;y\n0,5;1.0\n", "row 2: '0,5', '1.0' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
+        ("time;y\n0;1\n", "the header has no column 't'; it has 'time', 'y'"),
+        ("tt;y\n0;1\n", "the header has no column 't'; it has 'tt', 'y'; did you mean 'tt'?"),
+        ("\xff\xfet", "not UTF-16 text: byte 0x74 at position 3"),
         ("t,y\n0,1_000\n", "row 2: '0', '1_000' are no two numbers"),
         ("t,y\n0\n", "row 2: '0', '' are no two numbers"),
         ("t,y,y\n0,1,2\n", "the header has two columns 'y'"),
@@ -158,6 +159,61 @@ def test_a_table_that_cannot_be_read_says_why(tmp_path: Path, content: str, mess
     (problem,) = refused(table(tmp_path, content.encode("latin-1")))
     assert message in problem.message
     assert len(problem.message) < 400
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(("between", "point"), [(";", "."), (";", ","), ("\t", ","), ("\t", "."), (",", ".")])
+def test_a_table_of_a_spreadsheet_is_read_as_it_is(tmp_path: Path, encoding: str, between: str, point: str) -> None:
+    path = table(tmp_path, rows(T, np.sin(T), between, point).replace("\n", "\r\n").encode(encoding))
+    inner = np.linspace(0, 3.9, 40)
+    np.testing.assert_allclose(values(path, inner), np.sin(inner), atol=1e-5)
+
+
+def with_options(folder: Path, content: str, options: str) -> Path:
+    (folder / "wanted.csv").write_text(content, encoding="utf-8")
+    return write(folder, f"{{table: {{file: wanted.csv, {options}}}}}")
+
+
+@pytest.mark.parametrize(
+    ("content", "options"),
+    [
+        (rows(1000 * T, np.sin(T)).replace("t,y", "t_ms,y"), "time: t_ms, scale: 1e-3"),
+        (rows(1000 * T, 5 * np.sin(T)).replace("t,y", "t_ms,y"), "time: t_ms, scale: {t_ms: 1e-3, y: 1/5}"),
+        (rows(T, -np.sin(T)), "column: y, scale: {y: -1}"),
+        (rows(T, np.sin(T), "|", ","), 'delimiter: "|", decimal: ","'),
+        (rows(T, np.sin(T), " "), 'delimiter: " "'),
+        (rows(T, np.sin(T)).replace("t,y", "a;b;t,y;z"), 'time: "a;b;t", column: "y;z", delimiter: ","'),
+    ],
+)
+def test_columns_of_a_table_are_read_as_it_is_said(tmp_path: Path, content: str, options: str) -> None:
+    inner = np.linspace(0, 3.9, 40)
+    np.testing.assert_allclose(values(with_options(tmp_path, content, options), inner), np.sin(inner), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("decimal: ','", "'0.0', '0.0' are no two numbers: decimals have a comma here"),
+        ("scale: 0", "scale: 0 makes no use of column 't'"),
+        ("scale: -1", "scale: -1 makes no use of column 't'"),
+        ("scale: {q: 2}", "scale: 'q' is not a column that is read: 't' and 'y' are"),
+        ("delimiter: x", "delimiter: 'x' is not ',', ';', "),
+        ("decimal: x", "decimal: 'x' is not '.' or ','"),
+        ("filter: {cutoff: 0}", "cutoff: 0 is not positive"),
+        ("filter: {cutoff: 6}", "rows 0.1 s apart tell nothing above 5 Hz: the cutoff is 6 Hz"),
+        ("filter: {cutoff: 0.2}", "a cutoff of 0.2 Hz averages over 4.55 s, the table lasts 4 s"),
+        ("filter: 20", "filter: a mapping is expected"),
+    ],
+)
+def test_options_that_a_table_does_not_bear_out_are_refused(tmp_path: Path, options: str, message: str) -> None:
+    (problem,) = refused(with_options(tmp_path, rows(T, T), options))
+    assert message in problem.message
+
+
+def test_a_table_with_gaps_has_room_for_so_many_points_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pwatrack.spec.table.MOST_ROWS", 100)
+    (problem,) = refused(with_options(tmp_path, rows(T, T), "filter: {cutoff: 4.9}"))
+    assert "a cutoff of 4.9 Hz leaves 174 points, at most 100" in problem.message
 
 
 def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

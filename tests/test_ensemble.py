@@ -242,16 +242,16 @@ def of(error: Array) -> Ensemble:
     return Ensemble(t=t, error=error, mode_changes=count, unresolved=count, verdicts=(None,) * len(error))
 
 
-def test_settling_is_for_good_at_the_sample_after_the_last_large_error() -> None:
+def test_an_error_is_small_for_good_at_the_sample_after_the_last_large_error() -> None:
     rows = np.full((3, 20), 1e-3)
     rows[:, 0] = 1.0
     rows[1, 5] = 0.5
     rows[2, -1] = 0.5
     kept = of(rows)
-    assert kept.settled_below == pytest.approx(0.01)
-    assert kept.settling_time.tolist() == [1.0, 6.0, np.inf]
+    assert kept.small == pytest.approx(0.01)
+    assert kept.small_from.tolist() == [1.0, 6.0, np.inf]
     assert kept.final.tolist() == [1e-3, 1e-3, 0.5]
-    assert of(np.zeros((2, 5))).settling_time.tolist() == [0.0, 0.0]
+    assert of(np.zeros((2, 5))).small_from.tolist() == [0.0, 0.0]
 
 
 def test_a_member_without_progress_is_named() -> None:

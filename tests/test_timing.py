@@ -49,7 +49,7 @@ def test_the_estimated_error_is_that_of_a_simulation(
     controller, plant = result.controller, result.spec.problem.plant
     estimate, time = timing_error(plant, controller.design.K, controller.trajectory, outputs=plant.C)
     assert time == pytest.approx(at, abs=smooth)
-    assert estimate / 100 < result.figures.largest_tracking_error / size < 2 * estimate
+    assert estimate / 100 < result.figures.largest_error / size < 2 * estimate
     assert estimate > 1e-9
 
 
@@ -61,6 +61,6 @@ def test_a_step_too_sharp_for_its_time_is_refused_with_the_rounding_that_would_d
         simulate(load_spec(chain(tmp_path, r, 1, at, 1e-9)))
     needed = float(e.value.problems[0].hint.split("smooth: ")[1].split("'")[0])
     result = simulate(load_spec(chain(tmp_path, r, 1, at, 1.1 * needed)))
-    assert result.figures.largest_tracking_error < 1e-9
+    assert result.figures.largest_error < 1e-9
     with pytest.raises(InvalidSpec, match="too short"):
         simulate(load_spec(chain(tmp_path, r, 1, at, 0.3 * needed)))

@@ -32,6 +32,7 @@ class Outcome:
         expected: Exit code that the spec expects.
         figures: From its run.json, empty if this run left none.
         notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
+        required: Each requirement with what came out, and whether it is met.
         messages: What it said on stderr.
         seconds: How long it took.
     """
@@ -41,6 +42,7 @@ class Outcome:
     expected: int
     figures: Mapping[str, float]
     notes: tuple[str, ...]
+    required: tuple[tuple[str, bool], ...]
     messages: str
     seconds: float
 
@@ -48,6 +50,11 @@ class Outcome:
     def passed(self) -> bool:
         """Whether it ended as expected."""
         return self.exit == self.expected
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """The requirements that are not met, with what came out."""
+        return tuple(text for text, met in self.required if not met)
 
     @property
     def code(self) -> int:
@@ -144,6 +151,7 @@ def _run(spec: Path, out: Path, timeout: float) -> Outcome:
         expected=expected_exit(spec),
         figures=_figures(index),
         notes=_notes(index),
+        required=_required(index),
         messages=messages,
         seconds=time.perf_counter() - start,
     )
@@ -192,6 +200,12 @@ def _figures(index: Mapping[str, Any]) -> dict[str, float]:
         for name, value in (figures.items() if isinstance(figures, dict) else ())
         if isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
     }
+
+
+def _required(index: Mapping[str, Any]) -> tuple[tuple[str, bool], ...]:
+    found = index.get("requirements")
+    entries = [entry for entry in (found if isinstance(found, list) else []) if isinstance(entry, dict)]
+    return tuple((entry["said"], entry.get("met") is True) for entry in entries if isinstance(entry.get("said"), str))
 
 
 def _notes(index: Mapping[str, Any]) -> tuple[str, ...]:

@@ -36,10 +36,29 @@ class Sampling:
         sample_time: In s.
         method: How observer and generator step on in the cell they are in: "exponential" is exact for what
             the controller knows, "euler" is one explicit Euler step.
+        delay: How many sample times an input is put out after what it is computed from was measured.
     """
 
     sample_time: float
     method: Method = "exponential"
+    delay: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quanta:
+    """What is put out and what is measured are whole multiples of a quantum, to the nearest; 0 for any value.
+
+    Attributes:
+        inputs, outputs: In the unit of the signal, (m,) and (q,).
+    """
+
+    inputs: Array
+    outputs: Array
+
+    def measured(self, y: Array) -> Array:
+        """Return outputs as they are measured, (q,)."""
+        fine = np.where(self.outputs > 0, self.outputs, 1.0)
+        return np.where(self.outputs > 0, fine * np.floor(y / fine + 0.5), y)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +73,8 @@ class Conditions:
         disturbance: Signals added to ẋ, one per state.
         noise: Noise added to the measured outputs.
         sampling: Where the controller is sampled.
+        quanta: Of inputs and measured outputs, of a controller that is sampled.
+        rates: By how much each input may change in a second, likewise, (m,); infinite where there is no limit.
     """
 
     plant: PWASystem | None = None
@@ -62,6 +83,8 @@ class Conditions:
     disturbance: Exosystem | None = None
     noise: Noise | None = None
     sampling: Sampling | None = None
+    quanta: Quanta | None = None
+    rates: Array | None = None
 
     def texts(self, plant: PWASystem) -> list[str]:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names."""
@@ -84,7 +107,16 @@ class Conditions:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
             said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
         if self.sampling is not None:
-            said.append(f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})")
+            late = self.sampling.delay
+            text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
+            said.append(text + (f", its output {late} sample{'s' * (late > 1)} late" if late else ""))
+        if self.quanta is not None:
+            both = ((plant.outputs, self.quanta.outputs), (plant.inputs, self.quanta.inputs))
+            sizes = [(name, size) for names, values in both for name, size in zip(names, values.tolist(), strict=True)]
+            said += [f"{name} in steps of {size:g}" for name, size in sizes if size]
+        if self.rates is not None:
+            rates = zip(plant.inputs, self.rates.tolist(), strict=True)
+            said += [f"|d{name}/dt| at most {rate:g}" for name, rate in rates if np.isfinite(rate)]
         return said
 
     @property

@@ -5,10 +5,15 @@ from dataclasses import dataclass
 from math import comb, factorial
 
 import numpy as np
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from pwatrack.arrays import Array
+from pwatrack.model.lowpass import low_passed
 from pwatrack.model.signal import ExponentialPolynomial, Signal
+
+_SLOW = 0.05  # of the rate of the rows: what is slower was meant, if a table has noise
+_ROUGH, _ALIKE = 10.0, 0.05
+_FEWEST = 40  # rows: two windows of that filter
 
 
 def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
@@ -85,22 +90,66 @@ class Profile:
         return Signal.piecewise_polynomial(course, self.end)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Roughness:
+    """What is fast in a derivative of a table.
+
+    Attributes:
+        cutoff: In Hz.
+        whole, left: Largest size of the derivative, and of that of what is slower than the cutoff.
+    """
+
+    cutoff: float
+    whole: float
+    left: float
+
+
 @dataclass(frozen=True)
 class Table:
-    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed."""
+    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed.
+
+    Attributes:
+        t, y: Times in s and values, (K,).
+        filtered: Whether what is fast was taken away.
+    """
 
     t: Array
     y: Array
+    filtered: bool = False
 
     @property
     def end(self) -> float:
         """Last time at which it is defined, in s."""
         return float(self.t[-1])
 
-    def signal(self, r: int) -> Signal:
+    def spline(self, r: int) -> BSpline:
         """Return the spline of odd degree ≥ r + 1."""
         degree = max(3, r + 1 + r % 2)
-        spline = make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
+        return make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
+
+    def roughness(self, r: int) -> "Roughness | None":
+        """Return what noise, or corners, of the table make of its derivative of order r; None if nothing to speak of.
+
+        That is: the largest size of the derivative is more than ten times that of what is left below a twentieth of the
+        rate of the rows, while that is within 5 % of the table.
+        """
+        cutoff = _SLOW / float(np.median(np.diff(self.t)))
+        if self.filtered or len(self.t) < _FEWEST:
+            return None
+        slow = Table(*low_passed(self.t, self.y, cutoff))
+        away = np.abs(slow.spline(r)(self.t) - self.y).max()
+        whole, left = self._largest(r), slow._largest(r)
+        if away > _ALIKE * np.ptp(self.y) or not whole > _ROUGH * left:
+            return None
+        return Roughness(cutoff=cutoff, whole=whole, left=left)
+
+    def _largest(self, r: int) -> float:
+        """The largest size of the derivative of order r, at the rows and between them."""
+        return float(np.abs(self.spline(r)(np.sort(np.append(self.t, (self.t[1:] + self.t[:-1]) / 2)), r)).max())
+
+    def signal(self, r: int) -> Signal:
+        """Return the spline of odd degree ≥ r + 1."""
+        spline = self.spline(r)
         course = PPoly.from_spline((spline.t, spline.c, spline.k))
         inner = np.flatnonzero(np.diff(course.x) > 0)
         return Signal.piecewise_polynomial(

@@ -1,6 +1,6 @@
 """References as outputs of a linear exosystem ẇ = S w, with resets where a signal has a new piece."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import factorial, gcd, isfinite, lcm, pi
@@ -117,6 +117,26 @@ class Exosystem:
     def constant(self) -> bool:
         """Whether no signal ever changes."""
         return not self.resets and not self.S.any()
+
+    def begins(self) -> float | None:
+        """Return the period (s) with which all signals begin, up to the first reset; 0 if at rest, None if neither.
+
+        Example:
+            >>> from pwatrack.model.signal import ExponentialPolynomial
+            >>> t = ExponentialPolynomial.time()
+            >>> one = Signal((0.0, 3.0), (ExponentialPolynomial.constant(1.0), t))
+            >>> [exosystem([signal]).begins() for signal in (one, Signal.of((np.pi * t).sin()), Signal.of(t))]
+            [0.0, 2.0, None]
+        """
+        frequencies = set[float]()
+        for rate, chain in spectral_terms(self.S, self.rates):
+            for power, E in enumerate(chain):
+                if not np.abs(E @ self.w0).max(initial=0.0) > 32 * EPS * np.abs(self.w0).max(initial=0.0):
+                    continue
+                if power or rate.real:
+                    return None
+                frequencies |= {rate.imag} if rate.imag else set()
+        return _common_period(frequencies) if frequencies else 0.0
 
     def derivative_rows(self, r: int) -> Array:
         """Return Q, Q S, …, Q Sʳ, (r + 1, q, p)."""
@@ -314,7 +334,12 @@ def _period(signals: Sequence[Signal]) -> float | None:
     chains = [(rate, length) for signal in signals for rate, length in _chains(signal).items()]
     if any(rate.real != 0 or length > 1 for rate, length in chains):
         return None
-    frequencies = sorted({rate.imag for rate, _ in chains if rate.imag > 0})
+    return _common_period({rate.imag for rate, _ in chains if rate.imag > 0})
+
+
+def _common_period(rates: Iterable[float]) -> float | None:
+    """Return the least common period in s of frequencies in rad/s that have whole-number ratios."""
+    frequencies = sorted(rates)
     if not frequencies:
         return None
     first = frequencies[0]

@@ -1,12 +1,13 @@
 """What is said of a design, a run or an ensemble in figures: the same in run.json, at the terminal and in pictures."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.result import Result
@@ -15,13 +16,21 @@ from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 
 
-def measures(result: Result) -> dict[str, float]:
-    """Return the figures of a simulation for run.json and the summary."""
+def measures(result: Result) -> dict[str, Any]:
+    """Return the figures of a simulation: numbers, or one for each of some signals by name."""
     steady_state = result.steady_state
     if steady_state is None:
         return asdict(result.figures)
     largest = float(np.abs(steady_state.multipliers).max())
     return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
+
+
+def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures as run.json has them: a time that never comes is None."""
+    return {
+        name: figure_content(value) if isinstance(value, Mapping) else _finite(value) if value == np.inf else value
+        for name, value in figures.items()
+    }
 
 
 def error_unit(result: Result) -> str:
@@ -44,24 +53,33 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
         "regions": {part: _region(region, names[part]) for part, region in regions},
         **{
             name: {
-                "median": _finite(np.quantile(values, 0.5, method="lower")),
-                "95 %": _finite(np.quantile(values, 0.95, method="higher")),
-                "worst": _finite(values.max()),
-                "member": int(np.argmax(values)) + 1,
+                "median": _finite(np.nanquantile(values, 0.5, method="lower")),
+                "95 %": _finite(np.nanquantile(values, 0.95, method="higher")),
+                "worst": _finite(np.nanmax(values)),
+                "member": int(np.nanargmax(values)) + 1,
             }
             for name, values in (
-                ("largest_error", kept.largest),
-                ("final_error", kept.final),
-                ("settling_time", kept.settling_time),
+                *member_figures(many).items(),
                 ("mode_changes", kept.mode_changes),
             )
         },
-        "settled_below": kept.settled_below,
-        "settled": int(np.isfinite(kept.settling_time).sum()),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
         "outcomes": dict(Counter(outcome.kind for outcome in many.outcomes)),
         "failed": [number + 1 for number in many.failed],
     }
+
+
+def member_figures(many: EnsembleResult) -> dict[str, Array]:
+    """Return the figures of each member that are of interest side by side, (M,); NaN where it has none.
+
+    Those of signals have the name of the signal in theirs: `settling_time_y`. What no member has is left out.
+    """
+    columns = {"largest_error": many.ensemble.largest, "final_error": many.ensemble.final}
+    for name in ("settling_time", "rise_time", "overshoot", "largest_input"):
+        found: list[Mapping[str, float]] = [getattr(figures, name) for figures in many.figures]
+        for signal in dict.fromkeys(signal for values in found for signal in values):
+            columns[f"{name}_{signal}"] = np.array([values.get(signal, np.nan) for values in found])
+    return columns
 
 
 def gain_figures(controller: Controller) -> dict[str, float]:

@@ -17,14 +17,23 @@ from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
-from pwatrack.report.figures import bound_content, ensemble_measures, gain_figures, measures
+from pwatrack.report.figures import (
+    bound_content,
+    ensemble_measures,
+    figure_content,
+    gain_figures,
+    measures,
+    member_figures,
+)
+from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.result import Result
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
+from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 from pwatrack.version import __version__
 
@@ -62,8 +71,9 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
             "figures": gain_figures(controller),
-            "remarks": list(controller.plant.remarks),
+            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller)],
         }
+        index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)
         if broken is not None:
             said = "; ".join(problem.message for problem in broken.problems)
@@ -99,7 +109,7 @@ def write_result(
             pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
             for name, figure in pictures.items():
                 figure.savefig(run.place(name), format="png", dpi=150)
-        figures = gain_figures(result.controller) | measures(result)
+        figures = gain_figures(result.controller) | figure_content(measures(result))
         more: dict[str, Any] = {
             "figures": figures,
             "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
@@ -111,8 +121,15 @@ def write_result(
             _ensemble(run, many)
             more["ensemble"] = ensemble_measures(many)
         code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
-        run.commit(_index(result.spec, seconds) | {"exit": int(code)} | more)
+        index = _index(result.spec, seconds) | {"exit": int(code)} | more
+        run.commit(index | _requirements(required(result.spec, result.controller, result, many)))
     return Path(folder)
+
+
+def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
+    """Return what the index says of requirements; one that is missed is a check that failed."""
+    missed = {"exit": int(ExitCode.CHECK_FAILED)} if not all(each.met for each in checked) else {}
+    return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
@@ -247,25 +264,24 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     if isinstance(part, Actuator):
         limits = {level for level in (part.levels[before], part.levels[after]) if level is not None}
         return " and ".join(f"{loop.controller.plant.inputs[part.input]} = {limit:g}" for limit in sorted(limits))
+    if isinstance(part, RateLimit):
+        return f"change of {loop.controller.plant.inputs[part.input]} by {part.most:g}"
     plant = loop.plant if part.name == "plant" else loop.controller.plant
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
-_OF_A_MEMBER = ("largest_error", "final_error", "settling_time", "mode_changes", "unresolved", "outcome")
-
-
 def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
-    """Write one row for each member; a settling time that never comes is left empty."""
-    kept, values = many.ensemble, many.variation.values
+    """Write one row for each member; a time that never comes, and a figure that it has not, are left empty."""
+    kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
     header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow([*header, *_OF_A_MEMBER])
-        errors = np.column_stack([kept.largest, kept.final, kept.settling_time]).tolist()
+        writer.writerow([*header, *figures, "mode_changes", "unresolved", "outcome"])
+        errors = np.column_stack(list(figures.values())).tolist()
         counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
         ends = [outcome.kind for outcome in many.outcomes]
         for number, (start, values, numbers, end) in enumerate(zip(drawn, errors, counts, ends, strict=True), 1):
-            row = [*map(repr, start), *("" if v == np.inf else repr(v) for v in values), *numbers]
+            row = [*map(repr, start), *(repr(v) if np.isfinite(v) else "" for v in values), *numbers]
             writer.writerow([number, *row, end])
 
 

@@ -107,13 +107,13 @@ def fan(many: EnsembleResult) -> Figure:
     largest = f"{kept.final.max():.1e} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
-    last = "last to settle" if np.isfinite(kept.settling_time).all() else "largest at the end"
+    last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
     figure, (linear, logarithmic) = _canvas(result, title, [[0], [1]], height=6.2)
     floor = _ROUNDING * np.abs(result.response.x).max()
     size = "|y − y_d|" if result.controller.generator else "‖x − x_d‖"
-    slowest = int(np.lexsort((kept.final, kept.settling_time))[-1])
+    slowest = int(np.lexsort((kept.final, kept.small_from))[-1])
     falling = kept.t[kept.error.max(axis=0) > floor][-1:]  # until the last error is rounding
-    ends = (np.quantile(kept.settling_time, 0.95, method="higher"), 1.2 * falling[0] if len(falling) else 0.0)
+    ends = (np.quantile(kept.small_from, 0.95, method="higher"), 1.2 * falling[0] if len(falling) else 0.0)
     for axes, end, member, name in (
         (linear, ends[0], int(np.argmax(kept.largest)), "largest"),
         (logarithmic, ends[1], slowest, last),

@@ -16,6 +16,7 @@ from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, Pwatrac
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
+from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
 from pwatrack.result import Result
@@ -49,13 +50,13 @@ def run(
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
-        CheckFailed: After all is written and printed, if the loop or a member of its ensemble grows without bound or
-            contradicts its proof.
+        CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     screen, made, many = console(), _Made(path=path, parameters=assignments(parameters)), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated)
+            result = None
             if simulated:
                 status.update("Simulating the closed loop")
                 with made.timed("simulate"):
@@ -67,23 +68,23 @@ def run(
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):
                     found = _fronts(spec, controller) if fronts else []
+            checked = required(spec, controller, result, many)
         except PwatrackError as refusal:
             made.keep(refusal, folder)
             raise
         status.update("Writing the files")
-        if simulated:
+        if result is not None:
             files.write_result(result, folder, many=many, seconds=made.seconds)
         else:
             files.write_design(spec, controller, folder, fronts=found, seconds=made.seconds)
-    if simulated:
-        summary.print_result(screen, result)
+    if result is not None:
+        summary.print_result(screen, result, checked)
     else:
-        summary.print_design(screen, spec, controller)
+        summary.print_design(screen, spec, controller, checked)
     if many:
         summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
-    with spec.located():
-        _check(result if simulated else None, many)
+    _check(spec, result, many, checked)
 
 
 @dataclass(kw_only=True)
@@ -130,16 +131,22 @@ class _Made:
             refusal.add_note(f"  {unwritable}")
 
 
-def _check(result: Result | None, many: EnsembleResult | None) -> None:
-    """Refuse a loop, or a member of its ensemble, that grows without bound or contradicts its proof."""
+def _check(spec: Spec, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:
+    """Refuse a loop, or a member of its ensemble, that grows without bound, contradicts its proof, or misses a wish."""
     found: list[Problem] = []
     if result is not None and result.outcome.code != ExitCode.DONE:
         growth = result.controller.trajectory.growth
         found.append(growth or Problem(message=f"{result.spec.path}: {result.outcome.text}", subject=None))
     if many is not None and many.failed:
         found.append(Problem(message=f"{many.nominal.spec.path}: {many.failure}", subject=None))
+    found += [
+        Problem(message=f"requirement missed: {each.text}", subject=each.requirement.subject)
+        for each in checked
+        if not each.met
+    ]
     if found:
-        raise CheckFailed(*found)
+        with spec.located():
+            raise CheckFailed(*found)
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:

@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,20 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
-from pwatrack.report.figures import channel_text, declared, ensemble_measures, error_unit, measures, signal_text
+from pwatrack.report.figures import (
+    channel_text,
+    declared,
+    ensemble_measures,
+    error_unit,
+    measures,
+    member_figures,
+    signal_text,
+)
+from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
+from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
@@ -116,11 +126,13 @@ def check_json(
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 
 
-def print_design(console: Console, spec: Spec, controller: Controller) -> None:
-    """Say what was proved and the gains."""
+def print_design(console: Console, spec: Spec, controller: Controller, checked: Sequence[Checked] = ()) -> None:
+    """Say what was proved and the gains; above all what was required and is not so."""
     table = _titled(spec.name)
+    _missed_rows(table, checked)
+    _met_row(table, checked)
     _proved_rows(table, spec, controller)
-    _remark_rows(table, controller.plant.remarks)
+    _remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller)))
     console.print(table)
 
 
@@ -254,11 +266,25 @@ def _up(value: float) -> str:
     return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
-def print_result(console: Console, result: Result) -> None:
-    """Say how the simulation went, first of all; then what was proved, and of which loop; then the figures."""
+def _missed_rows(table: Table, checked: Sequence[Checked]) -> None:
+    for each in checked:
+        if not each.met:
+            table.add_row("missed", each.text)
+
+
+def _met_row(table: Table, checked: Sequence[Checked]) -> None:
+    met = [each.text for each in checked if each.met]
+    if met:
+        table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
+
+
+def print_result(console: Console, result: Result, checked: Sequence[Checked] = ()) -> None:
+    """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
     table = _titled(result.spec.name)
+    _missed_rows(table, checked)
     table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
+    _met_row(table, checked)
     if conditions := result.loop.conditions.texts(result.spec.problem.plant):
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     if result.controller.trajectory.growth is not None:
@@ -266,10 +292,11 @@ def print_result(console: Console, result: Result) -> None:
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
-    table.add_row(
-        "largest input",
-        f"{figures['largest_input']:.4g} {result.spec.problem.units.get(result.spec.problem.plant.inputs[0], '')}",
-    )
+    units, plant = result.spec.problem.units, result.spec.problem.plant
+    inputs = figures["largest_input"].items()
+    table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
+    for name in plant.outputs[:_SIGNALS]:
+        table.add_row("step" if name in figures["overshoot"] else "settling", _step_text(figures, name, result))
     if (steady := result.steady_state) is not None:
         multipliers = ", ".join(complex_text(complex(value)) for value in steady.multipliers)
         table.add_row(
@@ -280,6 +307,19 @@ def print_result(console: Console, result: Result) -> None:
     _repair_rows(table, result)
     _remark_rows(table, result.remarks)
     console.print(table)
+
+
+def _step_text(figures: Mapping[str, Any], name: str, result: Result) -> str:
+    """Say how an output went to where its reference rests, or when it settled on one that does not."""
+    settled, band = figures["settling_time"][name], result.spec.scenario.bands.get(name)
+    within = "2 %" if band is None else f"{band:g} {result.spec.problem.units.get(name, '')}".rstrip()
+    said = f"{name} is within {within} for good after {settled:.4g} s"
+    said = said if np.isfinite(settled) else f"{name} does not stay within {within}"
+    if name not in figures["overshoot"]:
+        return said
+    rise = figures["rise_time"][name]
+    risen = f"rises in {rise:.4g} s" if np.isfinite(rise) else "does not get to 90 %"
+    return f"{said}, {risen}, goes beyond by {100 * figures['overshoot'][name]:.3g} %"
 
 
 def _repair_rows(table: Table, result: Result) -> None:
@@ -338,11 +378,7 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     for name, label, form in (
         ("largest_error", f"largest error{f' ({unit})' if unit else ''}", ".2e"),
         ("final_error", "… in the last tenth of the time", ".2e"),
-        (
-            "settling_time",
-            f"below {figures['settled_below']:.2e}{f' {unit}' if unit else ''} for good after (s)",
-            ".4g",
-        ),
+        *_signal_labels(many),
         ("mode_changes", "mode changes", ".0f"),
     ):
         values = figures[name]
@@ -351,6 +387,17 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     console.print(spread)
     if figures["unresolved"]:
         console.print(f"In {figures['unresolved']} members the state comes within rounding of a hyperplane.")
+
+
+def _signal_labels(many: EnsembleResult) -> Iterator[tuple[str, str, str]]:
+    """Yield the figures of outputs and inputs, what they are called, and how they are written."""
+    units = many.nominal.spec.problem.units
+    for name in member_figures(many):
+        for figure, text in (("settling_time", "settling time of {} (s)"), ("largest_input", "largest {}")):
+            if name.startswith(f"{figure}_"):
+                signal = name.removeprefix(f"{figure}_")
+                of = units.get(signal, "") if figure == "largest_input" else ""
+                yield name, text.format(signal) + (f" ({of})" if of else ""), ".4g"
 
 
 def _varied(kind: str, name: str, entry: Sequence[float]) -> str:

@@ -1,4 +1,4 @@
-"""Limits of the inputs: u is cut off at a lower and an upper limit."""
+"""Limits of the inputs: u is cut off at a lower and an upper limit, and kept from changing too fast."""
 
 from dataclasses import dataclass
 
@@ -21,6 +21,29 @@ class Actuator(SwitchedPart):
 
     input: int
     levels: tuple[float | None, ...]
+
+    def held(self, z: Array) -> list[Array | None]:
+        """Return the row of what the input is in each cell, None where it goes through; z are the rows of z, (N, N)."""
+        return [None if level is None else level * z[-1] for level in self.levels]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateLimit(SwitchedPart):
+    """The part of an input that may change by so much from one sample to the next.
+
+    Attributes:
+        input: Which input it is, from 0.
+        before: Where in z it was before.
+        most: By how much it may change.
+    """
+
+    input: int
+    before: int
+    most: float
+
+    def held(self, z: Array) -> list[Array | None]:
+        """Return the row of what the input is in each cell, None where it goes through; z are the rows of z, (N, N)."""
+        return [z[self.before] - self.most * z[-1], None, z[self.before] + self.most * z[-1]]
 
 
 def actuators(
@@ -68,6 +91,32 @@ def actuators(
                 F=np.array(F),
                 input=k,
                 levels=tuple(level for _, level in segments) * len(rows),
+            )
+        )
+    return parts
+
+
+def rate_limits(steps: Array, model: PWASystem, at: Layout) -> list[RateLimit]:
+    """Return one part for each input of a sampled controller whose changes are limited.
+
+    Args:
+        steps: By how much each input may change from one sample to the next, (m,); infinite where there is no limit.
+        model: It has the names.
+        at: Where everything sits in z.
+    """
+    parts, z = list[RateLimit](), np.eye(at.order)
+    for k in np.flatnonzero(np.isfinite(steps)).tolist():
+        change, most = z[at.computed.start + k] - z[at.before.start + k], float(steps[k])
+        parts.append(
+            RateLimit(
+                name=f"rate {model.inputs[k]}",
+                cells=("falls", "free", "rises"),
+                guards=np.array([change + most * z[-1], change - most * z[-1]]),
+                signs=np.array([[-1, -1], [1, -1], [1, 1]]),
+                F=np.zeros((3, at.order, at.order)),
+                input=k,
+                before=at.before.start + k,
+                most=most,
             )
         )
     return parts

@@ -8,7 +8,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.actuator import actuators
+from pwatrack.simulation.actuator import actuators, rate_limits
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.layout import Layout
 from pwatrack.simulation.propagate import StateResets, pieces, sample_count
@@ -80,7 +80,7 @@ class ClosedLoop:
             eta_hat=z[:, at.eta_hat],
             y=y,
             y_d=y_d,
-            u=u if limits is None else np.clip(u, limits[:, 0], limits[:, 1]),
+            u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
             tracking_error=x - x_d if self.controller.generator is None else y - y_d,
         )
@@ -181,13 +181,16 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     ]
     u = switched + steady
     if conditions.limits is not None:
-        parts += actuators(conditions.limits, u, parts[-1], plant, model, at)
+        meant = switched + z[at.computed] if sampling else u
+        parts += actuators(conditions.limits, meant, parts[-1], plant, model, at)
+    if conditions.rates is not None and sampling:
+        parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
     flow = Flow(F0=F0, parts=tuple(parts))
     return ClosedLoop(
         controller=controller,
         conditions=conditions,
         at=at,
-        flow=sampled(flow, sampling, at, measured=y, law=u_ff + u_fb) if sampling else flow,
+        flow=sampled(flow, conditions, at, measured=y, law=u_ff + u_fb) if sampling else flow,
         x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]),
         u_ff=u_ff,
         u=u,

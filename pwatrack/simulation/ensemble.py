@@ -14,7 +14,7 @@ from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
 from pwatrack.simulation.trace import Trace, last_tenth
 
-_SETTLED = 0.01  # of the median of the largest errors
+_SMALL = 0.01  # of the median of the largest errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,14 +67,14 @@ class Ensemble:
         return np.asarray(self.error[:, last_tenth(len(self.t))].max(axis=1))
 
     @property
-    def settled_below(self) -> float:
-        """The size of ‖e‖ that counts as settled: 1 % of the median of the largest ones."""
-        return _SETTLED * float(np.median(self.largest))
+    def small(self) -> float:
+        """The size of ‖e‖ that counts as small beside the others: 1 % of the median of the largest ones."""
+        return _SMALL * float(np.median(self.largest))
 
     @property
-    def settling_time(self) -> Array:
-        """When ‖e‖ falls to `settled_below` or less for good, in s; infinity where it does not, (M,)."""
-        above = self.error > self.settled_below
+    def small_from(self) -> Array:
+        """When ‖e‖ falls to `small` or less for good, in s; infinity where it does not, (M,)."""
+        above = self.error > self.small
         samples = self.error.shape[1]
         first = np.where(above.any(axis=1), samples - np.argmax(above[:, ::-1], axis=1), 0)
         return np.asarray(np.append(self.t, np.inf)[first])

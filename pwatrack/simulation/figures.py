@@ -1,48 +1,212 @@
-"""What is measured of a run, block by block."""
+"""What is measured of a run: sizes of errors and inputs, and how each output goes to where its reference comes to rest.
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+All of it is read off the samples, block by block. Times are wanted when the whole run is known, so the blocks are
+gone through twice.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.simulation.closed_loop import Response
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.trace import last_tenth
 
+_STILL = 1e-9  # of the size of a signal: by less it does not move
+_BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
+_RISES = 0.1, 0.9  # of the way
 
-@dataclass(kw_only=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Measures of a run, taken block by block.
+    """Measures of a run at its samples.
+
+    The last move of an output y begins at the last time t_s (s) before which its reference y_d was at rest, at 0 if
+    it never was before it came to rest for good; y_d is at rest where it changes by less than 1e-9 of the signals.
+    It comes to rest for good if it does so before the last tenth of the run, at y_∞, and y has to go h = y_∞ − y(t_s).
 
     Attributes:
-        final_tracking_error: Largest norm in the last tenth of the time.
-        largest_tracking_error: Largest norm.
+        final_error: Largest norm of the tracking error in the last tenth of the time.
+        largest_error: Largest norm of the tracking error.
         final_observer_error: ‖x − x̂‖ at the end.
-        largest_input: Largest entry of u.
+        largest_input: Largest size of each input, by name.
         mode_changes: How many.
         joint_modes: How many there were.
+        settling_time: How long after t_s each output is within its band of y_∞ for good, in s; infinite where it never
+            is. The band is 2 % of the largest |y − y_∞| from t_s on, unless one is given. For an output whose reference
+            does not come to rest: when |y − y_d| is within its band for good, that being 2 % of half the range of y_d.
+        rise_time: How long each output takes from 10 % of h to 90 % of it, in s; infinite where it does not get there.
+            Only where the reference comes to rest, and h is not 0.
+        overshoot: How far each output goes beyond y_∞, as a share of |h|. Likewise.
     """
 
-    final_tracking_error: float = 0.0
-    largest_tracking_error: float = 0.0
-    final_observer_error: float = 0.0
-    largest_input: float = 0.0
-    mode_changes: int = 0
-    joint_modes: int = 0
+    final_error: float
+    largest_error: float
+    final_observer_error: float
+    largest_input: Mapping[str, float]
+    mode_changes: int
+    joint_modes: int
+    settling_time: Mapping[str, float]
+    rise_time: Mapping[str, float]
+    overshoot: Mapping[str, float]
 
     @staticmethod
-    def of(blocks: Iterable[Response], samples: int) -> "Figures":
-        """Measure all blocks of a run of so many samples."""
-        figures, visited, number, tail = Figures(), set[Mode](), 0, last_tenth(samples).start
+    def of(
+        response: Response, *, outputs: Sequence[str], inputs: Sequence[str], bands: Mapping[str, float]
+    ) -> "Figures":
+        """Return the figures of a run that is all in memory; see `Measuring`."""
+        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands)
+        measuring.see(response)
+        return measuring.figures([response])
+
+
+@dataclass
+class _Move:
+    """The last move of an output, as far as the run was seen; and when it was where, once all of it was."""
+
+    given: float | None  # the band, where one is given
+    start: float = 0.0  # t_s
+    origin: float = 0.0  # y(t_s)
+    high: float = -np.inf  # largest and smallest y since t_s
+    low: float = np.inf
+    still_from: float = 0.0  # the reference has not changed since
+    rests: bool = False  # for good
+    settled: float = 0.0  # since when the output is within its band; infinite where it is not
+    marks: tuple[float, float] = (np.inf, np.inf)  # when 10 % and 90 % of the way were reached
+    _before: tuple[float, float, float, bool] | None = None  # last time, output and reference, and whether that changed
+    _range: tuple[float, float] = (np.inf, -np.inf)  # of the reference
+    _size: float = 0.0  # of output and reference
+
+    def see(self, t: Array, y: Array, y_d: Array) -> None:
+        """Take the next samples into account."""
+        t_0, y_0, y_d0, changed = self._before or (float(t[0]), float(y[0]), float(y_d[0]), False)
+        if self._before is None:
+            self.start, self.origin = t_0, y_0
+        size = np.maximum.accumulate(np.maximum(self._size, np.maximum(np.abs(y), np.abs(y_d))))
+        changes = np.abs(np.diff(y_d, prepend=y_d0)) > _STILL * size
+        begins = np.flatnonzero(changes & ~np.append(changed, changes[:-1]))
+        if len(begins):
+            k = int(begins[-1])
+            self.start, self.origin = (float(t[k - 1]), float(y[k - 1])) if k else (t_0, y_0)
+            self.high = self.low = self.origin
+            y = y[k:]
+        if changes.any():
+            self.still_from = float(t[changes][-1])
+        self.high, self.low = max(self.high, float(y.max())), min(self.low, float(y.min()))
+        self._range = min(self._range[0], float(y_d.min())), max(self._range[1], float(y_d.max()))
+        self._before, self._size = (float(t[-1]), float(y[-1]), float(y_d[-1]), bool(changes[-1])), float(size[-1])
+
+    def end(self, last_tenth: float) -> None:
+        """Take note that this was all, and when the last tenth of it began."""
+        self.rests = self.still_from <= last_tenth
+        if not self.rests:
+            self.start = 0.0
+        self.settled = self.start
+
+    @property
+    def target(self) -> float:
+        """The last value of the reference."""
+        return self._before[2] if self._before else 0.0
+
+    @property
+    def distance(self) -> float:
+        """How far the output has to go, h; 0 where that is rounding or the reference does not come to rest."""
+        h = self.target - self.origin
+        return h if self.rests and abs(h) > _STILL * self._size else 0.0
+
+    @property
+    def overshoot(self) -> float:
+        """How far the output goes beyond the rest, as a share of |h|."""
+        beyond = self.high - self.target if self.distance > 0 else self.target - self.low
+        return max(0.0, beyond / abs(self.distance))
+
+    @property
+    def band(self) -> float:
+        """How far from the rest, or from a reference that moves on, counts as settled."""
+        if self.given is not None:
+            return self.given
+        low, high = self._range
+        away = max(self.high - self.target, self.target - self.low) if self.rests else (high - low) / 2
+        return max(_BAND * away, _STILL * self._size)
+
+    def follow(self, t: Array, y: Array, y_d: Array) -> None:
+        """Find times among the next samples, once all of them were seen."""
+        counts = t >= self.start
+        away = counts & (np.abs(y - (self.target if self.rests else y_d)) > self.band)
+        leaves = np.flatnonzero(away)
+        if len(leaves):
+            self.settled = float(np.append(t, np.inf)[leaves[-1] + 1])
+        elif self.settled == np.inf:
+            self.settled = float(t[0])
+        if self.distance:
+            way = (y - self.origin) / self.distance
+            found = (float(np.append(t[counts & (way >= share)], np.inf)[0]) for share in _RISES)
+            low, high = (min(pair) for pair in zip(self.marks, found, strict=True))
+            self.marks = low, high
+
+
+@dataclass
+class Measuring:
+    """Measures a run block by block.
+
+    Args:
+        samples: How many it will see.
+        outputs, inputs: Their names.
+        bands: How far from its rest an output counts as settled, in its unit, where that is given.
+    """
+
+    samples: int
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    bands: Mapping[str, float]
+    _number: int = 0
+    _final: float = 0.0
+    _largest: float = 0.0
+    _observer: float = 0.0
+    _changes: int = 0
+    _last_tenth: float = 0.0  # when it began
+    _visited: set[Mode] = field(default_factory=set)
+    _input: Array = field(default_factory=lambda: np.zeros(1))
+    _moves: list[_Move] = field(default_factory=list)
+
+    def see(self, block: Response) -> None:
+        """Take the next samples into account."""
+        size, tail = np.linalg.norm(block.tracking_error, axis=1), last_tenth(self.samples).start - self._number
+        if 0 <= tail < len(size):
+            self._last_tenth = float(block.t[tail])
+        self._final = max(self._final, float(size[max(0, tail) :].max(initial=0.0)))
+        self._largest = max(self._largest, float(size.max()))
+        self._observer = float(block.observer_error[-1])
+        self._input = np.maximum(self._input, np.abs(block.u).max(axis=0))
+        self._changes += len(block.trace.events)
+        self._visited |= block.trace.visited()
+        self._moves = self._moves or [_Move(self.bands.get(name)) for name in self.outputs]
+        for k, move in enumerate(self._moves):
+            move.see(block.t, block.y[:, k], block.y_d[:, k])
+        self._number += len(size)
+
+    def figures(self, blocks: Iterable[Response]) -> Figures:
+        """Return the figures of all that was seen, given the same blocks once more."""
+        moves = dict(zip(self.outputs, self._moves, strict=True))
+        for move in moves.values():
+            move.end(self._last_tenth)
         for block in blocks:
-            size = np.linalg.norm(block.tracking_error, axis=1)
-            figures.largest_tracking_error = max(figures.largest_tracking_error, float(size.max()))
-            last = size[max(0, tail - number) :]
-            figures.final_tracking_error = max(figures.final_tracking_error, float(last.max(initial=0.0)))
-            figures.final_observer_error = float(block.observer_error[-1])
-            figures.largest_input = max(figures.largest_input, float(np.abs(block.u).max()))
-            figures.mode_changes += len(block.trace.events)
-            visited |= block.trace.visited()
-            number += len(size)
-        figures.joint_modes = len(visited)
-        return figures
+            for k, move in enumerate(self._moves):
+                move.follow(block.t, block.y[:, k], block.y_d[:, k])
+        return Figures(
+            final_error=self._final,
+            largest_error=self._largest,
+            final_observer_error=self._observer,
+            largest_input=dict(zip(self.inputs, self._input.tolist(), strict=True)),
+            mode_changes=self._changes,
+            joint_modes=len(self._visited),
+            settling_time={name: move.settled - move.start for name, move in moves.items()},
+            rise_time={
+                name: move.marks[1] - move.marks[0] if move.marks[1] < np.inf else np.inf
+                for name, move in moves.items()
+                if move.distance
+            },
+            overshoot={name: move.overshoot for name, move in moves.items() if move.distance},
+        )

@@ -44,15 +44,19 @@ class SwitchedMap:
     Attributes:
         J0: What does not depend on the mode, (N, N).
         parts: What does, by the name of the part, (l, N, N).
+        quantum: Entries of z are then rounded to a whole multiple of these, not where it is 0, (N,); None for none.
     """
 
     J0: Array
     parts: Mapping[str, Array]
+    quantum: Array | None = None
 
     def scaled(self, d: Array) -> "SwitchedMap":
         """Return the map of D⁻¹ z, D = diag(d)."""
         parts = {name: J / d[:, None] * d for name, J in self.parts.items()}
-        return SwitchedMap(J0=self.J0 / d[:, None] * d, parts=parts)
+        return SwitchedMap(
+            J0=self.J0 / d[:, None] * d, parts=parts, quantum=None if self.quantum is None else self.quantum / d
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -94,6 +94,7 @@ class Resets(NamedTuple):
         map: Number of the map that is applied, or -1 where entries take new values, (R,).
         start, stop, row: Which entries, and where in `values` the new ones are, (R,).
         values: (V, N).
+        quantum: What each map rounds the entries of z to a multiple of, 0 where it does not, (J, N).
     """
 
     step: Array
@@ -102,6 +103,7 @@ class Resets(NamedTuple):
     stop: IntArray
     row: IntArray
     values: Array
+    quantum: Array
 
 
 class Modes(NamedTuple):
@@ -864,6 +866,9 @@ def _reset(modes: Modes, resets: Resets, at: Trajectory, room: Room) -> None:
         _apply(modes.jumps[s.m, resets.map[r]], at.z, room.v)
         for i in range(len(at.z)):
             at.z[i] = room.v[i]
+            quantum = resets.quantum[resets.map[r], i]
+            if quantum > 0.0:
+                at.z[i] = quantum * np.floor(at.z[i] / quantum + 0.5)
         r += 1
     else:
         while r < len(resets.step) and resets.step[r] <= step and resets.map[r] < 0:

@@ -12,12 +12,13 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, η̂, w, d, v, u, y, w', 1); what the conditions do not ask for is empty.
+    """z = (x, x̂, η̂, w, d, v, u, late, before, y, w', 1); what the conditions do not ask for is empty.
 
     Attributes:
         x, x_hat, eta_hat, w: Plant, observer, generator, exosystem.
         d, v: Exosystem of the disturbances, noise.
-        u, y, w_held: What a sampled controller holds: the input, the measured output, a copy of w.
+        u, late, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next one
+            first, the one computed last where that matters, the measured output, a copy of w.
         order: N, the length of z.
     """
 
@@ -28,6 +29,8 @@ class Layout:
     d: slice
     v: slice
     u: slice
+    late: slice
+    before: slice
     y: slice
     w_held: slice
     order: int
@@ -40,9 +43,24 @@ class Layout:
         sizes = {"x": n, "x_hat": n, "eta_hat": p, "w": s}
         sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
         sizes["v"] = q if conditions.noise else 0
-        sizes |= {"u": m, "y": q, "w_held": s} if conditions.sampling else {"u": 0, "y": 0, "w_held": 0}
+        sampling = conditions.sampling
+        sizes |= dict.fromkeys(("u", "late", "before", "y", "w_held"), 0)
+        if sampling is not None:
+            sizes |= {
+                "u": m,
+                "late": m * sampling.delay,
+                "before": m * (conditions.rates is not None),
+                "y": q,
+                "w_held": s,
+            }
         edges = np.cumsum([0, *sizes.values()]).tolist()
         return Layout(**dict(zip(sizes, map(slice, edges[:-1], edges[1:]), strict=True)), order=edges[-1] + 1)
+
+    @property
+    def computed(self) -> slice:
+        """Where a sampled controller writes an input when it has computed it."""
+        m = self.u.stop - self.u.start
+        return slice(self.late.stop - m, self.late.stop)  # u itself where none waits
 
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
         """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""

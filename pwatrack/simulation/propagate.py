@@ -332,7 +332,9 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     values = np.zeros((count, len(flow.F0)))
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
         values[last - len(r.t) : last, r.where] = r.values
+    quantum = np.zeros((0, len(flow.F0)))
     if flow.clock is not None:
+        quantum = np.array([np.zeros(len(flow.F0)) if m.quantum is None else m.quantum for m in flow.clock.maps])
         ticks = np.arange(sample_count(end, flow.clock.period))
         which = np.tile(np.arange(len(flow.clock.maps)), len(ticks))[flow.clock.first :]
         times.append(np.repeat(flow.clock.period * ticks, len(flow.clock.maps))[flow.clock.first :])
@@ -348,6 +350,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
         stop=stop,
         row=row[order],
         values=values,
+        quantum=quantum,
     )
 
 

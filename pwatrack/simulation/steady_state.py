@@ -7,14 +7,17 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import Part, Remedy, Subject, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.trace import Trace
 
+LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
+
 _TOLERANCE = 1e-11  # of the largest state, after one period
 _MOST_STEPS = 50  # of Newton's method, which settles in a few or not at all
+_GIVEN = Remedy(Way.DESIRED_START)
 _SINGULAR = 1e-10  # relative distance from 1 at which a multiplier of the period map counts as 1
 
 
@@ -32,7 +35,16 @@ class SteadyState(Trace):
     residual: float
 
 
-def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: int = 400) -> SteadyState:
+def periodic_state(
+    flow: Flow,
+    z0: Array,
+    *,
+    free: int,
+    period: float,
+    samples: int = 400,
+    subject: Subject = (Part.START,),
+    remedy: Remedy | None = _GIVEN,
+) -> SteadyState:
     """Return one period of the periodic solution of a flow driven by a periodic exosystem.
 
     The field is continuous, so crossing a facet multiplies the sensitivity by
@@ -46,6 +58,7 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         free: The number of leading coordinates to solve for.
         period: In s.
         samples: Samples in the period.
+        subject, remedy: What a refusal is about, and what may help.
 
     Raises:
         OutsideTheory: If Newton's method does not settle, or 1 is a multiplier of the period map.
@@ -71,9 +84,9 @@ def periodic_state(flow: Flow, z0: Array, *, free: int, period: float, samples: 
         Problem(
             message=f"no periodic solution of period {period:.6g} s was found: the state still moves by "
             f"{np.abs(miss).max():.2g} in one period",
-            subject=(Part.START,),
+            subject=subject,
             hint="the plant may not converge by itself, or be in resonance",
-            remedy=Remedy(Way.DESIRED_START),
+            remedy=remedy,
         )
     )
 

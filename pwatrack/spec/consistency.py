@@ -32,8 +32,17 @@ def sampling_problems(data: Mapping[str, Any], context: Context) -> list[Problem
         section = SimulationSection.model_validate(data.get("simulation"), context=context)
     except ValidationError:
         return []
+    given = [name for name in ("quantum", "rate_limit") if getattr(section, name)]
+    problems = [
+        Problem(
+            message=f"simulation.{name} is about the values of a sampled controller, and there is none",
+            subject=("simulation", name),
+            hint="for example controller: {sample_time: 0.001} under simulation",
+        )
+        for name in given
+        if section.controller is None
+    ]
     duration, step, subject = section.duration, section.sample_time, ("simulation", "sample_time")
-    problems = []
     if step > duration:
         message = f"sample_time {step:g} s is longer than the duration {duration:g} s"
         problems.append(Problem(message=message, subject=subject))

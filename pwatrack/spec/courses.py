@@ -48,7 +48,7 @@ def build_courses(section: CourseSection, folder: Path, horizon: float, subject:
         makers.append(lambda: _polyline(corners, horizon, (*subject, "polyline", "points")))
     if section.table is not None:
         table = section.table
-        makers.append(lambda: read_table(folder / table.file, table.column, (*subject, "table")))
+        makers.append(lambda: read_table(folder / table.file, table, (*subject, "table")))
     courses, problems = list[Course](), list[Problem]()
     for make in makers:
         try:

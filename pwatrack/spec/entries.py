@@ -43,7 +43,12 @@ def _number(value: Any, info: ValidationInfo[Context]) -> float:
         return value
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
-    result = number(value, info.context.parameters)
+    return sized_number(value, info.context)
+
+
+def sized_number(text: str, context: Context) -> float:
+    """Return the value of an expression in the parameters, as a double; raises as `sized_real`."""
+    result = number(text, context.parameters)
     _sized(result)
     return result
 
@@ -144,6 +149,12 @@ def _pair(values: list[LinearForm]) -> list[LinearForm]:
     return values
 
 
+def _scale(value: Any, info: ValidationInfo[Context]) -> float | dict[str, float]:
+    if isinstance(value, dict):
+        return {name: _number(entry, info) for name, entry in value.items()}
+    return _number(value, info)
+
+
 def _not_negative(value: float) -> float:
     if value < 0:
         raise ValueError(f"{value:g} is negative")
@@ -237,6 +248,10 @@ def _start_kind(value: Any) -> str:
     return "by name" if isinstance(value, dict) else "in order"
 
 
+def _start_or_word(value: Any) -> str:
+    return "a word" if isinstance(value, str) else _start_kind(value)
+
+
 def listed(value: Any) -> Any:
     """One of them may stand without a list."""
     return [value] if isinstance(value, dict) else value
@@ -261,14 +276,21 @@ Vector = list[Number]
 Rows = list[list[Number]]
 ExactVector = list[Exact]
 ExactRows = list[list[Exact]]
-Start = Annotated[
-    Annotated[dict[str, Number], Tag("by name")] | Annotated[Vector, Tag("in order")], Discriminator(_start_kind)
+_ByName = Annotated[dict[str, Number], Tag("by name")]
+_InOrder = Annotated[Vector, Tag("in order")]
+Start = Annotated[_ByName | _InOrder, Discriminator(_start_kind)]
+StartOrMeasured = Annotated[
+    Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
+]
+StartOrSteady = Annotated[
+    Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
 PositiveOrLargest = Annotated[float | Literal["largest"], PlainValidator(_positive_or("largest"))]
 PositiveOrSmallest = Annotated[float | Literal["smallest"], PlainValidator(_positive_or("smallest"))]
 PeriodicOrVector = Annotated[list[float], PlainValidator(_start)]
 Limits = Annotated[list[float], PlainValidator(_limits)]
+Scale = Annotated[float | dict[str, float], PlainValidator(_scale)]
 Rounding = Annotated[Positive, AfterValidator(_rounding)]
 ExitNumber = Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
 Form = Annotated[LinearForm, PlainValidator(_form)]

@@ -17,6 +17,7 @@ from pwatrack.spec.entries import Context
 from pwatrack.spec.names import condition_problems, name_problems, start_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
+from pwatrack.spec.requirement import read_requirements
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
 from pwatrack.spec.schema import ExpectSection, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
@@ -52,7 +53,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
     )
-    file = _checked(document, context, problems)
+    requirements, missing = read_requirements(document.data.get("require"), context)
+    file = _checked(document, context, [*problems, *missing])
     simulation, folder = file.simulation, path.parent
     parametric = ParametricPlant.of(
         document.data.get("parameters", {}),
@@ -77,6 +79,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         problem=TrackingProblem(plant=plant, units=file.system.units, reference=reference, parametric=parametric),
         objectives=build_objectives(file.design),
         scenario=build_scenario(simulation, plant.states, conditions),
+        requirements=requirements,
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )

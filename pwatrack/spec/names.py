@@ -12,7 +12,9 @@ from pwatrack.spec.problems import MOST
 from pwatrack.spec.schema import SpecFile
 from pwatrack.spec.wording import guess, shown
 
-_COLUMN = re.compile(r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|actuator_.+)")  # of the trace, beside signals
+_COLUMN = re.compile(
+    r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|(actuator|rate)_.+)"
+)  # of the trace, beside signals
 
 
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
@@ -73,6 +75,11 @@ def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     if isinstance(regions, dict) and not any(regions.values()):
         message = f"{path_text(subject)}: nothing is varied"
         problems.append(Problem(message=message, subject=subject, hint="for example plant: {z1: [-0.1, 0.1]}"))
+    both = at_path(data, ("simulation", "initial", "observer")) == "measured"
+    if both and at_path(data, (*subject, "observer")) is not None:
+        message = f"{path_text((*subject, 'observer'))}: each observer starts from what is measured then"
+        hint = "leave it out, or 'observer: measured' under simulation.initial"
+        problems.append(Problem(message=message, subject=(*subject, "observer"), hint=hint))
     for part in ("plant", "observer"):
         inside: Subject = (*subject, part, "ellipsoid")
         places: list[Subject] = [("simulation", "initial", part)]
@@ -104,6 +111,9 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("disturbance",), simulation.disturbance, system.states, "state"))
     if simulation.noise is not None:
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
+    given.append((("settled",), simulation.settled, system.outputs, "output"))
+    given.append((("quantum",), simulation.quantum, (*system.inputs, *system.outputs), "input or output"))
+    given.append((("rate_limit",), simulation.rate_limit, system.inputs, "input"))
     return [
         Problem(
             message=f"{path_text(('simulation', *where))}: {shown(name)} is no {kind} ({_listed(known)}){meant}",

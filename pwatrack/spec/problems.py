@@ -11,6 +11,7 @@ from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.paths import at_path, path_text
+from pwatrack.spec.requirement import QUANTITIES
 from pwatrack.spec.schema import Section, SpecFile
 from pwatrack.spec.wording import guess, shown
 
@@ -136,7 +137,7 @@ def _sections() -> tuple[tuple[Subject, type[Section]], ...]:
 
 def known_keys() -> list[str]:
     """Return every key that some section has."""
-    return sorted({name for _, model in _sections() for name in model.model_fields})
+    return sorted({name for _, model in _sections() for name in model.model_fields} | {*QUANTITIES, "members"})
 
 
 def _unknown_key(subject: Subject) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import readonly
 from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
-from pwatrack.model.conditions import Conditions, Noise, Sampling
+from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
 from pwatrack.spec.courses import build_courses
@@ -19,8 +19,8 @@ from pwatrack.spec.schema import (
     GoalSection,
     SimulationSection,
 )
-from pwatrack.spec.spec import InitialStates, Objectives, Scenario
-from pwatrack.spec.starts import in_order, regions
+from pwatrack.spec.spec import Objectives, Scenario
+from pwatrack.spec.starts import initial_states, regions
 
 
 def build_objectives(section: DesignSection) -> Objectives:
@@ -78,13 +78,27 @@ def build_conditions(
         disturbance = found if found.Q.any() else None
     if section.plant is not None:
         running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
+    quanta = rates = None
+    if section.quantum:
+        quanta = Quanta(
+            inputs=readonly([section.quantum.get(name, 0.0) for name in plant.inputs]),
+            outputs=readonly([section.quantum.get(name, 0.0) for name in plant.outputs]),
+        )
+    if section.rate_limit:
+        rates = readonly([section.rate_limit.get(name, np.inf) for name in plant.inputs])
     return Conditions(
+        quanta=quanta,
+        rates=rates,
         plant=running,
         parameters=changed,
         limits=limits if limits is not None and np.isfinite(limits).any() else None,
         disturbance=disturbance,
         noise=noise,
-        sampling=Sampling(sample_time=section.controller.sample_time, method=section.controller.method)
+        sampling=Sampling(
+            sample_time=section.controller.sample_time,
+            method=section.controller.method,
+            delay=section.controller.delay,
+        )
         if section.controller
         else None,
     )
@@ -92,17 +106,14 @@ def build_conditions(
 
 def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
     """Return what is simulated under given conditions."""
-    plant, observer = (in_order(values, states) for values in (section.initial.plant, section.initial.observer))
-    generator = section.initial.generator
-    initial = InitialStates(
-        plant=plant, observer=observer, generator=None if generator is None else readonly(generator)
-    )
+    initial = initial_states(section.initial, states)
     return Scenario(
         duration=section.duration,
         sample_time=section.sample_time,
         initial=initial,
         conditions=conditions,
-        regions=regions(section.ensemble.initial, states, {"plant": plant, "observer": observer}),
+        regions=regions(section.ensemble.initial, states, initial),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
         portraits=tuple((first, second) for first, second in section.portraits),
+        bands=section.settled,
     )

@@ -38,7 +38,10 @@ from pwatrack.spec.entries import (
     PositiveOrSmallest,
     Rounding,
     Rows,
+    Scale,
     Start,
+    StartOrMeasured,
+    StartOrSteady,
     Time,
     Whole,
     as_course,
@@ -48,6 +51,7 @@ from pwatrack.spec.entries import (
 
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
 _MOST_PORTRAITS = 50  # each is a picture
+_MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
 
 
 class Section(BaseModel):
@@ -242,11 +246,25 @@ class PolylineSection(Section):
     smooth: Positive | None = None
 
 
+class FilterSection(Section):
+    """What is left of a measured table: what is slower than the cutoff (Hz), without a phase."""
+
+    cutoff: Positive
+
+
 class TableSection(Section):
-    """A CSV file with a header: column t (s) and the signal's column, joined by a spline."""
+    """A text file with a header, a column of times and the signal's column, joined by a spline.
+
+    `scale` is that of the times, in s, or of each column by its name.
+    """
 
     file: str
     column: str | None = None
+    time: str = "t"
+    scale: Scale = 1.0
+    delimiter: Literal[",", ";", "\t", " ", "|"] | None = None
+    decimal: Literal[".", ","] | None = None
+    filter: FilterSection | None = None
 
 
 class CourseSection(Section):
@@ -277,11 +295,11 @@ class ReferenceSection(Section):
 
 
 class InitialSection(Section):
-    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name."""
+    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name; or a word says how."""
 
     plant: Start | None = None
-    observer: Start | None = None
-    generator: list[Number] | None = None
+    observer: StartOrMeasured | None = None
+    generator: StartOrSteady | None = None
 
 
 class PlantSection(Section):
@@ -305,10 +323,11 @@ class NoiseSection(Section):
 
 
 class SampledSection(Section):
-    """The controller as a program that runs once in a sample time (s)."""
+    """The controller as a program that runs once in a sample time (s), its output late by some samples."""
 
     sample_time: Positive
     method: Method = "exponential"
+    delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE)] = 0
 
 
 class RadiiSection(Section):
@@ -350,11 +369,17 @@ class SimulationSection(Section):
 
     duration: Positive
     sample_time: Positive
+    settled: dict[str, Positive] = {}
+    """By name: how far from its rest an output counts as settled, in its unit."""
     initial: InitialSection = InitialSection()
     plant: PlantSection | None = None
     actuator: ActuatorSection | None = None
     disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
     noise: NoiseSection | None = None
+    quantum: dict[str, Positive] = {}
+    """Steps of inputs and measured outputs, by name, in their units."""
+    rate_limit: dict[str, Positive] = {}
+    """By how much inputs may change, by name, in their unit per second."""
     controller: SampledSection | None = None
     portraits: Annotated[
         list[FormPair],
@@ -387,3 +412,4 @@ class SpecFile(Section):
     simulation: SimulationSection
     tolerance: ToleranceSection = ToleranceSection()
     expect: ExpectSection | None = None
+    require: Any = None  # see `requirement`

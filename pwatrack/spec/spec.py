@@ -17,6 +17,7 @@ from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spelling import located
 
 
@@ -56,13 +57,23 @@ class Objectives:
     solver: Solver
 
 
+@dataclass(frozen=True)
+class Measured:
+    """A start of the observer: from what is measured then."""
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A start of the generator: in its steady state for the reference as it begins."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class InitialStates:
-    """Where a simulation starts: plant (n,), observer (n,), generator (p,); None for zero."""
+    """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name; None for zero."""
 
     plant: Array | None = None
-    observer: Array | None = None
-    generator: Array | None = None
+    observer: Array | Measured | None = None
+    generator: Array | Mapping[str, float] | Steady | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +87,7 @@ class Scenario:
         regions: Where the members of an ensemble start, by part; empty where the file says nothing.
         intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
         portraits: Pairs of linear forms of the states to draw against each other.
+        bands: How far from its rest an output counts as settled, in its unit, by name where that is given.
     """
 
     duration: float
@@ -85,6 +97,7 @@ class Scenario:
     regions: Mapping[str, Region]
     intervals: Mapping[str, tuple[float, float]]
     portraits: tuple[tuple[LinearForm, LinearForm], ...]
+    bands: Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +113,7 @@ class Spec:
         problem: What is controlled, and what it is to track.
         objectives: What the gains are to achieve.
         scenario: What is simulated.
+        requirements: What figures of design, run and ensemble must achieve.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
         places: Where each part of the description stands in the file.
     """
@@ -112,6 +126,7 @@ class Spec:
     problem: TrackingProblem
     objectives: Objectives
     scenario: Scenario
+    requirements: tuple[Requirement, ...]
     expected_exit: int
     places: Mapping[Subject, Place]
 

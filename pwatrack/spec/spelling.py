@@ -16,6 +16,8 @@ _PATHS: Mapping[Part, Subject] = {
     Part.DESIGN: ("design",),
     Part.CONTROLLER: ("design", "controller"),
     Part.OBSERVER: ("design", "observer"),
+    Part.GENERATOR_START: ("simulation", "initial", "generator"),
+    Part.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
     Part.DURATION: ("simulation", "duration"),
     # of a cell
     Part.A: ("A",),
@@ -40,6 +42,7 @@ _WORDS: Mapping[Way, str] = {
     Way.GAIN_BOUND: "give a bound beside it, for example gain: 100, or the rate that is wanted",
     Way.DESIRED_STATE: "{hint}: give x_d as state or setpoint instead",
     Way.DESIRED_START: "{hint}: give x_d(0) as start instead",
+    Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s) or less: it is stable in all cells",
 }
 
 

@@ -1,7 +1,9 @@
-"""Tables of samples: a CSV file with a header -> a course."""
+"""Tables of samples: a text file with a header and columns -> a course."""
 
 import csv
 import stat
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,45 +12,74 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Table
+from pwatrack.model.lowpass import low_passed
 from pwatrack.model.signal import LARGEST
+from pwatrack.spec.schema import TableSection
+from pwatrack.spec.wording import guess
 
 LARGEST_FILE = 50_000_000  # bytes
 MOST_ROWS = 200_000  # each is a piece of the signal
-FINEST = 1e-12  # of the time: times that are closer are one time, but for rounding
+FINEST = 1e-12  # of the time: rows that are closer are one time, but for rounding
+_WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte-order marks of UTF-16
 
 
-def read_table(path: Path, column: str | None, subject: Subject) -> Table:
+def read_table(path: Path, section: TableSection, subject: Subject) -> Table:
     """Return the course of a table.
 
     Args:
-        path: A CSV file with a header, a column t (s) and others; a byte-order mark at its start is no part of it.
-        column: Which one; None for the first beside t.
-        subject: Where the file is named.
+        path: A text file with a header, a column of times and others; a byte-order mark at its start is no part of it.
+        section: Which columns, how they are written, in which units, and how they are filtered.
+        subject: Where it stands.
 
     Raises:
-        InvalidSpec: If it cannot be read, or its times do not increase.
+        InvalidSpec: If it cannot be read, its times do not increase, or its filter does not fit them.
     """
     try:
-        rows = _rows(path)
-        names = rows[0] if rows else []
-        column = column or next((name for name in names if name != "t"), "y")
-        for name in ("t", column):
-            if name not in names:
-                raise ValueError(f"the header has no column '{name}'; it has {_shown(names)}{_hint(names, rows)}")
-            if names.count(name) > 1:
-                raise ValueError(f"the header has two columns '{name}'")
-        wanted = names.index("t"), names.index(column)
-        values = np.array([_numbers(row, wanted, k, names) for k, row in enumerate(rows[1:], start=2)]).reshape(-1, 2)
+        values = _values(path, section)
         _check(values)
+        t, y = values.T
+        if section.filter is not None:
+            t, y = low_passed(t, y, section.filter.cutoff)
+            if len(t) > MOST_ROWS:
+                raise ValueError(
+                    f"a cutoff of {section.filter.cutoff:g} Hz leaves {len(t):,} points, at most {MOST_ROWS:,}"
+                )
     except (ValueError, OSError, csv.Error) as error:  # a path with a NUL is a ValueError too
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         shown = str(path).encode("unicode_escape").decode()
         raise InvalidSpec(Problem(message=f"table {shown}: {reason}", subject=subject)) from None
-    return Table(readonly(values[:, 0]), readonly(values[:, 1]))
+    return Table(readonly(t), readonly(y), filtered=section.filter is not None)
 
 
-def _rows(path: Path) -> list[list[str]]:
-    """Return the cells of the file; only a regular one is opened, and no more is read than is taken."""
+def _values(path: Path, section: TableSection) -> Array:
+    """Return times in s and values, (K, 2)."""
+    lines = _lines(path)
+    delimiter = section.delimiter or _delimiter(lines)
+    rows = [
+        [cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter, skipinitialspace=True) if row
+    ]
+    if len(rows) - 1 > MOST_ROWS:
+        raise ValueError(f"{len(rows) - 1:,} rows, at most {MOST_ROWS:,} are read")
+    names = rows[0] if rows else []
+    column = section.column or next((name for name in names if name != section.time), "y")
+    for name in (section.time, column):
+        if name not in names:
+            raise ValueError(f"the header has no column '{name}'; it has {_shown(names)}{guess(name, names)}")
+        if names.count(name) > 1:
+            raise ValueError(f"the header has two columns '{name}'")
+    wanted = names.index(section.time), names.index(column)
+    cells = [tuple(row[k] if k < len(row) else "" for k in wanted) for row in rows[1:]]
+    commas = section.decimal == "," or (section.decimal is None and delimiter != "," and _has_commas(cells))
+    numbers = []
+    for line, (texts, row) in enumerate(zip(cells, rows[1:], strict=True), start=2):
+        if len(row) > len(names):
+            raise ValueError(f"row {line} has {len(row)} entries, the header {len(names)}: decimal commas? {_ADVICE}")
+        numbers.append(_numbers(texts, line, commas=commas))
+    return np.array(numbers).reshape(-1, 2) * _scales(section.scale, section.time, column)
+
+
+def _lines(path: Path) -> list[str]:
+    """Return the lines of the file; only a regular one is opened, and no more is read than is taken."""
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
         raise ValueError("not a regular file")
@@ -56,14 +87,27 @@ def _rows(path: Path) -> list[list[str]]:
         content = file.read(LARGEST_FILE + 1)
     if len(content) > LARGEST_FILE:
         raise ValueError(f"more than {LARGEST_FILE:,} bytes, which is the most that is read")
+    wide = content.startswith(_WIDE)
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-16" if wide else "utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise ValueError(f"not UTF-8 text: byte {content[error.start]:#04x} at position {error.start + 1}") from None
-    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), skipinitialspace=True) if row]
-    if len(rows) - 1 > MOST_ROWS:
-        raise ValueError(f"{len(rows) - 1:,} rows, at most {MOST_ROWS:,} are read")
-    return rows
+        kind = "UTF-16" if wide else "UTF-8"
+        raise ValueError(f"not {kind} text: byte {content[error.start]:#04x} at position {error.start + 1}") from None
+
+
+_ADVICE = "write points in numbers, or semicolons between columns"
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """Return what stands between the columns: of comma, semicolon and tab the most frequent one of the header."""
+    found = Counter(next((line for line in lines if line.strip()), ""))
+    return max((",", ";", "\t"), key=lambda mark: found[mark])
+
+
+def _has_commas(cells: Sequence[Sequence[str]]) -> bool:
+    """Whether numbers are written with decimal commas: some with a comma, and none with a point."""
+    marks = {mark for texts in cells for text in texts for mark in ",." if mark in text}
+    return marks == {","}
 
 
 def _shown(names: list[str]) -> str:
@@ -72,32 +116,30 @@ def _shown(names: list[str]) -> str:
     return (", ".join(f"'{name}'" for name in short) + (", …" if len(names) > 5 else "")) or "none"
 
 
-def _hint(names: list[str], rows: list[list[str]]) -> str:
-    """Say what else the file seems to be written with."""
-    for mark, what in ((";", "semicolons"), ("\t", "tabs")):
-        if any(mark in name for name in names):
-            decimal = (
-                any("," in cell for cell in next(csv.reader([",".join(rows[1])], delimiter=mark))) if rows[1:] else 0
-            )
-            more = ", and decimal commas" if decimal and mark == ";" else ""
-            return f"; it is written with {what}{more}: write commas between columns and points in numbers"
-    return ""
-
-
-def _numbers(row: list[str], wanted: tuple[int, int], line: int, names: list[str]) -> tuple[float, float]:
-    texts = [row[k] if k < len(row) else "" for k in wanted]
+def _numbers(texts: Sequence[str], line: int, *, commas: bool) -> tuple[float, float]:
+    """Return two numbers, whose decimals are behind commas or points."""
+    written = [text.replace(",", ".") if commas and "." not in text else text for text in texts]
     try:
-        if len(row) <= len(names) and not any("_" in text for text in texts):
-            return float(texts[0]), float(texts[1])
+        if not any("_" in text or (commas and "." in text) for text in texts):
+            return float(written[0]), float(written[1])
     except ValueError:
         pass
-    if len(row) > len(names):
-        raise ValueError(
-            f"row {line} has {len(row)} entries, the header {len(names)}: decimal commas? write points in numbers"
-        )
     shown = ", ".join(f"'{text.encode('unicode_escape').decode()[:30]}'" for text in texts)
-    comma = ": write points in numbers, not commas" if any("," in text for text in texts) else ""
-    raise ValueError(f"row {line}: {shown} are no two numbers{comma}")
+    hint = ": write points in numbers, or 'decimal: \",\"'" if not commas and any("," in text for text in texts) else ""
+    hint = ": decimals have a comma here" if commas and any("." in text for text in texts) else hint
+    raise ValueError(f"row {line}: {shown} are no two numbers{hint}")
+
+
+def _scales(scale: float | dict[str, float], time: str, column: str) -> Array:
+    """Return what times and values are multiplied with."""
+    if not isinstance(scale, dict):
+        scale = {time: scale}
+    for name, value in scale.items():
+        if name not in (time, column):
+            raise ValueError(f"scale: '{name}' is not a column that is read: '{time}' and '{column}' are")
+        if value == 0 or (name == time and value < 0):
+            raise ValueError(f"scale: {value:g} makes no use of column '{name}'")
+    return np.array([scale.get(time, 1.0), scale.get(column, 1.0)])
 
 
 def _check(values: Array) -> None:

@@ -1,0 +1,154 @@
+"""What a spec requires of its run, held against the figures that came out."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, inf, isfinite
+from typing import Any
+
+from pwatrack.control.controller import Controller
+from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.report.figures import error_unit, gain_figures, measures
+from pwatrack.result import Result
+from pwatrack.spec.requirement import Requirement
+from pwatrack.spec.spec import Spec
+from pwatrack.variation import EnsembleResult
+
+Figures = Mapping[str, Any]
+
+_ABSENT = {
+    "rise_time": "the reference does not come to rest before the last tenth of the run, or the output starts there",
+    "overshoot": "the reference does not come to rest before the last tenth of the run, or the output starts there",
+    "generator_rate": "there is no trajectory generator, or it has no state",
+    "largest_multiplier": "no periodic steady state of a trajectory generator was looked for",
+    "steady_state_residual": "no periodic steady state of a trajectory generator was looked for",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """A requirement and what came out.
+
+    Attributes:
+        requirement: What was asked.
+        signal: Of which signal, '' where the figure is not one of a signal.
+        found: The figure, of an ensemble that of its worst member; infinite for a time that never comes.
+        met: Whether it is kept.
+        text: What came out and what was asked, in words.
+    """
+
+    requirement: Requirement
+    signal: str
+    found: float
+    met: bool
+    text: str
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What run.json says of it; a time that never comes is None."""
+        asked = self.requirement
+        return {
+            "figure": asked.figure,
+            "signal": self.signal or None,
+            "found": self.found if isfinite(self.found) else None,
+            asked.quantity.best: asked.limit,
+            "members": asked.share,
+            "met": self.met,
+            "said": self.text,
+        }
+
+
+def required(
+    spec: Spec, controller: Controller, result: Result | None = None, many: EnsembleResult | None = None
+) -> tuple[Checked, ...]:
+    """Hold what a spec requires against what came out; what is about a run or an ensemble that there is none of waits.
+
+    Args:
+        spec: What was asked.
+        controller: What `design(spec)` returned.
+        result: What `simulate(spec)` returned.
+        many: What `ensemble(result, …)` returned.
+
+    Raises:
+        InvalidSpec: If a figure is required that this run has not, such as the overshoot over a reference that never
+            comes to rest.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from pwatrack import design, load_spec
+        >>> spec = load_spec("specs/two_mass_paper_gains.yaml")
+        >>> wish = Requirement(figure="norm_K", signal=None, limit=1.0, share=None, subject=("require", "norm_K"))
+        >>> [checked.text for checked in required(replace(spec, requirements=(wish,)), design(spec))]
+        ['norm_K: 1.98, at most 1 required']
+    """
+    found, problems = list[Checked](), list[Problem]()
+    for asked in spec.requirements:
+        members: Sequence[Figures] = ()
+        if asked.share is not None:
+            members = [vars(figures) for figures in many.figures] if many else ()
+        elif asked.quantity.of == "design":
+            members = [gain_figures(controller)]
+        elif result is not None:
+            members = [measures(result)]
+        if not members:
+            continue
+        values = dict(_values(asked, members))
+        if not values:
+            signal = f" of {asked.signal}" if asked.signal else ""
+            message = f"{'.'.join(map(str, asked.subject))}: there is no {asked.figure}{signal}"
+            message += f": {_ABSENT[asked.figure]}" if asked.figure in _ABSENT else ""
+            problems.append(Problem(message=message, subject=asked.subject, hint="leave it out"))
+        nominal = result or (many.nominal if many else None)
+        found += [_checked(asked, signal, each, _unit(spec, nominal, asked, signal)) for signal, each in values.items()]
+    if problems:
+        with spec.located():
+            raise InvalidSpec(*problems)
+    return tuple(found)
+
+
+def _values(asked: Requirement, members: Sequence[Figures]) -> Iterator[tuple[str, dict[int, float]]]:
+    """Yield for each signal that is asked for, '' for none, the figure of each member that has it."""
+    if asked.quantity.per is None:
+        each = {k: float(figures[asked.figure]) for k, figures in enumerate(members) if asked.figure in figures}
+        yield from [("", each)] if each else []
+        return
+    names = dict.fromkeys(name for figures in members for name in figures[asked.figure])
+    for name in names if asked.signal is None else [asked.signal] if asked.signal in names else []:
+        found = ((k, figures[asked.figure]) for k, figures in enumerate(members))
+        yield name, {k: values[name] for k, values in found if name in values}
+
+
+def _checked(asked: Requirement, signal: str, values: Mapping[int, float], unit: str) -> Checked:
+    """Hold the figure of each member against what is asked."""
+    best = asked.quantity.best
+    worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
+    kept = sum(map(asked.met, values.values()))
+    label = f"{asked.figure} of {signal}" if signal else asked.figure
+    came, limit = _texts(values[worst], asked.limit, unit)
+    if asked.share is None:
+        text, met = f"{label}: {came}, {best} {limit} required", kept == 1
+    else:
+        least = ceil(asked.share * len(values) * (1 - 1e-12))
+        count = f"{kept:,} of {len(values):,} members, in {least:,} required"
+        text, met = f"{label}: {best} {limit} in {count}; worst {came}, member {worst + 1}", kept >= least
+    return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text)
+
+
+def _unit(spec: Spec, result: Result | None, asked: Requirement, signal: str) -> str:
+    quantity = asked.quantity
+    if quantity.share:
+        return "%"
+    if quantity.unit == "of the signal":
+        return spec.problem.units.get(signal, "")
+    if quantity.unit == "of the error":
+        return error_unit(result) if result else ""
+    return quantity.unit
+
+
+def _texts(value: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return two numbers with their unit, with as many digits as it takes to tell them apart."""
+    scale = 100.0 if unit == "%" else 1.0
+    for digits in (4, 6, 9, 17):
+        came, asked = (format(v * scale, f".{digits}g") for v in (value, limit))
+        if came != asked or value == limit:
+            break
+    return "never" if value == inf else f"{came} {unit}".rstrip(), f"{asked} {unit}".rstrip()

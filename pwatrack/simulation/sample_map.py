@@ -1,0 +1,148 @@
+"""What one sample does to errors in each cell, and which sample times are short enough."""
+
+from dataclasses import dataclass
+from decimal import ROUND_FLOOR, Context
+
+import numpy as np
+from scipy.linalg import expm
+
+from pwatrack.arrays import Array
+from pwatrack.causes import Part, Remedy, Way
+from pwatrack.control.controller import Controller
+from pwatrack.errors import CheckFailed, Problem
+from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.model.pwa import PWASystem
+
+_HALVINGS = 40  # of a sample time that is too long, until none is found that does
+_BISECTIONS = 12
+_SHORTER = 16  # times below one that does which must do too
+_SURE = 1 + 1e-9  # the eigenvalues of a map are known to less
+
+
+def check_sample_time(controller: Controller, conditions: Conditions) -> None:
+    """Refuse a sample time at which the loop is unstable in some cell, where a shorter one would do.
+
+    Args:
+        controller: The design.
+        conditions: What is not as the theorems assume.
+
+    Raises:
+        CheckFailed: With the cell, the spectral radius there, and the longest time that is found to do.
+    """
+    sampling, plant = conditions.sampling, conditions.plant or controller.plant
+    if sampling is None:
+        return
+    maps = SampleMaps(controller, plant, sampling)
+    cell, radius = maps.worst(sampling.sample_time)
+    if radius < _SURE:
+        return
+    longest = maps.longest(sampling.sample_time)
+    if longest is None:
+        return  # however short, it is unstable: that is not for its sampling, and is seen when it runs
+    name = controller.plant.cell_names[cell]
+    message = (
+        f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell '{name}': "
+        f"one sample multiplies what is off by {radius:.4g} in the long run; {longest:g} s would do in all cells"
+    )
+    raise CheckFailed(
+        Problem(message=message, subject=(Part.SAMPLE_TIME,), remedy=Remedy(Way.FASTER_SAMPLES, (longest,)))
+    )
+
+
+@dataclass(frozen=True)
+class SampleMaps:
+    """What deviations of plant, observer and generator become in one sample, where all are at rest in one cell.
+
+    There the loop is linear: with the held input u and output y, x⁺ = Φ x + Γ u, and the program steps x̂ and η̂ on.
+
+    Attributes:
+        controller: The design.
+        plant: The plant that runs.
+        sampling: How it is sampled; its sample time is what the methods are asked for.
+    """
+
+    controller: Controller
+    plant: PWASystem
+    sampling: Sampling
+
+    def radius(self, cell: int, h: float) -> float:
+        """Return the spectral radius of the map in a cell for a sample time h (s): below 1, deviations vanish."""
+        A = self.controller.trajectory.rate[cell, :, : len(self.controller.trajectory.names)]
+        with np.errstate(all="ignore"):
+            maps = self.loop(cell, h), self._stepped(A, h)
+        if not all(np.isfinite(M).all() for M in maps):
+            return np.inf  # what grows is out of range
+        return max(float(np.abs(np.linalg.eigvals(M)).max(initial=0.0)) for M in maps)
+
+    def worst(self, h: float) -> tuple[int, float]:
+        """Return the cell with the largest radius, and that."""
+        radii = {cell: self.radius(cell, h) for cell in self._cells}
+        cell = max(radii, key=lambda cell: radii[cell])
+        return cell, radii[cell]
+
+    def loop(self, cell: int, h: float) -> Array:
+        """Return the map of (x, x̂, u, …): u and what waits to be put out where the output is late, (N, N).
+
+        Example: four states of the plant and four of the observer.
+
+            >>> from pwatrack import design, load_spec
+            >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
+            >>> maps = SampleMaps(controller, controller.plant, Sampling(sample_time=0.1))
+            >>> maps.loop(0, 0.1).shape, maps.radius(0, 0.1) < 1
+            ((8, 8), True)
+        """
+        model, K, L = self.controller.plant, self.controller.design.K, self.controller.design.L
+        (n, m), q = model.B.shape, len(model.C)
+        plant = self._exactly(self.plant.A[cell], self.plant.B, h)
+        inputs = np.hstack([model.B, -L])
+        observer = self._stepped(np.block([[model.A[cell] + L @ model.C, inputs], [np.zeros((m + q, n + m + q))]]), h)
+        late = self.sampling.delay
+        u, M = slice(2 * n, 2 * n + m), np.zeros((2 * n + m * late, 2 * n + m * late))
+        M[:n, :n], M[n : 2 * n, n : 2 * n] = plant[:n, :n], observer[:n, :n]
+        M[n : 2 * n, :n] = observer[:n, n + m :] @ self.plant.C
+        driven = np.vstack([plant[:n, n:], observer[:n, n : n + m]])
+        if not late:
+            M[:, n:] += driven @ K
+            return M
+        M[: 2 * n, u] = driven
+        M[2 * n : -m, 2 * n + m :] = np.eye(m * (late - 1))
+        M[-m:, n : 2 * n] = K
+        return M
+
+    def longest(self, h: float) -> float | None:
+        """Return the longest sample time below a given one at which all cells are stable, in s; None if there is none.
+
+        Shorter ones do, too, as far as was looked. Where two digits are as good, it has two.
+        """
+        high = h
+        for _ in range(_HALVINGS):
+            low = high / 2
+            if all(self.worst(time)[1] < 1 for time in low * np.linspace(1.0, 1 / _SHORTER, _SHORTER)):
+                break
+            high = low
+        else:
+            return None
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.worst(middle)[1] < 1 else (low, middle)
+        rounded = float(Context(prec=2, rounding=ROUND_FLOOR).create_decimal(low))
+        return rounded if self.worst(rounded)[1] < 1 else low
+
+    @property
+    def _cells(self) -> list[int]:
+        """The cells of the plant that are not all alike."""
+        found: dict[bytes, int] = {}
+        A_eta = self.controller.trajectory.rate
+        for cell in range(min(len(self.plant.A), len(self.controller.plant.A))):
+            key = self.plant.A[cell].tobytes() + self.controller.plant.A[cell].tobytes() + A_eta[cell].tobytes()
+            found.setdefault(key, cell)
+        return list(found.values())
+
+    def _exactly(self, A: Array, B: Array, h: float) -> Array:
+        """Return e^{Fh} for ẋ = A x + B u with u held."""
+        n, m = B.shape
+        return np.asarray(expm(np.block([[A, B], [np.zeros((m, n + m))]]) * h))
+
+    def _stepped(self, F: Array, h: float) -> Array:
+        """Return what the program makes of ż = F z in one sample."""
+        return np.asarray(expm(F * h)) if self.sampling.method == "exponential" else np.eye(len(F)) + F * h

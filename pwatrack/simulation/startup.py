@@ -1,0 +1,64 @@
+"""Where a controller starts that is switched on: its observer from what is measured, its generator in steady state."""
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.causes import Part, Subject
+from pwatrack.control.controller import Controller
+from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
+
+_GENERATOR: Subject = (Part.GENERATOR_START,)
+_REST = "let the reference begin at rest or with sinusoids, or give eta_hat(0)"
+
+
+def measured_start(loop: ClosedLoop, x: Array) -> Array:
+    """Return x̂(0) from what is measured at t = 0, with its noise: the smallest x̂ for which C x̂ is nearest to it.
+
+    Args:
+        loop: What runs.
+        x: x(0), (n,).
+    """
+    y, C = loop.plant.C @ x, loop.controller.plant.C
+    if loop.conditions.noise is not None:
+        (drawn,) = (reset.values[0] for reset in loop.resets(0.0) if reset.where == loop.at.v)
+        y = y + drawn
+    if loop.conditions.quanta is not None:
+        y = loop.conditions.quanta.measured(y)
+    sizes = np.ones(len(x))  # "smallest" and "nearest" compare the states in these
+    x_hat: Array = sizes * (np.linalg.pinv(C * sizes) @ y)
+    return x_hat
+
+
+def steady_start(controller: Controller) -> Array:
+    """Return η̂(0) on the steady state of the generator (15) for the reference as it begins, (p,).
+
+    That is its equilibrium where the reference begins at rest, and its periodic orbit where it begins with sinusoids
+    that have a common period. (17) makes either unique.
+
+    Raises:
+        InvalidSpec: If the reference begins in another way, or there is no generator with a state.
+        OutsideTheory: If none is found.
+    """
+    trajectory, generator = controller.trajectory, controller.generator
+    if generator is None or not trajectory.names:
+        what = "there is no trajectory generator" if generator is None else "the trajectory generator has no state"
+        raise _refused(f"{what}, so none that starts in steady state", "leave it out")
+    period, exosystem = trajectory.exosystem.begins(), trajectory.exosystem
+    if period is None:
+        raise _refused("the reference begins neither at rest nor as a sum of sinusoids with a common period", _REST)
+    radians = float(np.abs(exosystem.rates.imag).max(initial=0.0)) * period
+    if radians > LONGEST_PERIOD:
+        message = f"the reference begins with a period of {period:.3g} s, {radians:.3g} rad of the fastest sinusoid"
+        raise _refused(f"{message}; up to {LONGEST_PERIOD:.0e} are followed", _REST)
+    if not period:  # at rest: any time is a period, and after this one deviations are clearly smaller
+        period = 1 / max(proof.rate for proof in controller.guarantees.generator)
+    guess = np.concatenate([np.zeros(len(trajectory.names)), exosystem.w0, [1.0]])
+    flow = closed_loop(controller).generator_flow()
+    found = periodic_state(flow, guess, free=len(trajectory.names), period=period, subject=_GENERATOR, remedy=None)
+    return found.z[0, : len(trajectory.names)]
+
+
+def _refused(message: str, hint: str) -> InvalidSpec:
+    return InvalidSpec(Problem(message=f"η̂(0): {message}", subject=_GENERATOR, hint=hint))

@@ -1,0 +1,175 @@
+"""What a run may be required to achieve: the figures of run.json by name, and limits of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pwatrack.causes import Subject
+from pwatrack.errors import Problem
+from pwatrack.spec.entries import Context, sized_number
+from pwatrack.spec.expression import BrokenParameter, UnknownName
+from pwatrack.spec.wording import guess, shown
+
+_HERE = "require"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a figure is.
+
+    Attributes:
+        of: What has it: the design, a run, or each member of an ensemble as well as the run itself.
+        best: Whether a requirement is its largest value or its smallest.
+        per: What it has one value for each of, if it has not one for all.
+        unit: Its unit, or which unit that is.
+        share: Whether it is a share, that may be written in percent.
+    """
+
+    of: Literal["design", "run", "member"]
+    best: Literal["at most", "at least"] = "at most"
+    per: Literal["outputs", "inputs"] | None = None
+    unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""
+    share: bool = False
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "norm_K": Quantity("design"),
+    "norm_L": Quantity("design"),
+    "controller_rate": Quantity("design", "at least", unit="1/s"),
+    "observer_rate": Quantity("design", "at least", unit="1/s"),
+    "generator_rate": Quantity("design", "at least", unit="1/s"),
+    "rate": Quantity("design", "at least", unit="1/s"),
+    "robust_rate": Quantity("design", "at least", unit="1/s"),
+    "robust_share_K": Quantity("design", "at least", share=True),
+    "robust_share_L": Quantity("design", "at least", share=True),
+    "final_error": Quantity("member", unit="of the error"),
+    "largest_error": Quantity("member", unit="of the error"),
+    "final_observer_error": Quantity("member"),
+    "largest_input": Quantity("member", per="inputs", unit="of the signal"),
+    "mode_changes": Quantity("member"),
+    "joint_modes": Quantity("member"),
+    "settling_time": Quantity("member", per="outputs", unit="s"),
+    "rise_time": Quantity("member", per="outputs", unit="s"),
+    "overshoot": Quantity("member", per="outputs", share=True),
+    "largest_multiplier": Quantity("run"),
+    "steady_state_residual": Quantity("run"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """A limit of a figure.
+
+    Attributes:
+        figure: Its name.
+        signal: Of which output or input, or None for all that have one.
+        limit: The largest value that is allowed, or the smallest.
+        share: Of the members of an ensemble that must keep it; None where it is about the run itself.
+        subject: Where it stands.
+    """
+
+    figure: str
+    signal: str | None
+    limit: float
+    share: float | None
+    subject: Subject
+
+    @property
+    def quantity(self) -> Quantity:
+        """What the figure is."""
+        return QUANTITIES[self.figure]
+
+    def met(self, value: float) -> bool:
+        """Whether a value keeps the limit, but for rounding."""
+        sign = 1.0 if self.quantity.best == "at most" else -1.0
+        return sign * value <= sign * self.limit + 1e-12 * abs(self.limit)
+
+
+def read_requirements(data: Any, context: Context) -> tuple[tuple[Requirement, ...], list[Problem]]:
+    """Return what the section `require` asks for, and all that is wrong with it.
+
+    Args:
+        data: The section, as a tree of strings; None where there is none.
+        context: What its numbers and names are read with.
+    """
+    if data is None:
+        return (), []
+    if not isinstance(data, Mapping):
+        return (), [Problem(message=f"{_HERE}: a mapping such as {{final_error: 1e-3}} is expected", subject=(_HERE,))]
+    found, problems = list[Requirement](), list[Problem]()
+    members = data.get("ensemble")
+    if "ensemble" in data and not (isinstance(members, Mapping) and set(members) - {"members"}):
+        message = f"{_HERE}.ensemble: what each member is to achieve is expected"
+        hint = "for example ensemble: {members: 95%, final_error: 1e-3}"
+        problems.append(Problem(message=message, subject=(_HERE, "ensemble"), hint=hint))
+        members = None
+    share = 1.0
+    inner = dict(sorted((members or {}).items(), key=lambda entry: entry[0] != "members"))  # the share comes first
+    for entries, subject in ((data, (_HERE,)), (inner, (_HERE, "ensemble"))):
+        inside = len(subject) > 1
+        for name, value in entries.items():
+            at: Subject = (*subject, name)
+            try:
+                if inside and name == "members":
+                    share = _share(value, context)
+                elif inside or name != "ensemble":
+                    quantity, of = _quantity(name, inside=inside), share if inside else None
+                    found += [
+                        Requirement(figure=name, signal=signal, limit=limit, share=of, subject=at)
+                        for signal, limit in _limits(value, quantity, context)
+                    ]
+            except BrokenParameter:
+                continue  # said where the parameter stands
+            except ValueError as fault:
+                meant = fault.guess if isinstance(fault, UnknownName) else ""
+                problems.append(Problem(message=f"{'.'.join(map(str, at))}: {fault}{meant}", subject=at))
+    return tuple(found), problems
+
+
+def _quantity(name: str, *, inside: bool) -> Quantity:
+    """Return what the figure of a name is; `inside` what each member of an ensemble is to achieve."""
+    known = [name for name, quantity in QUANTITIES.items() if quantity.of == "member" or not inside]
+    if name in known:
+        return QUANTITIES[name]
+    if name in QUANTITIES:
+        raise ValueError(f"a member of an ensemble has no such figure of its own: put it under '{_HERE}' itself")
+    meant = guess(name, [*known, "members" if inside else "ensemble"])
+    raise ValueError(f"no figure has this name{meant or '; there are ' + ', '.join(known)}")
+
+
+def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str | None, float]]:
+    """Return the limits of a figure, with the name of the signal where it is that of one."""
+    if not isinstance(value, Mapping):
+        return [(None, _limit(value, quantity, context))]
+    if quantity.per is None:
+        raise ValueError("one number is expected: this figure is not one of a signal")
+    names = getattr(context, quantity.per)
+    if not value:
+        raise ValueError(f"nothing is given: a number, or one for some of the {quantity.per} by name")
+    for signal in value:
+        if signal not in names:
+            meant = guess(signal, names)
+            raise ValueError(f"{shown(signal)} is none of the {quantity.per} ({', '.join(names)}){meant}")
+    return [(signal, _limit(limit, quantity, context)) for signal, limit in value.items()]
+
+
+def _limit(value: Any, quantity: Quantity, context: Context) -> float:
+    """Return a number that is not negative; a share may be written in percent."""
+    if not isinstance(value, str):
+        raise ValueError("a number or an expression is expected")
+    if value.rstrip().endswith("%"):
+        if not quantity.share:
+            raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
+        limit = sized_number(value.rstrip()[:-1], context) / 100
+    else:
+        limit = sized_number(value, context)
+    if limit < 0:
+        raise ValueError(f"{limit:g} is negative, and no figure is")
+    return limit
+
+
+def _share(value: Any, context: Context) -> float:
+    share = 1.0 if value == "all" else _limit(value, Quantity("member", share=True), context)
+    if not 0 < share <= 1:
+        raise ValueError(f"{shown(value)} is no share of the members: 'all', or for example 95%")
+    return share

@@ -1,0 +1,178 @@
+"""Sample times that are too long are refused before anything is simulated, with one that does; and it does."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from pwatrack import load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.errors import CheckFailed
+from pwatrack.model.conditions import Conditions, Method, Sampling
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.sample_map import SampleMaps, check_sample_time
+from tests.plants import random_plant
+from tests.promises import random_loop, track
+from tests.test_cli import call, index_of, refused
+from tests.test_outcome import cart
+
+methods: st.SearchStrategy[Method] = st.sampled_from(["exponential", "euler"])
+
+
+def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array:
+    """|x − x_d| at every tick, from rest but for the plant, (ticks + 1,)."""
+    run, h = closed_loop(loop.controller, Conditions(sampling=sampling)), sampling.sample_time
+    p = len(loop.controller.trajectory.names)
+    start = run.start(plant=x0, observer=np.zeros(len(x0)), generator=np.zeros(p))
+    trace = simulate_flow(run.flow, start, duration=ticks * h, sample_time=h, resets=run.resets(ticks * h))
+    response = run.response(trace)
+    return np.asarray(np.linalg.norm(response.x - response.x_d, axis=1))
+
+
+@given(st.integers(0, 60), methods, st.integers(0, 3), st.floats(0.01, 0.5))
+@settings(max_examples=25, deadline=None)
+def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Method, delay: int, h: float) -> None:
+    """A plant with one cell, at rest: the loop is linear, and z(k + 1) = M z(k)."""
+    plant = random_plant(seed, n=3, k=0, r=2)
+    x_0 = np.linalg.solve(plant.A[0], -plant.b[0])
+    loop = track(plant, repr(float((plant.C @ x_0)[0])))
+    sampling = Sampling(sample_time=h, method=method, delay=delay)
+    run, random = closed_loop(loop.controller, Conditions(sampling=sampling)), np.random.default_rng(seed)
+    eta = loop.controller.trajectory.to_eta @ x_0 + loop.controller.trajectory.eta_offset
+    away = random.normal(size=3)
+    start = run.start(plant=x_0 + away, observer=x_0, generator=eta)
+    trace = simulate_flow(run.flow, start, duration=20 * h, sample_time=h, resets=run.resets(20 * h))
+    M = SampleMaps(loop.controller, plant, sampling).loop(0, h)
+    at = run.at
+    rest = np.concatenate([x_0, x_0, np.zeros(len(M) - 6)])
+    found = np.hstack([trace.z[:, at.x], trace.z[:, at.x_hat], trace.z[:, at.u.start : at.late.stop - 1]])[:, : len(M)]
+    z = found - rest
+    expected = z[:-1] @ M.T
+    np.testing.assert_allclose(z[1:], expected, atol=1e-9 * (1 + np.abs(z).max()))
+
+
+@given(st.integers(0, 400), methods, st.integers(0, 2))
+@settings(max_examples=20, deadline=None)
+def test_at_the_time_that_is_offered_random_designs_are_stable(seed: int, method: Method, delay: int) -> None:
+    loop, x0 = random_loop(seed)
+    too_long = Sampling(sample_time=1e3, method=method, delay=delay)
+    maps = SampleMaps(loop.controller, loop.controller.plant, too_long)
+    assume(maps.worst(1e3)[1] >= 1)  # not so where the plant rests by itself, and the gain is small
+    longest = maps.longest(1e3)
+    assert longest is not None
+    sampling = replace(too_long, sample_time=longest)
+    error = errors(loop, x0, sampling, 4000)
+    assert error[3500:].max() <= 1.05 * error[:3500].max()  # it may take long to get to its steady oscillation
+    check_sample_time(loop.controller, Conditions(sampling=sampling))
+    assert max(maps.worst(h)[1] for h in longest * np.linspace(1.0, 1.15, 50)) >= 1
+
+
+SLOW = "controller: {sample_time: 0.5, method: euler}"
+
+
+def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Path) -> None:
+    path = cart(tmp_path, SLOW, reference="0.08*cos(t)")
+    error = refused(call("simulate", path, "--out", tmp_path / "out"), 6)
+    line = 1 + path.read_text(encoding="utf-8").split("controller: {sample_time")[0].count("\n")
+    assert f"{path}:{line}:" in error
+    found = re.search(
+        r"sampled every 0\.5 s, the loop is unstable in cell '(stop on|stop off)': one sample multiplies what is off "
+        r"by (\S+) in the long run; (\S+) s would do in all cells",
+        error,
+    )
+    assert found is not None, error
+    assert float(found[2]) > 1
+    assert f"hint: write 'sample_time: {found[3]}' (s) or less: it is stable in all cells" in error
+    index = index_of(tmp_path / "out")
+    assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "broken off")
+    assert {*index["files"]} == {"gains.json", "certificate.json", "generator.json"}
+    good = cart(tmp_path, SLOW.replace("0.5", found[3]), reference="0.08*cos(t)")
+    result = simulate(load_spec(good))
+    assert result.outcome.code == 0
+    assert result.response.tracking_error.max() < 1
+
+
+def test_an_output_that_is_late_takes_a_shorter_sample_time(tmp_path: Path) -> None:
+    found = []
+    for delay in (0, 1, 5):
+        with pytest.raises(CheckFailed) as refusal:
+            simulate(load_spec(cart(tmp_path, f"controller: {{sample_time: 5, delay: {delay}}}")))
+        figure = re.search(r"(\S+) s would do", str(refusal.value))
+        assert figure is not None
+        found.append(float(figure[1]))
+    assert found == sorted(found, reverse=True)
+    assert len(set(found)) == 3
+
+
+@pytest.mark.parametrize("delay", ["-1", "11", "0.5"])
+def test_a_delay_is_a_few_whole_samples(tmp_path: Path, delay: str) -> None:
+    path = cart(tmp_path, f"controller: {{sample_time: 0.01, delay: {delay}}}")
+    assert "simulation.controller.delay: " in refused(call("check", path), 2)
+
+
+def test_a_late_output_is_said(tmp_path: Path) -> None:
+    result = simulate(load_spec(cart(tmp_path, "controller: {sample_time: 0.01, delay: 2}", duration=2)))
+    (said,) = result.loop.conditions.texts(result.loop.plant)
+    assert said == "controller sampled every 0.01 s (exponential), its output 2 samples late"
+    assert not result.response.u[:1].any()
+
+
+MACHINE = "controller: {sample_time: 0.01}", "quantum: {y: 1e-3, u: 0.25}", "rate_limit: {u: 3}"
+
+
+def test_what_is_put_out_and_measured_comes_in_steps_and_changes_no_faster(tmp_path: Path) -> None:
+    limits = "actuator: {limits: {u: [-2, 2]}}"
+    result, free = (
+        simulate(load_spec(cart(tmp_path, *conditions, limits, reference="0.08*cos(t)")))
+        for conditions in (MACHINE, MACHINE[:2])
+    )
+    u, y = result.response.u[:, 0], result.response.trace.z[:, result.loop.at.y]
+    for values, quantum in ((u, 0.25), (y, 1e-3)):
+        np.testing.assert_allclose(values / quantum, np.round(values / quantum), atol=1e-9)
+    assert np.abs(u).max() <= 2
+    assert np.abs(np.diff(u)).max() == pytest.approx(0.25)  # 0.03 at a time, of which a step comes now and then
+    assert (u[0], abs(free.response.u[0, 0])) == pytest.approx((0, 0.25))
+    assert result.outcome.kind in ("tracks", "off")
+    assert result.loop.conditions.texts(result.loop.plant)[-3:] == [
+        "y in steps of 0.001",
+        "u in steps of 0.25",
+        "|du/dt| at most 3",
+    ]
+    assert result.remarks == ()
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_steps_and_rates_are_those_of_a_sampled_controller(tmp_path: Path, number: int) -> None:
+    error = refused(call("check", cart(tmp_path, MACHINE[number])), 2)
+    name = MACHINE[number].partition(":")[0]
+    assert f"simulation.{name} is about the values of a sampled controller, and there is none" in error
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        ("quantum: {q: 1}", "simulation.quantum: 'q' is no input or output (u, y)"),
+        ("rate_limit: {y: 1}", "simulation.rate_limit: 'y' is no input (u)"),
+        ("quantum: {y: 0}", "simulation.quantum.y: 0 is not positive"),
+    ],
+)
+def test_names_and_sizes_of_steps_are_checked(tmp_path: Path, condition: str, said: str) -> None:
+    assert said in refused(call("check", cart(tmp_path, MACHINE[0], condition)), 2)
+
+
+def test_an_observer_starts_from_a_whole_step(tmp_path: Path) -> None:
+    path = cart(tmp_path, MACHINE[0], "quantum: {y: 0.04}", duration=1)
+    path.write_text(path.read_text(encoding="utf-8").replace("[0.05, 0]", "[0.05, 0], observer: measured"))
+    assert simulate(load_spec(path)).response.x_hat[0].tolist() == pytest.approx([0.04, 0])
+
+
+def test_the_files_of_a_run_with_steps_and_rates_are_written(tmp_path: Path) -> None:
+    run = call("simulate", cart(tmp_path, *MACHINE, duration=2), "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    header = (tmp_path / "out" / "trace.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith("cell_rate_u")
