@@ -95,23 +95,30 @@ class ParametricPlant:
         Raises:
             PwatrackError: If one has no value, or the plant is not of class (1) with them.
         """
+        try:
+            values = self._values(parameters)
+            plant = build_plant(self._section(values), self.tolerance)
+        except PwatrackError as refusal:
+            said = f"plant with {', '.join(f'{name} = {value}' for name, value in parameters.items())}: "
+            problems = (replace(p.prefixed(said), subject=subject, place=None) for p in refusal.problems)
+            raise type(refusal)(*problems) from None
+        return plant, {name: float(value) for name in parameters if (value := values[name]) is not None}
+
+    def _values(self, parameters: Mapping[str, float | str]) -> dict[str, Real | None]:
         values, problems = evaluated(self.parameters, parameters, outside=self.outside - set(parameters))
-        refusal: PwatrackError = InvalidSpec()
-        if not problems:
-            moved = {name for name, value in values.items() if value != self.names.parameters[name]}
-            varying = {path: entry for path, entry in self.varying.items() if not entry.names.isdisjoint(moved)}
-            filled = _Filled(varying, replace(self.names, parameters=values))
-            system = filled.section(self.nominal)
-            problems = filled.problems
-            if not problems:
-                changed = {name: float(value) for name in parameters if (value := values[name]) is not None}
-                try:
-                    return build_plant(system, self.tolerance), changed
-                except PwatrackError as error:
-                    problems, refusal = list(error.problems), error
-        with_them = ", ".join(f"{name} = {value}" for name, value in parameters.items())
-        said = f"plant with {with_them}: "
-        raise type(refusal)(*(replace(p.prefixed(said), subject=subject, place=None) for p in problems))
+        if problems:
+            raise InvalidSpec(*problems)
+        return values
+
+    def _section(self, values: dict[str, Real | None]) -> SystemSection:
+        """Return the section of the plant with these values in the entries that they change."""
+        moved = {name for name, value in values.items() if value != self.names.parameters[name]}
+        varying = {path: entry for path, entry in self.varying.items() if not entry.names.isdisjoint(moved)}
+        filled = _Filled(varying, replace(self.names, parameters=values))
+        system = filled.section(self.nominal)
+        if filled.problems:
+            raise InvalidSpec(*filled.problems)
+        return system
 
 
 def evaluated(
