@@ -10,8 +10,9 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.faces import faces, guessed_faces
 from pwatrack.lmi.inequality import Inequality, Solver
-from pwatrack.lmi.multipliers import exact_multipliers, refutes
+from pwatrack.lmi.multipliers import refutes
 from pwatrack.lmi.program import least_violation
+from pwatrack.lmi.rounding import exact_multipliers
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import Rational, decimals, floats
 

@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.spec.build import build_plant, build_reference
-from pwatrack.spec.consistency import goal_problems, plant_problems, reference_problems, sampling_problems
+from pwatrack.spec.consistency import plant_problems, reference_problems, sampling_problems
 from pwatrack.spec.entries import Context
+from pwatrack.spec.goals import goal_problems
 from pwatrack.spec.names import condition_problems, name_problems, start_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
