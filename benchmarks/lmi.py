@@ -229,7 +229,11 @@ class Measured:
 
     def __init__(self, console: Console, kind: str, options: argparse.Namespace) -> None:
         self._console, self._kind, self._options = console, kind, options
-        self.names = [name for name, (_, needs) in SOLVERS.items() if all(find_spec(module) for module in needs)]
+        self.names = [
+            name
+            for name, (_, needs) in SOLVERS.items()
+            if (not needs or name in options.peers) and all(find_spec(module) for module in needs)
+        ]
         self._found = dict[tuple[str, int, int], tuple[float, float]]()
 
     def of(self, name: str, n: int, cells: int) -> tuple[float, float]:
@@ -283,6 +287,7 @@ def main() -> None:
     parser.add_argument("--states", type=int, nargs="*", default=STATES)
     parser.add_argument("--cells", type=int, nargs="*", default=CELLS)
     parser.add_argument("--kinds", nargs="*", default=["feasible", "infeasible"])
+    parser.add_argument("--peers", nargs="*", default=[name for name, (_, needs) in SOLVERS.items() if needs])
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds that one solver may take")
     options, console = parser.parse_args(), Console(highlight=False, width=120)
