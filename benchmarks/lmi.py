@@ -2,13 +2,17 @@
 
     make lmi-bench
 
-Random plants: (8) with a margin, as large as it can be, and where there is none, the least violation. Each solver
+Random plants: (8) with a margin, as large as it can be, and where there is none, the least violation. Then a whole
+default design, K and L with all proofs, beside what the fastest other solver needs for one such margin. Each solver
 runs alone in a process of its own on one thread, which is ended after --limit seconds; times are processor times, the
-smallest of --repeat. A solver that is not installed is left out.
+smallest of --repeat for us and one for the others. One that has been ended once is not asked for more of its kind, and
+one that is not installed is left out.
 """
 
 import argparse
 import json
+import resource
+import signal
 import subprocess
 import sys
 import time
@@ -21,15 +25,22 @@ import numpy as np
 from rich.console import Console
 from scipy import sparse
 
-from benchmarks.corpus import feasible, infeasible
+from benchmarks.corpus import feasible, infeasible, observed
 from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import different
+from pwatrack.control.proof import prove_inequality
+from pwatrack.control.synthesis import gain
+from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import state_feedback
-from pwatrack.lmi.primal_dual import solve
 from pwatrack.lmi.program import Program, largest_margin, least_violation
+from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.solve import solve
 
 GAP = 1e-6
 BOUND_OF_Y = 10.0  # relative to ‖A‖ / ‖B‖
 CELLS, STATES = (8, 16, 32, 64, 128), (8, 12, 20, 30, 50)
+LARGEST = 50, 128
+DESIGNS = (4, 3), (20, 64), (30, 64)
 
 
 def program_of(kind: str, n: int, cells: int) -> Program:
@@ -42,7 +53,7 @@ def program_of(kind: str, n: int, cells: int) -> Program:
     else:  # in coordinates with B = [0; I], where Z_i B = 0
         reached, Q = np.split(np.linalg.qr(B, mode="complete")[0], [m], axis=1)
         like = state_feedback(Q.T @ A @ Q, np.zeros((n - m, m)))
-        program = least_violation(replace(like, M=Q.T @ A @ reached))
+        program = least_violation([replace(like, M=Q.T @ A @ reached)])
     rough = solve(program, gap=0.1)
     unit = 1.0 if rough is None else 2.0 ** round(np.log2(abs(rough.t)))  # of t: most solvers mean an absolute gap
     return replace(
@@ -51,7 +62,7 @@ def program_of(kind: str, n: int, cells: int) -> Program:
 
 
 def ours(program: Program) -> float:
-    """Return the objective that `primal_dual` finds."""
+    """Return the objective that we find."""
     found = solve(program, gap=GAP)
     return np.nan if found is None else found.objective
 
@@ -64,7 +75,7 @@ def cvxpy(solver: str, **options: Any) -> Callable[[Program], float]:
 
         n, m = program.n, program.m
         P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((m, n)), cp.Variable()
-        held = [] if program.trace is None else [cp.trace(P) == program.trace]
+        held = [cp.trace(E @ P) == value for E, value in program.equalities]
         for c in program.constraints:
             for i in range(len(c.constant)):
                 half = c.L[i] @ P @ c.R[i] + c.M[i] @ Y @ c.N[i]
@@ -84,8 +95,7 @@ def picos(program: Program) -> float:
     n, m = program.n, program.m
     P, Y, t = pic.SymmetricVariable("P", n), pic.RealVariable("Y", (m, n)), pic.RealVariable("t")
     problem = pic.Problem()
-    if program.trace is not None:
-        problem.add_constraint(pic.trace(P) == program.trace)
+    problem.add_list_of_constraints([pic.trace(E * P) == value for E, value in program.equalities])
     for c in program.constraints:
         for i in range(len(c.constant)):
             half = c.L[i] * P * c.R[i] + c.M[i] * Y * c.N[i]
@@ -111,11 +121,11 @@ def clarabel(program: Program) -> float:
             sides.append(-weight * c.constant[i][row, column])
             cones.append(cl.PSDTriangleConeT(N))
     size = rows[0].shape[1]
-    if program.trace is not None:
-        below, right = np.tril_indices(program.n)
-        trace = np.append((below == right).astype(float), np.zeros(size - len(below)))
-        rows.append(sparse.csc_matrix(trace[None]))
-        sides.append(np.array([program.trace]))
+    below, right = np.tril_indices(program.n)
+    for E, value in program.equalities:
+        entries = np.append(np.where(below == right, 1.0, 2.0) * E[below, right], np.zeros(size - len(below)))
+        rows.append(sparse.csc_matrix(entries[None]))
+        sides.append(np.array([value]))
         cones.append(cl.ZeroConeT(1))
     settings = cl.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
@@ -150,28 +160,58 @@ SOLVERS: dict[str, tuple[Callable[[Program], float], tuple[str, ...]]] = {
 }
 
 
-def timed(name: str, kind: str, n: int, cells: int, repeat: int, limit: float) -> tuple[float, float]:
-    """Return the smallest processor time in s and the objective, from a process of its own; infinity: ended."""
-    code = f"from benchmarks.lmi import alone; alone({name!r}, {kind!r}, {n}, {cells}, {repeat})"
-    try:
-        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=limit)
-        return tuple(json.loads(run.stdout.splitlines()[-1]))
-    except subprocess.TimeoutExpired:
+def design(n: int, cells: int) -> float:
+    """Return the rate of the controller of a default design, found and proved with the observer and both overshoots."""
+    A, B, C = observed(1, n, max(1, n // 4), cells, 1e-2)
+    names, rates = [str(i) for i in range(cells)], []
+    for role, of, to in ((CONTROLLER, A, B), (OBSERVER, A.transpose(0, 2, 1), C.T)):
+        task = Task(A=of, B=to, role=role, cells=names)
+        K, certificate = gain(task)
+        proofs = prove_inequality(role, different(task.exactly_closed(K)), certificate, task.solver)
+        rates.append(proofs[0].rate)
+    return rates[0]
+
+
+def timed(call: str, limit: float) -> tuple[float, float]:
+    """Return the processor time in s and the objective, from a process of its own; infinity: ended, nan: failed."""
+    code = f"from benchmarks import lmi; lmi.{call}"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (round(limit), round(limit) + 5)),
+    )
+    if run.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return np.inf, np.nan
+    try:
+        seconds, objective = json.loads(run.stdout.splitlines()[-1])
     except (IndexError, ValueError):
         return np.nan, np.nan
+    return seconds, objective
 
 
 def alone(name: str, kind: str, n: int, cells: int, repeat: int) -> None:
     """Print what `timed` reads. The first run of each solver, on a small plant, is not counted: it imports."""
-    objective_by, least, objective = SOLVERS[name][0], np.inf, np.nan
+    objective_by = SOLVERS[name][0]
     objective_by(program_of(kind, 3, 2))
     program = program_of(kind, n, cells)
+    _report(lambda: objective_by(program), repeat)
+
+
+def designed(n: int, cells: int, repeat: int) -> None:
+    """Print what `timed` reads, for a whole design."""
+    design(3, 2)
+    _report(lambda: design(n, cells), repeat)
+
+
+def _report(run: Callable[[], float], repeat: int) -> None:
+    least, value = np.inf, np.nan
     for _ in range(repeat):
         start = time.process_time()
-        objective = objective_by(program)
+        value = run()
         least = min(least, time.process_time() - start)
-    sys.stdout.write("\n" + json.dumps([least, objective]) + "\n")
+    sys.stdout.write("\n" + json.dumps([least, value]) + "\n")
 
 
 def exponent(sizes: list[int], times: list[float]) -> str:
@@ -180,28 +220,65 @@ def exponent(sizes: list[int], times: list[float]) -> str:
     return f"{np.polyfit(*np.log(np.array(pairs).T), 1)[0]:.1f}" if len(pairs) > 1 else "–"
 
 
-def table(console: Console, kind: str, sizes: list[tuple[int, int]], options: argparse.Namespace) -> None:
-    """Print times and objectives, and how the time grows."""
-    names = [name for name, (_, needs) in SOLVERS.items() if all(find_spec(module) for module in needs)]
-    times: dict[str, list[float]] = {name: [] for name in names}
-    console.print(f"\n{kind}: time in s, objective")
-    for n, cells in sizes:
-        for name in names:
-            before = times[name][-1] if times[name] else 0.0
-            spent = np.inf if np.isinf(before) else np.nan
-            seconds, objective = (
-                (spent, np.nan)
-                if np.isinf(before)
-                else timed(name, kind, n, cells, options.repeat if name == "ours" else 1, options.limit)
+class Measured:
+    """Times and objectives of one kind of program, each measured once.
+
+    Attributes:
+        names: Of the solvers, ours first.
+    """
+
+    def __init__(self, console: Console, kind: str, options: argparse.Namespace) -> None:
+        self._console, self._kind, self._options = console, kind, options
+        self.names = [
+            name
+            for name, (_, needs) in SOLVERS.items()
+            if (not needs or name in options.peers) and all(find_spec(module) for module in needs)
+        ]
+        self._found = dict[tuple[str, int, int], tuple[float, float]]()
+
+    def of(self, name: str, n: int, cells: int) -> tuple[float, float]:
+        """Return the time of a solver and its objective; infinity where a smaller program took too long."""
+        key = name, n, cells
+        if key not in self._found:
+            ended = any(
+                np.isinf(seconds) and by == name and states <= n and count <= cells
+                for (by, states, count), (seconds, _) in self._found.items()
             )
-            times[name].append(seconds)
-            text = f"{seconds:9.3f}  {objective:+.8f}" if np.isfinite(seconds) else f"    more than {options.limit:g}"
-            console.print(f"  n = {n:3} l = {cells:3}  {name:17} {text}")
-        peers = [times[name][-1] for name in names[1:] if np.isfinite(times[name][-1])]
-        if peers:
-            console.print(f"  n = {n:3} l = {cells:3}  {min(peers) / times['ours'][-1]:.1f} times the fastest peer")
-    along = [s[0] if sizes[0][0] != sizes[-1][0] else s[1] for s in sizes]
-    console.print("  exponents: " + ", ".join(f"{name} {exponent(along, times[name])}" for name in names))
+            repeat = self._options.repeat if name == self.names[0] else 1
+            call = f"alone({name!r}, {self._kind!r}, {n}, {cells}, {repeat})"
+            self._found[key] = (np.inf, np.nan) if ended else timed(call, self._options.limit)
+        return self._found[key]
+
+    def row(self, n: int, cells: int) -> None:
+        """Print all solvers at one size."""
+        at = f"  n = {n:3} l = {cells:3}  "
+        objective = self.of(self.names[0], n, cells)[1]
+        for name in self.names:
+            seconds, other = self.of(name, n, cells)
+            off = f"{abs(other - objective) / max(abs(objective), 1e-300):.0e} from ours"
+            text = f"{seconds:9.3f} s  {other:+.8f}  {off if name != self.names[0] else ''}"
+            too_long = f"more than {self._options.limit:g} s" if np.isinf(seconds) else "no answer"
+            self._console.print(f"{at}{name:17} {text if np.isfinite(seconds) else too_long:>14}")
+        seconds = self.of(self.names[0], n, cells)[0]
+        name, fastest = self.fastest_peer(n, cells)
+        self._console.print(f"{at}{fastest / seconds:.1f} times as fast as {name}" if name else f"{at}no peer ended")
+
+    def fastest_peer(self, n: int, cells: int) -> tuple[str, float]:
+        """Return the name and the time of the fastest other solver, an empty name if none ended."""
+        times = {name: self.of(name, n, cells)[0] for name in self.names[1:]}
+        ended = {name: seconds for name, seconds in times.items() if np.isfinite(seconds)}
+        return min(ended.items(), key=lambda pair: pair[1]) if ended else ("", np.inf)
+
+    def table(self, along: str, sizes: list[tuple[int, int]]) -> None:
+        """Print all sizes, and how the times grow along n or l."""
+        for n, cells in sizes:
+            self.row(n, cells)
+        which = 0 if along == "n" else 1
+        grows = (
+            f"{name} {exponent([s[which] for s in sizes], [self.of(name, *s)[0] for s in sizes])}"
+            for name in self.names
+        )
+        self._console.print(f"  exponents in {along}: " + ", ".join(grows))
 
 
 def main() -> None:
@@ -210,12 +287,26 @@ def main() -> None:
     parser.add_argument("--states", type=int, nargs="*", default=STATES)
     parser.add_argument("--cells", type=int, nargs="*", default=CELLS)
     parser.add_argument("--kinds", nargs="*", default=["feasible", "infeasible"])
+    parser.add_argument("--peers", nargs="*", default=[name for name, (_, needs) in SOLVERS.items() if needs])
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds that one solver may take")
-    options, console = parser.parse_args(), Console(highlight=False)
+    options, console = parser.parse_args(), Console(highlight=False, width=120)
     for kind in options.kinds:
-        table(console, kind, [(n, 64) for n in options.states], options)
-        table(console, kind, [(12, cells) for cells in options.cells], options)
+        measured = Measured(console, kind, options)
+        console.print(f"\n{kind}: processor time, objective")
+        measured.table("n", [(n, 64) for n in options.states])
+        measured.table("l", [(12, cells) for cells in options.cells])
+        if max(options.states) >= LARGEST[0]:
+            measured.row(*LARGEST)
+        if kind != "feasible":
+            continue
+        console.print("\na whole default design, K and L with proofs, beside one margin program")
+        for n, cells in (size for size in DESIGNS if size[0] <= max(options.states)):
+            seconds, rate = timed(f"designed({n}, {cells}, {options.repeat})", options.limit)
+            name, fastest = measured.fastest_peer(n, cells)
+            console.print(
+                f"  n = {n:3} l = {cells:3}  {seconds:7.3f} s (rate {rate:.4g}); one margin: {name} {fastest:.3f} s"
+            )
 
 
 if __name__ == "__main__":
