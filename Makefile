@@ -74,6 +74,10 @@ promises: $(READY) ## hold what the proofs promise against simulations of 200 ra
 fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz
 
+.PHONY: sampling
+sampling: $(READY) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sampling 120
+
 .PHONY: lint
 lint: $(READY) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -52,7 +52,7 @@ class Result:
         S = self.controller.trajectory.exosystem.S
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
         remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
-        remarks += reference_remarks(self.spec, self.controller)
+        remarks += reference_remarks(self.spec, self.controller.form)
         duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
         if fastest * step > 2 * np.pi / 10:
             remarks.append(

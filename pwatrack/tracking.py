@@ -108,19 +108,17 @@ def _state_desired(spec: Spec) -> DesiredTrajectory:
     return realised(plant, x_d, horizon=spec.scenario.duration, subject=("reference", "state"))  # (3)
 
 
-def reference_remarks(spec: Spec, controller: Controller) -> tuple[str, ...]:
-    """Say where the feedforward follows noise of a measured reference more than the reference."""
-    reference, generator = spec.problem.reference, controller.generator
-    if not isinstance(reference, OutputReference) or generator is None:
+def reference_remarks(spec: Spec, form: NormalForm | None) -> tuple[str, ...]:
+    """Say where the feedforward of a plant in form (11) follows noise of a measured reference rather than that."""
+    reference = spec.problem.reference
+    if not isinstance(reference, OutputReference) or form is None:
         return ()
-    r, plant, said = generator.r, spec.problem.plant, list[str]()
+    r, plant, said = form.r, spec.problem.plant, list[str]()
     unit = spec.problem.units.get(plant.inputs[0], "")
     for course in reference.courses:
         rough = course.roughness(r) if isinstance(course, Table) else None
         if rough is not None:
-            whole, left = (
-                f"{abs(size / generator.form.delta):.3g} {unit}".rstrip() for size in (rough.whole, rough.left)
-            )
+            whole, left = (f"{abs(size / form.delta):.3g} {unit}".rstrip() for size in (rough.whole, rough.left))
             said.append(
                 f"noise or corners of the table make its derivative {r} {rough.whole / rough.left:.3g} times as large "
                 f"as what is left of it below {rough.cutoff:.3g} Hz; the feedforward follows: about {whole} instead of "

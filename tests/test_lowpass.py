@@ -1,5 +1,6 @@
 """Measured references: a filter without a phase, and a word where the feedforward follows noise."""
 
+import json
 import re
 from pathlib import Path
 
@@ -110,8 +111,9 @@ def test_a_feedforward_that_follows_noise_is_remarked_with_figures(tmp_path: Pat
     assert int(found[1]) == order
     assert float(found[2]) > 10
     assert float(found[3]) == pytest.approx(result.figures.largest_input["F"], rel=0.5)
-    run = call("design", path, "--out", tmp_path / "out")
-    assert "remark" in run.stdout
+    for command in (("check", path), ("design", path, "--out", tmp_path / "out")):
+        assert re.search(r"(?m)^remark +noise or corners of the table", call(*command).stdout)
+    assert said in json.loads(call("check", path, "--json").stdout)["remarks"]
     assert index_of(tmp_path / "out")["remarks"] == [said]
     filtered = simulate(load_spec(stage(tmp_path, NOISY, ", filter: {cutoff: 2}", order=order)))
     assert filtered.remarks == ()
@@ -122,4 +124,4 @@ def test_a_feedforward_that_follows_noise_is_remarked_with_figures(tmp_path: Pat
 def test_nothing_is_said_of_what_is_smooth_or_coarse(tmp_path: Path) -> None:
     for y in (CLEAN, 1e-5 * np.sin(300 * T), np.where(T > 2, 0.3, 0.0)):
         controller = design(load_spec(stage(tmp_path, y)))
-        assert reference_remarks(load_spec(stage(tmp_path, y)), controller) == ()
+        assert reference_remarks(load_spec(stage(tmp_path, y)), controller.form) == ()

@@ -11,6 +11,7 @@ from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.lmi.exact import Proof
+from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 
 
@@ -35,6 +36,11 @@ class Controller:
     generator: TrajectoryGenerator | None
     proofs: tuple[Proof, ...]
     costs: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def form(self) -> NormalForm | None:
+        """The plant in the form (11), for output tracking only."""
+        return None if self.generator is None else self.generator.form
 
     @cached_property
     def guarantees(self) -> Guarantees:

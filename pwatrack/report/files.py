@@ -71,7 +71,7 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
             "figures": gain_figures(controller),
-            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller)],
+            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller.form)],
         }
         index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)

@@ -41,7 +41,9 @@ _FEW = 5  # of more than that
 _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
 
 
-def print_plant(console: Console, name: str, report: Applicability, reference: str = "") -> None:
+def print_plant(
+    console: Console, name: str, report: Applicability, reference: str = "", remarks: Sequence[str] = ()
+) -> None:
     """Say what the plant is, which theorems apply, what is known of the reference; of many cells the first ones."""
     plant, form = report.plant, report.form
     facets = plant.partition.facets
@@ -59,7 +61,7 @@ def print_plant(console: Console, name: str, report: Applicability, reference: s
         table.add_row(theorem, answer)
     if reference:
         table.add_row("reference", reference)
-    _remark_rows(table, plant.remarks)
+    _remark_rows(table, (*plant.remarks, *remarks))
     console.print(table)
 
 
@@ -82,7 +84,7 @@ def _facet_text(plant: PWASystem, facet: Facet) -> str:
     return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
-def plant_json(name: str, report: Applicability, reference: str = "") -> dict[str, Any]:
+def plant_json(name: str, report: Applicability, reference: str = "", remarks: Sequence[str] = ()) -> dict[str, Any]:
     """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
     plant, form = report.plant, report.form
     planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
@@ -110,15 +112,19 @@ def plant_json(name: str, report: Applicability, reference: str = "") -> dict[st
         },
         "theorems": report.theorems(),
         "reference": reference or None,
-        "remarks": list(plant.remarks),
+        "remarks": [*plant.remarks, *remarks],
     }
 
 
 def check_json(
-    name: str, report: Applicability | None, reference: str, refusal: PwatrackError | None
+    name: str,
+    report: Applicability | None,
+    reference: str,
+    refusal: PwatrackError | None,
+    remarks: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
-    plant = {} if report is None else plant_json(name, report, reference)
+    plant = {} if report is None else plant_json(name, report, reference, remarks)
     problems = () if refusal is None else refusal.problems
     return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
@@ -132,7 +138,7 @@ def print_design(console: Console, spec: Spec, controller: Controller, checked: 
     _missed_rows(table, checked)
     _met_row(table, checked)
     _proved_rows(table, spec, controller)
-    _remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller)))
+    _remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller.form)))
     console.print(table)
 
 

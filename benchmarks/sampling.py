@@ -1,0 +1,70 @@
+"""Random designs, sampled as slowly as is stable in every cell: is the loop, which switches, stable then?
+
+    .venv/bin/python -m benchmarks.sampling [designs]
+
+Each design runs 4,000 samples with three kinds of controller; an error that is larger in the last 500 of them than ever
+before, by more than 5 %, counts as unstable.
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+
+from pwatrack.errors import PwatrackError
+from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.sample_map import SampleMaps
+from tests.plants import random_plant
+from tests.promises import track
+
+KINDS = {
+    "exponential": Sampling(sample_time=1e3),
+    "Euler": Sampling(sample_time=1e3, method="euler"),
+    "late by a sample": Sampling(sample_time=1e3, delay=1),
+}
+
+
+def design(seed: int) -> ClosedLoop | None:
+    """Return a loop with up to 6 states and 8 cells, None where no gain is found; springs are weak or strong."""
+    random = np.random.default_rng(1000 + seed)
+    r = 1 + seed % 4
+    n, k = int(random.integers(r, 7)), int(random.integers(1, 4))
+    try:
+        plant = random_plant(seed, n=n, k=k, r=r, strength=(0.05, 0.4)[seed // 4 % 2])
+        return track(plant, "0.2 + sin(2*t) + 0.5*cos(3*t)")
+    except PwatrackError:
+        return None
+
+
+def growth(loop: ClosedLoop, sampling: Sampling, seed: int, samples: int = 4000) -> float:
+    """Return the largest error of the last eighth over the largest before."""
+    run, x_0 = closed_loop(loop.controller, Conditions(sampling=sampling)), np.random.default_rng(seed)
+    n, p, end = len(loop.plant.states), len(loop.controller.trajectory.names), samples * sampling.sample_time
+    start = run.start(plant=x_0.normal(size=n), observer=np.zeros(n), generator=np.zeros(p))
+    trace = simulate_flow(run.flow, start, duration=end, sample_time=sampling.sample_time, resets=run.resets(end))
+    response = run.response(trace)
+    error = np.abs(response.x - response.x_d).max(axis=1)
+    return float(error[-samples // 8 :].max() / error[: -samples // 8].max())
+
+
+def main(count: int) -> None:
+    """Print how many loops were stable, and the largest growth."""
+    found: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    for seed in range(count):
+        loop = design(seed)
+        for kind, sampling in KINDS.items() if loop else ():
+            assert loop is not None
+            longest = SampleMaps(loop.controller, loop.plant, sampling).longest(sampling.sample_time)
+            if longest is not None:
+                found[kind].append(growth(loop, replace(sampling, sample_time=longest), seed))
+    console = Console()
+    for kind, growths in found.items():
+        stable = sum(value <= 1.05 for value in growths)
+        console.print(f"{kind:18} {stable} of {len(growths)} loops stable; largest growth {max(growths):.4f}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
