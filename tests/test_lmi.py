@@ -541,7 +541,7 @@ def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> Non
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
-    with pytest.raises(Undecided, match=r"the best margin found is -[1-9]"):
+    with pytest.raises(Undecided, match=r"the best margin found is -[0-9]"):
         synthesis.gain(Task(A=stable_apart, B=np.zeros((2, 1)), cells="ab"))
 
 
@@ -586,13 +586,13 @@ def test_scaling_by_powers_of_two_loses_no_bit(seed: int, exponents: list[int]) 
 
 @pytest.mark.parametrize(("length", "time", "force"), [(2**10, 1, 1), (2**-10, 2**-6, 2**8), (1e3, 60.0, 1e-3)])
 def test_a_design_exists_in_any_units(length: float, time: float, force: float) -> None:
-    """Positions in mm, hours for seconds …: the example stays feasible, with the same controller up to balancing."""
+    """Positions in mm, hours for seconds …: the example stays feasible, with the same controller."""
     A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
     B = np.array([[0.0], [1.0]])
     d, s = np.array([length, length / time]), time
     K, _ = synthesis.gain(Task(A=A, B=B, cells=CELLS[:2]))
     other, _ = synthesis.gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
-    assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=0.05)
+    np.testing.assert_allclose(other * d / force, K, rtol=1e-6)
 
 
 def test_an_unreachable_unstable_mode_is_named() -> None:

@@ -86,13 +86,14 @@ def gain_figures(controller: Controller) -> dict[str, float]:
     """Return the figures of a design for run.json: sizes of the gains, and what is proved of them."""
     guarantees = controller.guarantees
     robust_rate, of_K, of_L = guarantees.robust
+    norm_K, norm_L = controller.sizes.norms(controller.design.K, controller.design.L)
     promised = {}
     for part in ("controller", "observer", "generator"):
         if proved := getattr(guarantees, part):
             promised[f"{part}_rate"] = max(p.rate for p in proved)
     return {
-        "norm_K": float(np.linalg.norm(controller.design.K, 2)),
-        "norm_L": float(np.linalg.norm(controller.design.L, 2)),
+        "norm_K": norm_K,
+        "norm_L": norm_L,
         **promised,
         "rate": guarantees.rate,
         "robust_rate": robust_rate,

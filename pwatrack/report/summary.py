@@ -20,6 +20,7 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import (
     channel_text,
     declared,
@@ -41,14 +42,19 @@ _FEW = 5  # of more than that
 _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
 
 
-def print_plant(console: Console, name: str, report: Applicability, reference: str = "") -> None:
-    """Say what the plant is, which theorems apply, what is known of the reference; of many cells the first ones."""
+def print_plant(
+    console: Console, name: str, report: Applicability, reference: str = "", sizes: Sizes | None = None
+) -> None:
+    """Say what the plant is, which theorems apply, what is known of the reference, and which sizes are in force.
+
+    Of many cells, facets or signals only the first ones.
+    """
     plant, form = report.plant, report.form
     facets = plant.partition.facets
     counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
-    sizes = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
+    orders = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
     table = _titled(name)
-    table.add_row("plant (1)", f"{sizes}; continuous across all {len(facets)} facets")
+    table.add_row("plant (1)", f"{orders}; continuous across all {len(facets)} facets")
     _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
     _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
     if form is not None:
@@ -59,8 +65,23 @@ def print_plant(console: Console, name: str, report: Applicability, reference: s
         table.add_row(theorem, answer)
     if reference:
         table.add_row("reference", reference)
+    if sizes is not None:
+        _size_rows(table, sizes)
     _remark_rows(table, plant.remarks)
     console.print(table)
+
+
+def _size_rows(table: Table, sizes: Sizes) -> None:
+    """Add the sizes as the file would give them, and where they are from."""
+    known = sizes.by_name
+    shown = list(known)[: _MOST_SHOWN if len(known) > _MOST_SHOWN else None]
+    texts = [f"{name}: {known[name]:.4g}" for name in shown]
+    table.add_row("sizes", f"sizes: {{{', '.join(texts)}}}")
+    if len(shown) < len(known):
+        table.add_row("", f"… and {len(known) - len(shown)} more sizes (--json lists all)")
+    origins = dict.fromkeys(sizes.origins.values())
+    groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
+    table.add_row("", f"{'; '.join(g for g in groups if not g.endswith(': '))}; speed {sizes.speed:.4g} 1/s")
 
 
 def _some_rows(table: Table, kind: str, count: int, text: Callable[[int], str]) -> None:
@@ -82,7 +103,7 @@ def _facet_text(plant: PWASystem, facet: Facet) -> str:
     return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
-def plant_json(name: str, report: Applicability, reference: str = "") -> dict[str, Any]:
+def plant_json(name: str, report: Applicability, reference: str = "", sizes: Sizes | None = None) -> dict[str, Any]:
     """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
     plant, form = report.plant, report.form
     planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
@@ -110,15 +131,21 @@ def plant_json(name: str, report: Applicability, reference: str = "") -> dict[st
         },
         "theorems": report.theorems(),
         "reference": reference or None,
+        "sizes": sizes and {k: {"size": v, "from": sizes.origins[k]} for k, v in sizes.by_name.items()},
+        "speed": sizes and sizes.speed,
         "remarks": list(plant.remarks),
     }
 
 
 def check_json(
-    name: str, report: Applicability | None, reference: str, refusal: PwatrackError | None
+    name: str,
+    report: Applicability | None,
+    reference: str,
+    sizes: Sizes | None,
+    refusal: PwatrackError | None,
 ) -> dict[str, Any]:
     """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
-    plant = {} if report is None else plant_json(name, report, reference)
+    plant = {} if report is None else plant_json(name, report, reference, sizes)
     problems = () if refusal is None else refusal.problems
     return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
@@ -139,14 +166,15 @@ def print_design(console: Console, spec: Spec, controller: Controller, checked: 
 def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     promised = controller.guarantees
-    for claim, proved, letter, gain, goal in (
-        ("(8) controller", promised.controller, "K", design.K, spec.objectives.controller),
-        ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.objectives.observer),
+    norms = controller.sizes.norms(design.K, design.L)
+    for claim, proved, letter, gain, norm, goal in (
+        ("(8) controller", promised.controller, "K", design.K, f"{norms[0]:.4g}", spec.objectives.controller),
+        ("(9) observer", promised.observer, "Lᵀ", design.L.T, f"{norms[1]:.4g} 1/s", spec.objectives.observer),
     ):
         table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells, {_rate(proved)}")
         acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
-        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {origin}"
+        size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
             table.add_row("", _cost_text(claim.split()[1], spec, controller))
