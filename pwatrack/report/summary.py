@@ -29,6 +29,7 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
     signal_text,
+    size_texts,
 )
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
@@ -65,23 +66,10 @@ def print_plant(
         table.add_row(theorem, answer)
     if reference:
         table.add_row("reference", reference)
-    if sizes is not None:
-        _size_rows(table, sizes)
+    for k, text in enumerate(size_texts(sizes, _MOST_SHOWN) if sizes else ()):
+        table.add_row("" if k else "sizes", text)
     _remark_rows(table, plant.remarks)
     console.print(table)
-
-
-def _size_rows(table: Table, sizes: Sizes) -> None:
-    """Add the sizes as the file would give them, and where they are from."""
-    known = sizes.by_name
-    shown = list(known)[: _MOST_SHOWN if len(known) > _MOST_SHOWN else None]
-    texts = [f"{name}: {known[name]:.4g}" for name in shown]
-    table.add_row("sizes", f"sizes: {{{', '.join(texts)}}}")
-    if len(shown) < len(known):
-        table.add_row("", f"… and {len(known) - len(shown)} more sizes (--json lists all)")
-    origins = dict.fromkeys(sizes.origins.values())
-    groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
-    table.add_row("", f"{'; '.join(g for g in groups if not g.endswith(': '))}; speed {sizes.speed:.4g} 1/s")
 
 
 def _some_rows(table: Table, kind: str, count: int, text: Callable[[int], str]) -> None:
