@@ -59,21 +59,23 @@ def check(
         from pwatrack.control.applicability import applicability
         from pwatrack.errors import PwatrackError
         from pwatrack.report import summary
+        from pwatrack.sizing import spec_sizes
         from pwatrack.spec.load import assignments, load_spec
         from pwatrack.tracking import check_reference, reference_remarks
 
-        report, refusal, reference, name = None, None, "", ""
+        report, refusal, reference, sizes, name = None, None, "", None, ""
         remarks: tuple[str, ...] = ()
         try:
             spec = load_spec(spec_path, assignments(parameters or []))
             name, report = spec.name, applicability(spec.problem.plant)
             reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
+            sizes = spec_sizes(spec)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:
-            typer.echo(json.dumps(summary.check_json(name, report, reference, refusal, remarks), indent=2))
+            typer.echo(json.dumps(summary.check_json(name, report, reference, sizes, refusal, remarks), indent=2))
         elif report is not None:
-            summary.print_plant(console(), name, report, reference, remarks)
+            summary.print_plant(console(), name, report, reference, sizes, remarks)
         if refusal is not None:
             raise refusal
 

@@ -15,6 +15,7 @@ from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.model.sizes import Sizes
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
 from pwatrack.simulation.bounded import left_by_rounding
@@ -26,6 +27,7 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start, steady_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
+from pwatrack.sizing import spec_sizes
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
@@ -57,16 +59,20 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, solver = spec.objectives, spec.objectives.solver
-        gains = synthesize(plant, controller=goals.controller, observer=goals.observer, solver=solver)  # (8), (9)
+        sizes = spec_sizes(spec)
+        gains = synthesize(  # (8), (9)
+            plant, controller=goals.controller, observer=goals.observer, sizes=sizes, solver=solver
+        )
         check_breaks(spec, trajectory, generator, gains)
-        proofs = prove_design(plant, gains, generator, solver=solver)
+        proofs = prove_design(plant, gains, generator, sizes=sizes, solver=solver)
         return Controller(  # (18), (19)
             plant=plant,
             design=gains,
             trajectory=trajectory,
             generator=generator,
             proofs=proofs,
-            costs=_costs(spec, gains),
+            sizes=sizes,
+            costs=_costs(spec, gains, sizes),
         )
 
 
@@ -194,12 +200,12 @@ def _initial(values: Array | None, length: int, part: str) -> Array:
     return values
 
 
-def _costs(spec: Spec, gains: Design) -> dict[str, Array]:
+def _costs(spec: Spec, gains: Design, sizes: Sizes) -> dict[str, Array]:
     """Return the proved bounds of the costs that were asked for."""
     plant, goals = spec.problem.plant, spec.objectives
     parts = ((CONTROLLER, goals.controller, gains.K), (OBSERVER, goals.observer, gains.L))
     return {
-        role.name: cost_bound(Task.of(plant, role, goals.solver), role.oriented(gain), goal.Q, goal.R)
+        role.name: cost_bound(Task.of(plant, role, goals.solver, sizes=sizes), role.oriented(gain), goal.Q, goal.R)
         for role, goal, gain in parts
         if isinstance(goal, LeastCost)
     }

@@ -17,6 +17,7 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
+from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.expression import formula
@@ -31,7 +32,11 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
     goals = [DEFAULT if X is None else Given(gain=X) for X in (K, L)]
     gains = synthesize(plant, controller=goals[0], observer=goals[1])
     proofs = prove_design(plant, gains, generator)
-    return closed_loop(Controller(plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs))
+    return closed_loop(
+        Controller(
+            plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs, sizes=Sizes.of(plant)
+        )
+    )
 
 
 def run(loop: ClosedLoop, x0: Array, duration: float, sample_time: float) -> Response:

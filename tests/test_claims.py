@@ -16,6 +16,7 @@ from pwatrack.pipeline import design
 from pwatrack.report import summary
 from pwatrack.report.required import required
 from pwatrack.report.verify import verify
+from pwatrack.sizing import spec_sizes
 from pwatrack.tracking import check_reference
 from tests.test_outcome import ROD, RUNAWAY, cart
 
@@ -58,7 +59,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
             reference = check_reference(spec)
         except PwatrackError as error:
             reference = str(error)
-        summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference)
+        summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference, spec_sizes(spec))
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)

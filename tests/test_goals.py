@@ -29,6 +29,7 @@ from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.summary import print_design
 from tests.plants import random_plant
@@ -44,7 +45,9 @@ def plant(specs: Path) -> PWASystem:
 def test_a_rate_that_is_asked_is_the_rate_that_is_proved(specs: Path) -> None:
     controller = design(load_spec(specs / "two_mass_goals.yaml"))
     assert max(proof.rate for proof in controller.proofs if proof.role.name == "controller") >= 0.1
-    assert norm(controller.design.K) < 0.85
+    task = Task.of(controller.plant, CONTROLLER, sizes=controller.sizes)
+    known = synthesize(controller.plant, controller=Smallest(rate=0.1), sizes=Sizes.ones(4, 1, 1)).K
+    assert task.norm(controller.design.K) < 0.2 < 0.9 * task.norm(known)  # smallest in sizes, not in the units given
 
 
 def norm(K: Array) -> float:
@@ -59,7 +62,7 @@ def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
 ) -> None:
     """The smallest norms by ‖Y‖ ≤ κ; ours minimises a tighter bound."""
     goal = Smallest(rate=rate)
-    found = synthesize(plant, controller=goal, observer=goal)
+    found = synthesize(plant, controller=goal, observer=goal, sizes=Sizes.ones(4, 1, 1))
     assert found.controller.rate >= rate
     assert found.observer.rate >= rate
     assert 0.3 * most_K < norm(found.K) < 1.01 * most_K
@@ -69,21 +72,24 @@ def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
 @pytest.mark.parametrize("rate", [0.1, 0.3, 1.0])
 def test_the_smallest_gain_of_a_double_integrator_is_nearly_the_one_in_closed_form(rate: float) -> None:
     """Both roots of s² + a s + b are left of −α where a ≥ 2α and b ≥ aα − α²: the least norm is that of (α², 2α)."""
-    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    task = Task(
+        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
+    )
     K, certificate = gain(task, Smallest(rate=rate))
     assert certificate.rate >= rate
     assert np.hypot(rate**2, 2 * rate) <= norm(K) <= 1.15 * np.hypot(rate**2, 2 * rate)
 
 
 def test_a_bound_on_the_gain_is_kept_and_used(plant: PWASystem) -> None:
-    K, certificate = gain(Task.of(plant, CONTROLLER), Fastest(bound=2.0))
+    task = Task.of(plant, CONTROLLER, sizes=Sizes.ones(4, 1, 1))
+    K, certificate = gain(task, Fastest(bound=2.0))
     assert 1.5 < norm(K) <= 2.0
     assert certificate.rate > 0.11  # the smallest gain at 0.1 is 0.82
-    K, certificate = gain(Task.of(plant, CONTROLLER), AtLeast(rate=0.1, bound=2.0))
+    K, certificate = gain(task, AtLeast(rate=0.1, bound=2.0))
     assert norm(K) <= 2.0
     assert certificate.rate >= 0.1
     with pytest.raises(Undecided, match=r"no gain with a norm of at most 0\.5 was found; the smallest that was found"):
-        gain(Task.of(plant, CONTROLLER), AtLeast(rate=0.1, bound=0.5))
+        gain(task, AtLeast(rate=0.1, bound=0.5))
 
 
 def test_the_largest_rate_of_the_example_is_a_quarter(plant: PWASystem) -> None:
@@ -93,7 +99,9 @@ def test_the_largest_rate_of_the_example_is_a_quarter(plant: PWASystem) -> None:
 
 
 def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
-    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    task = Task(
+        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
+    )
     with pytest.raises(InvalidSpec, match="has no largest rate"):
         gain(task, Fastest())
     K, certificate = gain(task, Fastest(bound=5.0))
@@ -106,7 +114,7 @@ def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
 @pytest.mark.parametrize("bound", [0.1, 5.0, 50.0, 1e6])
 def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: float) -> None:
     """ẋ = −x + u, |K| ≤ κ: the rate is 1 + κ, and no more."""
-    task = Task(A=np.array([[[-1.0]]]), B=np.eye(1), cells=["all"])
+    task = Task(A=np.array([[[-1.0]]]), B=np.eye(1), cells=["all"], sizes=Sizes.ones(1, 1))
     K, certificate = gain(task, Fastest(bound=bound))
     assert norm(K) <= bound
     assert 0.99 * (1 + bound) <= certificate.rate <= 1 + bound
@@ -117,7 +125,7 @@ def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: flo
 def test_a_bound_that_an_unstable_plant_can_just_keep_is_kept(a: float, room: float) -> None:
     """ẋ = a x + b u: below ‖K‖ = a / b no gain holds it, above the rate is b ‖K‖ − a. An LQR gain is twice a / b."""
     b = 0.06 * a
-    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"])
+    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=Sizes.ones(1, 1))
     bound = room * a / b
     K, certificate = gain(task, Fastest(bound=bound))
     assert norm(K) <= bound
@@ -131,7 +139,9 @@ def test_a_bound_that_an_unstable_plant_can_just_keep_is_kept(a: float, room: fl
 @pytest.mark.parametrize("bound", [0.5, 5.0, 50.0, 1e4])
 def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_form(bound: float) -> None:
     """The least norm of a rate α is that of (α², 2α), see above: α² = √(4 + κ²) − 2."""
-    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"])
+    task = Task(
+        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
+    )
     K, certificate = gain(task, Fastest(bound=bound))
     fastest = np.sqrt(np.sqrt(4 + bound**2) - 2)
     assert norm(K) <= bound
@@ -160,7 +170,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
         "both": AtLeast(rate=10.0**rate, bound=10.0**bound),
     }
     asked = goals[goal]
-    task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)])
+    task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)], sizes=Sizes.ones(n, 1))
     with (
         patch.object(picos_model, "solve", wraps=picos_model.solve) as theirs,
         patch.object(primal_dual, "solve", wraps=primal_dual.solve) as ours,
@@ -176,7 +186,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
 def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:
     goal = AtLeast(rate=1, bound=5)
     assert demands(goal) == (1.0, 5.0)
-    task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"])
+    task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"], sizes=Sizes.ones(1, 1))
     assert gain(task, Smallest(rate=3))[1].rate >= 3
     assert norm(gain(task, Fastest(bound=5))[0]) <= 5
     for wrong in (-1.0, np.nan, np.inf, True, "fast", "smallest"):
@@ -310,8 +320,8 @@ def test_in_one_dimension_the_bound_is_that_of_the_exact_stationary_density() ->
 
 
 def balanced_cost(task: Task, K: Array) -> float:
-    """Return a bound of the sum of ∫(eᵀe + uᵀu) dt from all unit errors, in balanced units."""
-    at = Coordinates.balanced(task.A, task.B)
+    """Return a bound of the sum of ∫(eᵀe + uᵀu) dt from all unit errors, in sizes."""
+    at = Coordinates.sized(task.A, task.scale.state, task.scale.input)
     n, m = task.B.shape
     scaled = Task(A=at.system(task.A), B=at.input(task.B), cells=task.cells)
     return float(np.trace(cost_bound(scaled, K / at.e[:, None] @ at.T, np.eye(n), np.eye(m))))
@@ -319,15 +329,16 @@ def balanced_cost(task: Task, K: Array) -> float:
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
 @settings(deadline=None, max_examples=15)
-def test_with_one_cell_the_default_gain_is_lqr_in_balanced_units(seed: int, n: int, m: int) -> None:
+def test_with_one_cell_the_default_gain_is_lqr_in_sizes(seed: int, n: int, m: int) -> None:
     random = np.random.default_rng(seed)
     d = 2.0 ** random.integers(-5, 6, size=n)
     A, B = random.normal(size=(n, n)) * d[:, None] / d, random.normal(size=(n, m)) * d[:, None]
-    at = Coordinates.balanced(A[None], B)
+    task = Task(A=A[None], B=B, cells=["all"])
+    at = Coordinates.sized(task.A, task.scale.state, task.scale.input)
     scaled = at.input(B)
     X = solve_continuous_are(at.system(A[None])[0], scaled, np.eye(n), np.eye(m))
     assume(np.linalg.norm(X, 2) < 100)  # else nearly unreachable
-    K, _ = gain(Task(A=A[None], B=B, cells=["all"]))
+    K, _ = gain(task)
     K_lqr = at.gain(-scaled.T @ X)
     np.testing.assert_allclose(K * d, K_lqr * d, rtol=0, atol=1e-4 * np.abs(K_lqr * d).max())
 
@@ -354,8 +365,7 @@ def test_a_slow_mode_that_no_gain_moves_makes_no_gain_zero(seed: int, n: int, sl
     task = Task(A=A, B=B, cells=[str(i) for i in range(cells)])
     K, certificate = gain(task)
     assert certificate.rate <= 10.0**slow
-    at = Coordinates.balanced(A, B)
-    assert norm(K / at.e[:, None] @ at.T) > 0.05
+    assert task.norm(K) > 0.05
 
 
 HALL = """

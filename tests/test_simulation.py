@@ -22,6 +22,7 @@ from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
+from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import figure_content, measures
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
@@ -209,7 +210,14 @@ def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
     return closed_loop(
-        Controller(plant=plant, design=synthesize(plant), trajectory=trajectory, generator=generator, proofs=())
+        Controller(
+            plant=plant,
+            design=synthesize(plant),
+            trajectory=trajectory,
+            generator=generator,
+            proofs=(),
+            sizes=Sizes.of(plant),
+        )
     )
 
 

@@ -47,7 +47,7 @@ class Candidates:
     Attributes:
         task: The inequality.
         A: The corners of the convex hull of its cells, (l, n, n).
-        at: Balanced units, in which the weights of a cost are one.
+        at: Sizes, in which the weights of a cost are one.
     """
 
     task: Task
@@ -57,27 +57,28 @@ class Candidates:
     @classmethod
     def of(cls, task: Task) -> "Candidates":
         """Prepare the search for a task."""
-        return cls(task=task, A=extreme(task.A), at=Coordinates.balanced(task.A, task.B))
+        at = Coordinates.sized(task.A, task.scale.state, task.scale.input, tempo=task.scale.speed)
+        return cls(task=task, A=extreme(task.A), at=at)
 
     def nothing(self) -> Candidate:
         """Return the gain 0."""
         return Candidate(K=np.zeros((self.task.B.shape[1], self.A.shape[1])))
 
     def regulator(self, rate: float) -> Iterator[Candidate]:
-        """Yield the gain of the least cost with unit weights in balanced units, then those of lighter ones."""
+        """Yield the gain of the least cost with unit weights in sizes, then those of lighter ones."""
         A, B = self.at.system(self.A) + self._shift(rate, _FASTER), self.at.input(self.task.B)
         for root in _state_weights(A.mean(axis=0), B):
             rows, R = root @ self.at.inverse, np.eye(B.shape[1])
             yield from self._least_cost(rows, R, self.at.T, self._shift(rate, _FASTER))
 
     def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
-        """Yield the gain of the least sum of the costs from all unit vectors.
+        """Yield the gain of the least sum of the costs from all states that are off by one size.
 
         Args:
             Q, R: Weights (n, n) and (m, m) in the units given.
         """
         rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
-        yield from self._least_cost(rows, e[:, None] * R * e, np.eye(len(Q)), np.zeros_like(Q))
+        yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
 
     def largest_margins(self, rate: float) -> Iterator[Candidate]:
         """Yield gains of the largest margin, while it is positive each in better coordinates than the last one."""
@@ -115,7 +116,7 @@ class Candidates:
     def _smaller_and_smaller(self, at: Coordinates, shift: Array, seen: list[Solution]) -> Iterator[Candidate]:
         """Minimise a bound of the norm of the gain, then the closer bounds that each answer allows."""
         inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
-        metric_root, input_root = at.inverse, np.diag(at.e)
+        metric_root, input_root = at.inverse @ self.at.T, np.eye(len(at.e))
         program, before = smallest_gain(inequality, metric_root, input_root), np.inf
         first, last = None, None
         for _ in range(_CLOSER + 1):
@@ -125,7 +126,7 @@ class Candidates:
             seen.append(solution)
             candidate = self._candidate(at, solution)
             yield candidate
-            norm = float(np.linalg.norm(candidate.K, 2))
+            norm = self.task.norm(candidate.K)
             if norm > _WORTH_IT * before:
                 return
             before = norm
@@ -152,7 +153,7 @@ class Candidates:
         return Candidate(K=short(K), P=at.matrix(solution.P), margin=margin)
 
     def _shift(self, rate: float, faster: float) -> Array:
-        """Return what a rate adds to A in balanced units, a little more than asked."""
+        """Return what a rate adds to A in sizes, a little more than asked."""
         return rate * (1 + faster) / self.at.speed * np.eye(self.A.shape[1])
 
     def _regulated(self, shift: Array) -> Coordinates:

@@ -13,6 +13,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,7 @@ class Controller:
         trajectory: Where x_d and u_ff come from.
         generator: The trajectory generator (15), for output tracking only.
         proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
+        sizes: Of all signals of the plant: what the gains were weighed with.
         costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
     """
 
@@ -35,6 +37,7 @@ class Controller:
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
     proofs: tuple[Proof, ...]
+    sizes: Sizes
     costs: Mapping[str, Array] = field(default_factory=dict)
 
     @property

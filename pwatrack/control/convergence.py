@@ -29,7 +29,9 @@ _CLOSE = 1e-4  # gap of the least condition number, whose root is the overshoot
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
-def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "clarabel") -> Certificate | None:
+def best_certificate(
+    M: Array, *, start: Array | None = None, sizes: Array | None = None, solver: Solver = "clarabel"
+) -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found.
 
     The largest margin of M_i P + P M_iᵀ + 2αP is a convex function of the rate α and falls, so the line through
@@ -39,12 +41,13 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
     Args:
         M: (l, n, n), with all eigenvalues in the open left half plane.
         start: A P (n, n) that may prove something.
+        sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
         solver: Which interior-point solver to ask.
 
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    search, points = _Rates(M, start, solver), list[tuple[float, float]]()
+    search, points = _Rates(M, start, sizes, solver), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
     for step in range(_STEPS):
         margin, best = search.margin(trial), search.best
@@ -69,9 +72,9 @@ def best_certificate(M: Array, *, start: Array | None = None, solver: Solver = "
 class _Rates:
     """Rates that are tried one after the other; `best` is the best proof so far."""
 
-    def __init__(self, M: Array, start: Array | None, solver: Solver) -> None:
+    def __init__(self, M: Array, start: Array | None, sizes: Array | None, solver: Solver) -> None:
         self.best = None if start is None else prove(M, start)
-        self._M, self._corners, self._at, self._solver = M, extreme(M), _near(M, start), solver
+        self._M, self._corners, self._at, self._solver = M, extreme(M), _near(M, start, sizes), solver
         self._last: Solution | None = None
 
     def margin(self, rate: float) -> float | None:
@@ -99,15 +102,16 @@ def _root_of_chord(points: list[tuple[float, float]]) -> float:
 
 
 def least_overshoot_certificate(
-    M: Array, rate: float, *, start: Array | None = None, solver: Solver = "clarabel"
+    M: Array, rate: float, *, sizes: Array | None = None, start: Array | None = None, solver: Solver = "clarabel"
 ) -> Certificate | None:
-    """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P).
+    """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P), P in sizes.
 
     Its root is the overshoot: how many times its first size an error can reach on its way to 0.
 
     Args:
-        M: (l, n, n), in the units in which errors are to be small.
+        M: (l, n, n).
         rate: In 1/s, below the best one.
+        sizes: Of the states, (n,); 1 by default.
         start: A P (n, n) to begin near.
         solver: Which interior-point solver to ask.
 
@@ -120,18 +124,19 @@ def least_overshoot_certificate(
         >>> float(np.linalg.cond(least_overshoot_certificate(M, 0.9).P).round(3))
         1.0
     """
-    at = _near(M, start)
+    unit = np.eye(M.shape[1]) if sizes is None else np.diag(sizes**2)
+    at = _near(M, start, sizes)
     inequality = lyapunov(at.system(extreme(M)), rate / at.speed)
     try:
-        candidate = solve(least_condition(inequality, at.driven(np.eye(M.shape[1]))), solver, gap=_CLOSE)
+        candidate = solve(least_condition(inequality, at.driven(unit)), solver, gap=_CLOSE)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
     return None if candidate is None else prove(M, at.matrix(candidate.P))
 
 
-def _near(M: Array, start: Array | None) -> Coordinates:
+def _near(M: Array, start: Array | None, sizes: Array | None) -> Coordinates:
     """Return coordinates in which a P near `start`, or without one the P of the mean cell, is near I."""
-    at = Coordinates.balanced(M)
+    at = Coordinates.balanced(M) if sizes is None else Coordinates.sized(M, sizes)
     return at.of_mean(at.system(M)) if start is None else at.centred(at.driven(start))
 
 
@@ -143,6 +148,7 @@ def prove_convergence(
     cells: Sequence[str],
     exact: Sequence[BallMatrix] | None = None,
     role: Role = PLANT,
+    sizes: Array | None = None,
     subject: Subject = (),
     solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
@@ -156,6 +162,7 @@ def prove_convergence(
         cells: Names of the l cells.
         exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
         role: Which inequality it is.
+        sizes: Of the states, (n,); as for `best_certificate`.
         subject: What in the description a refusal is about.
         solver: Which interior-point solver to ask.
         hint, remedy: What to do where a cell is unstable by itself.
@@ -177,7 +184,7 @@ def prove_convergence(
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
     refutation = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None
     if refutation is None or not refutation.eigenvalues:
-        best = best_certificate(M, solver=solver)
+        best = best_certificate(M, sizes=sizes, solver=solver)
         if best is not None:
             return best
         refutation = refutation or refute(M, no_input, solver=solver, exact=numbers)

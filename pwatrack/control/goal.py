@@ -32,11 +32,11 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True)
 class AtLeast:
-    """The LQR, or Kalman, gain with unit weights in balanced units, of the plant with the rate added to A.
+    """The LQR, or Kalman, gain with unit weights in sizes, of the plant with the rate added to A.
 
     Attributes:
         rate: Decay rate in 1/s that is to be reached; 0 where any will do.
-        bound: On the spectral norm of the gain in the units given: where that gain is larger, the smallest one that
+        bound: On the norm of the gain in sizes, see `Task.norm`: where that gain is larger, the smallest one that
             is found is taken.
 
     Raises:
@@ -69,7 +69,7 @@ class Fastest:
     """The largest rate that is found.
 
     Attributes:
-        bound: On the spectral norm of the gain in the units given.
+        bound: On the norm of the gain in sizes, see `Task.norm`.
     """
 
     bound: float = np.inf

@@ -21,7 +21,7 @@ class Front:
     Attributes:
         role: CONTROLLER or OBSERVER.
         rates: Certified rates in 1/s, increasing, (k,).
-        norms: ‖K‖ or ‖L‖ of the smallest gain found for each, (k,).
+        norms: ‖K‖ or ‖L‖ in sizes of the smallest gain found for each, (k,); see `Task.norm`.
         limit: A rate in 1/s at which no gain was found any more; infinite if none was reached.
         chosen: Rate and norm of the gain that the design has.
     """
@@ -63,7 +63,7 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
             limit = trial
         else:
             points.append(point)
-    chosen = rate, float(np.linalg.norm(K, 2))
+    chosen = rate, task.norm(K)
     found = np.array([*points, chosen])  # what reaches a rate reaches every lower one
     points = [(a, float(found[found[:, 0] >= a * (1 - _SAME_RATE), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
@@ -78,4 +78,4 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
 
 def _smallest(search: Search, rate: float) -> tuple[float, float] | None:
     found = search.smallest(rate)
-    return None if found is None else (found[1].rate, float(np.linalg.norm(found[0], 2)))
+    return None if found is None else (found[1].rate, search.task.norm(found[0]))

@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.causes import Part
 from pwatrack.control.convergence import least_overshoot_certificate
@@ -15,18 +18,31 @@ from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
 
 
 def prove_design(
-    plant: PWASystem, design: Design, generator: TrajectoryGenerator | None, *, solver: Solver = "clarabel"
+    plant: PWASystem,
+    design: Design,
+    generator: TrajectoryGenerator | None,
+    *,
+    sizes: Sizes | None = None,
+    solver: Solver = "clarabel",
 ) -> tuple[Proof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
     The P of the best rate is ill-conditioned, so it promises little for short times and for changed
-    matrices. A second P gives up a tenth of the rate for the least condition number, and another tenth
+    matrices. A second P gives up a tenth of the rate for the least condition number in sizes, and another tenth
     for a margin. Where no such proof is found the first stands alone.
+
+    Args:
+        plant: The system (1).
+        design: Its gains K and L.
+        generator: That of output tracking.
+        sizes: Those of the plant's signals; those that balance it by default.
+        solver: Which interior-point solver to ask.
 
     Raises:
         Undecided: If a certificate that holds in floating point could not be proved exactly.
@@ -36,20 +52,24 @@ def prove_design(
         >>> [proof.role.name for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
         ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
-    proofs = []
+    sizes, proofs = sizes or Sizes.of(plant), []
     for role, gain, certificate in (
         (CONTROLLER, design.K, design.controller),
         (OBSERVER, design.L, design.observer),
     ):
-        closed = Task.of(plant, role).exactly_closed(role.oriented(gain))
-        proofs += prove_inequality(role, different(closed), certificate, solver)
+        task = Task.of(plant, role, sizes=sizes)
+        closed = different(task.exactly_closed(role.oriented(gain)))
+        proofs += prove_inequality(role, closed, certificate, solver, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1]:
         M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
-        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver)
+        internal = np.sqrt((generator.form.T[generator.r :] ** 2) @ sizes.state**2)
+        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, sizes=1 / internal)
     return tuple(proofs)
 
 
-def prove_inequality(role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver) -> list[Proof]:
+def prove_inequality(
+    role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver, *, sizes: Array | None = None
+) -> list[Proof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot."""
     best = prove_exactly(role, M, certificate.P, certificate.rate)
     if best is None:
@@ -61,6 +81,8 @@ def prove_inequality(role: Role, M: Sequence[BallMatrix], certificate: Certifica
                 remedy=other_solver(solver),
             )
         )
-    found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, start=certificate.P, solver=solver)
+    found = least_overshoot_certificate(
+        certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P, solver=solver
+    )
     second = None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)
     return [best] if second is None else [best, second]

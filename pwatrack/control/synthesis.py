@@ -18,6 +18,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
 _RATES = 16  # at most so many rates are tried for the fastest one
 _SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
@@ -45,7 +46,12 @@ class Design:
 
 
 def synthesize(
-    plant: PWASystem, *, controller: Goal = DEFAULT, observer: Goal = DEFAULT, solver: Solver = "clarabel"
+    plant: PWASystem,
+    *,
+    controller: Goal = DEFAULT,
+    observer: Goal = DEFAULT,
+    sizes: Sizes | None = None,
+    solver: Solver = "clarabel",
 ) -> Design:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
@@ -53,6 +59,7 @@ def synthesize(
         plant: The system (1).
         controller: What K is to achieve, in the sign convention of (10).
         observer: What L is to achieve.
+        sizes: Those of the plant's signals; those that balance it by default.
         solver: Which interior-point solver to ask.
 
     Raises:
@@ -66,8 +73,9 @@ def synthesize(
         >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
         (True, True)
     """
-    K, P_c = gain(Task.of(plant, CONTROLLER, solver), controller)
-    L_transposed, P_o = gain(Task.of(plant, OBSERVER, solver), observer)
+    sizes = sizes or Sizes.of(plant)
+    K, P_c = gain(Task.of(plant, CONTROLLER, solver, sizes=sizes), controller)
+    L_transposed, P_o = gain(Task.of(plant, OBSERVER, solver, sizes=sizes), observer)
     return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
@@ -76,12 +84,10 @@ def gain(task: Task, goal: Goal = DEFAULT) -> Proved:
     """Return a gain K for (8) that meets a goal, found or given, with the proof of its best rate.
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
-    added to A). The weights are those of balanced units: states scaled to balance A, inputs
-    and time scaled so that A and B have size 1. There the weights on states and
-    inputs are one, so no weight has to be chosen. (States that do not act on
-    each other both ways, as in a chain of integrators, have no balanced units: there the
-    weights are one in the units given.) Such a gain is 0 only where the input does nothing. Where the solver
-    finds no proof for it, the gain of the largest margin is taken, and where there is none lighter weights are tried.
+    added to A). Its weights are one in sizes, Bryson's rule: Q = diag(1 / size²) for the states and R = diag(1 / size²)
+    for the inputs; for the observer these are densities of noise on states and outputs, see `Sizes.dual`. Such a gain
+    is 0 only where the input does nothing. Where the solver finds no proof for it, the gain of the largest margin is
+    taken, and where there is none lighter weights are tried.
 
     Args:
         task: The inequality.
@@ -114,25 +120,21 @@ def gain(task: Task, goal: Goal = DEFAULT) -> Proved:
             found = search.gentlest(rate)
         case AtLeast(rate=rate, bound=bound):
             found = search.regulator(rate)
-            if found is not None and norm(found[0]) > bound:
+            if found is not None and task.norm(found[0]) > bound:
                 found = search.gentlest(rate)
     least, most = demands(goal)
     if found is None:
         raise refusal.no_gain(task, least, search.refuted(least), search.best_margin)
-    if norm(found[0]) > most:
-        raise refusal.too_large(task, least, most, norm(found[0]))
+    if task.norm(found[0]) > most:
+        raise refusal.too_large(task, least, most, task.norm(found[0]))
     return found
-
-
-def norm(K: Array) -> float:
-    """Return the spectral norm."""
-    return float(np.linalg.norm(K, 2))
 
 
 def _given(task: Task, K: Array) -> Proved:
     letter = task.role.letter
     certificate = prove_convergence(
         task.closed(K),
+        sizes=task.scale.state,
         exact=task.exactly_closed(K),
         claim=f"{task.role.claim} for the given gain {letter}",
         cells=task.cells,
@@ -180,7 +182,7 @@ class Search:
         closed = self.task.closed(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
-        certificate = best_certificate(closed, start=candidate.P, solver=self.task.solver)
+        certificate = best_certificate(closed, start=candidate.P, sizes=self.task.scale.state, solver=self.task.solver)
         return (candidate.K, certificate) if certificate is not None and reaches(certificate, rate) else None
 
     def regulator(self, rate: float) -> Proved | None:
@@ -200,12 +202,12 @@ class Search:
         return None if self.refuted(rate) is not None else self.first(costs, rate)
 
     def gentlest(self, rate: float) -> Proved | None:
-        """Return the smallest gain that is found in any way: in units that differ a lot that of a cost may be."""
+        """Return the smallest gain that is found in any way: in sizes that differ a lot that of a cost may be."""
         found = [way for way in (self.smallest(rate), self.regulator(rate)) if way is not None]
-        return min(found, key=lambda way: norm(way[0]), default=None)
+        return min(found, key=lambda way: self.task.norm(way[0]), default=None)
 
     def smallest(self, rate: float) -> Proved | None:
-        """Return the smallest gain that a bound of its norm leads to, in the units given."""
+        """Return the smallest gain that a bound of its norm leads to, in sizes."""
         found = self._within(rate)
         return None if found is None else self.proved(Candidate(K=found[0], P=found[1].P), rate)
 
@@ -213,15 +215,15 @@ class Search:
         """Bisect the rate, in its logarithm, for the fastest decay that a gain within the bound gives.
 
         All eigenvalues of A_i + B K are left of minus the rate, so n times the rate is at most −tr(A_i + B K), and
-        |tr(B K)| ≤ ‖K‖ ‖B‖⁎, the sum of the singular values of B.
+        |tr(B K)| ≤ ‖K‖ ‖B‖⁎, the sum of the singular values of B, both in sizes.
 
         Raises:
             InvalidSpec: If there is no bound, and no largest rate.
         """
         speed, best = self.candidates.at.speed, self.regulator(0.0)
-        if best is None or norm(best[0]) > bound:
+        if best is None or self.task.norm(best[0]) > bound:
             best = self._slowly(speed if best is None else best[1].rate, bound) or best
-        if best is None or norm(best[0]) > bound:
+        if best is None or self.task.norm(best[0]) > bound:
             return best
         slow, fast = best[1].rate, _FAST * speed
         if np.isinf(bound):
@@ -229,7 +231,9 @@ class Search:
                 raise refusal.no_largest_rate(self.task, max(slow, fast))
         else:
             traces = np.trace(self.task.A, axis1=1, axis2=2)
-            fast = float(bound * np.linalg.norm(self.task.B, "nuc") - traces.max()) / self.task.A.shape[1]
+            at = self.candidates.at
+            act = float(np.linalg.norm(at.input(self.task.B), "nuc")) * at.speed / self.task.gain_unit
+            fast = float(bound * act - traces.max()) / self.task.A.shape[1]
         for _ in range(_RATES):
             if not fast > slow * (1 + _ENDED):
                 break
@@ -270,7 +274,7 @@ class Search:
                 if certificate is None:
                     break
                 best = candidate.K, certificate
-                if bound is not None and norm(candidate.K) <= bound:
+                if bound is not None and self.task.norm(candidate.K) <= bound:
                     return best
             if best is not None:
                 return best if bound is None else None

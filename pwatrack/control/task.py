@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from pwatrack.lmi.exact import RATE_GIVEN
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 from pwatrack.rational import Rational
 
 
@@ -26,6 +28,7 @@ class Task:
         exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
         role: Which of the two it is.
         cells: Names of the l cells.
+        sizes: Those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
         solver: Which interior-point solver to ask.
     """
 
@@ -34,11 +37,20 @@ class Task:
     exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
     role: Role = CONTROLLER
     cells: Sequence[str]
+    sizes: Sizes | None = None
     solver: Solver = "clarabel"
 
     @classmethod
-    def of(cls, plant: PWASystem, role: Role, solver: Solver = "clarabel") -> "Task":
-        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here."""
+    def of(cls, plant: PWASystem, role: Role, solver: Solver = "clarabel", *, sizes: Sizes | None = None) -> "Task":
+        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here.
+
+        Args:
+            plant: The system (1).
+            role: CONTROLLER or OBSERVER.
+            solver: Which interior-point solver to ask.
+            sizes: Those of the plant's signals; those that balance it by default.
+        """
+        sizes = sizes or Sizes.of(plant)
         B, exact_B = (plant.B, plant.exact.B) if role is CONTROLLER else (plant.C, plant.exact.C)
         return cls(
             A=role.oriented(plant.A),
@@ -46,6 +58,7 @@ class Task:
             exact=(each(role.exact, plant.exact.A), role.exact(exact_B)),
             role=role,
             cells=plant.cell_names,
+            sizes=sizes if role is CONTROLLER else sizes.dual(),
             solver=solver,
         )
 
@@ -53,6 +66,27 @@ class Task:
     def subject(self) -> Subject:
         """What a refusal of every gain is about."""
         return (Part.B if self.role is CONTROLLER else Part.C,)
+
+    @cached_property
+    def scale(self) -> Sizes:
+        """The sizes of states and inputs."""
+        return self.sizes or Sizes.balanced(self.A, self.B)
+
+    @property
+    def gain_unit(self) -> float:
+        """What the norm of a gain in sizes is counted in: 1, or 1/s for L, which turns outputs into rates."""
+        return 1.0 if self.role is CONTROLLER else self.scale.speed
+
+    def norm(self, K: Array) -> float:
+        """Return how large a gain (m, n) is: ‖E⁻¹ K S‖ with the sizes S and E; of L ‖S⁻¹ L E‖ in 1/s.
+
+        Example:
+            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.ones(1), speed=1.0)
+            >>> task = Task(A=np.zeros((1, 2, 2)), B=np.ones((2, 1)), cells=["all"], sizes=sizes)
+            >>> task.norm(np.array([[1500.0, 200.0]]))
+            5.0
+        """
+        return float(np.linalg.norm(self.scale.gain(K), 2)) * self.gain_unit
 
     @property
     def centres(self) -> tuple[list[Rational], Rational] | None:

@@ -51,6 +51,27 @@ class Coordinates:
         e = np.array([1 / _power_of_two(c) for c in columns])
         return cls(T=np.diag(d), inverse=np.diag(1 / d), e=e, speed=speed)
 
+    @classmethod
+    def sized(cls, A: Array, states: Array, inputs: Array | None = None, *, tempo: float = 1.0) -> "Coordinates":
+        """Return those in which states and inputs are counted in sizes, and A (l, n, n) has size 1.
+
+        There a problem has the same numbers in all units, so that a solver answers the same.
+
+        Args:
+            A: (l, n, n).
+            states, inputs: Sizes (n,) and (m,); no inputs by default.
+            tempo: The speed in 1/s where A is 0.
+
+        Example:
+            >>> at = Coordinates.sized(np.array([[[0.0, 1.0], [-1.0, 0.0]]]), np.array([0.1, 2.0]), np.array([5.0]))
+            >>> at.speed, at.gain(np.ones((1, 2))).tolist()
+            (20.0, [[50.0, 2.5]])
+        """
+        speed = float(np.linalg.norm(A / states[:, None] * states, 2, axis=(1, 2)).max(initial=0.0))
+        speed = speed if 0 < speed < np.inf else tempo
+        e = np.zeros(0) if inputs is None else np.asarray(inputs)
+        return cls(T=np.diag(states), inverse=np.diag(1 / states), e=e, speed=speed)
+
     def system(self, A: Array) -> Array:
         """Return A (l, n, n), or the shift of a rate (n, n), in these coordinates."""
         return np.asarray(self.inverse @ A @ self.T / self.speed)

@@ -10,6 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
+from pwatrack.model.sizes import Sizes
 from pwatrack.result import Result
 from pwatrack.simulation.region import Box, Region
 from pwatrack.spec.spec import Spec
@@ -86,13 +87,14 @@ def gain_figures(controller: Controller) -> dict[str, float]:
     """Return the figures of a design for run.json: sizes of the gains, and what is proved of them."""
     guarantees = controller.guarantees
     robust_rate, of_K, of_L = guarantees.robust
+    norm_K, norm_L = controller.sizes.norms(controller.design.K, controller.design.L)
     promised = {}
     for part in ("controller", "observer", "generator"):
         if proved := getattr(guarantees, part):
             promised[f"{part}_rate"] = max(p.rate for p in proved)
     return {
-        "norm_K": float(np.linalg.norm(controller.design.K, 2)),
-        "norm_L": float(np.linalg.norm(controller.design.L, 2)),
+        "norm_K": norm_K,
+        "norm_L": norm_L,
         **promised,
         "rate": guarantees.rate,
         "robust_rate": robust_rate,
@@ -138,6 +140,25 @@ def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
     name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
     texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
     return texts.get(kind, f"{name} - {name}_d"), spec.problem.units.get(name, "")
+
+
+def size_texts(sizes: Sizes, most: int) -> list[str]:
+    """Return the sizes as a file would give them, of many the first, and where they are from.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> from pwatrack.sizing import spec_sizes
+        >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")), 20)[1]
+        'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001451 1/s'
+    """
+    known = sizes.by_name
+    shown = list(known)[:most]
+    said = [f"sizes: {{{', '.join(f'{name}: {known[name]:.4g}' for name in shown)}}}"]
+    if most < len(known):
+        said.append(f"… and {len(known) - most} more sizes (--json lists all)")
+    origins = dict.fromkeys(sizes.origins[name] for name in shown)
+    groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
+    return [*said, f"{'; '.join(groups)}; speed {sizes.speed:.4g} 1/s"]
 
 
 def per_second(unit: str) -> str:

@@ -155,7 +155,7 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
         axes.set_yscale("log" if (positive > 0).all() and positive.max() > 30 * positive.min() else "linear")
         axes.set_title(f"{front.role.name}", fontsize=10)
         axes.set_xlabel("certified decay rate (1/s)")
-        axes.set_ylabel(f"‖{letter}‖, in the units of the spec")
+        axes.set_ylabel(f"‖{letter}‖ in sizes{'' if letter == 'K' else ', 1/s'}")
         axes.grid(visible=True, color="0.9")
         axes.legend(fontsize=8, frameon=False)
     return figure

@@ -160,9 +160,10 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
-    gains, plant, solver = controller.design, spec.problem.plant, spec.objectives.solver
+    gains, plant = controller.design, spec.problem.plant
+    solver, sizes = spec.objectives.solver, controller.sizes
     with spec.located():
         return [
-            pareto(Task.of(plant, CONTROLLER, solver), gains.K, gains.controller.rate),
-            pareto(Task.of(plant, OBSERVER, solver), gains.L.T, gains.observer.rate),
+            pareto(Task.of(plant, CONTROLLER, solver, sizes=sizes), gains.K, gains.controller.rate),
+            pareto(Task.of(plant, OBSERVER, solver, sizes=sizes), gains.L.T, gains.observer.rate),
         ]

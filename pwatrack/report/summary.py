@@ -20,6 +20,7 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import (
     channel_text,
     declared,
@@ -28,6 +29,7 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
     signal_text,
+    size_texts,
 )
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
@@ -42,15 +44,23 @@ _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all th
 
 
 def print_plant(
-    console: Console, name: str, report: Applicability, reference: str = "", remarks: Sequence[str] = ()
+    console: Console,
+    name: str,
+    report: Applicability,
+    reference: str = "",
+    sizes: Sizes | None = None,
+    remarks: Sequence[str] = (),
 ) -> None:
-    """Say what the plant is, which theorems apply, what is known of the reference; of many cells the first ones."""
+    """Say what the plant is, which theorems apply, what is known of the reference, and which sizes are in force.
+
+    Of many cells, facets or signals only the first ones.
+    """
     plant, form = report.plant, report.form
     facets = plant.partition.facets
     counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
-    sizes = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
+    orders = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
     table = _titled(name)
-    table.add_row("plant (1)", f"{sizes}; continuous across all {len(facets)} facets")
+    table.add_row("plant (1)", f"{orders}; continuous across all {len(facets)} facets")
     _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
     _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
     if form is not None:
@@ -61,6 +71,8 @@ def print_plant(
         table.add_row(theorem, answer)
     if reference:
         table.add_row("reference", reference)
+    for k, text in enumerate(size_texts(sizes, _MOST_SHOWN) if sizes else ()):
+        table.add_row("" if k else "sizes", text)
     _remark_rows(table, (*plant.remarks, *remarks))
     console.print(table)
 
@@ -84,7 +96,13 @@ def _facet_text(plant: PWASystem, facet: Facet) -> str:
     return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
-def plant_json(name: str, report: Applicability, reference: str = "", remarks: Sequence[str] = ()) -> dict[str, Any]:
+def plant_json(
+    name: str,
+    report: Applicability,
+    reference: str = "",
+    sizes: Sizes | None = None,
+    remarks: Sequence[str] = (),
+) -> dict[str, Any]:
     """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
     plant, form = report.plant, report.form
     planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
@@ -112,6 +130,8 @@ def plant_json(name: str, report: Applicability, reference: str = "", remarks: S
         },
         "theorems": report.theorems(),
         "reference": reference or None,
+        "sizes": sizes and {k: {"size": v, "from": sizes.origins[k]} for k, v in sizes.by_name.items()},
+        "speed": sizes and sizes.speed,
         "remarks": [*plant.remarks, *remarks],
     }
 
@@ -120,11 +140,12 @@ def check_json(
     name: str,
     report: Applicability | None,
     reference: str,
+    sizes: Sizes | None,
     refusal: PwatrackError | None,
     remarks: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
-    plant = {} if report is None else plant_json(name, report, reference, remarks)
+    plant = {} if report is None else plant_json(name, report, reference, sizes, remarks)
     problems = () if refusal is None else refusal.problems
     return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
@@ -145,14 +166,15 @@ def print_design(console: Console, spec: Spec, controller: Controller, checked: 
 def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     promised = controller.guarantees
-    for claim, proved, letter, gain, goal in (
-        ("(8) controller", promised.controller, "K", design.K, spec.objectives.controller),
-        ("(9) observer", promised.observer, "Lᵀ", design.L.T, spec.objectives.observer),
+    norms = controller.sizes.norms(design.K, design.L)
+    for claim, proved, letter, gain, norm, goal in (
+        ("(8) controller", promised.controller, "K", design.K, f"{norms[0]:.4g}", spec.objectives.controller),
+        ("(9) observer", promised.observer, "Lᵀ", design.L.T, f"{norms[1]:.4g} 1/s", spec.objectives.observer),
     ):
         table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells, {_rate(proved)}")
         acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
-        size = f"‖{letter[0]}‖ = {np.linalg.norm(gain, 2):.4g}, {origin}"
+        size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
             table.add_row("", _cost_text(claim.split()[1], spec, controller))

@@ -16,6 +16,7 @@ from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
 from pwatrack.report.certificate import CLAIM, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
+from pwatrack.sizing import spec_sizes
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 
@@ -98,12 +99,13 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     if content["spec_sha256"] != spec.sha256:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
     impossible = any("Z" in proof for proof in content["proofs"])
+    norms = {} if impossible else _norms(content, spec)
     for part, letter in (("controller", "K"), ("observer", "L")):
         goal: Goal = getattr(spec.objectives, part)
         given = goal.gain if isinstance(goal, Given) else None
         proofs = [proof for proof in content["proofs"] if proof["of"] == part]
         if not impossible:
-            faults += [f"{part}: {fault}" for fault in _missed(goal, content[letter], proofs)]
+            faults += [f"{part}: {fault}" for fault in _missed(goal, norms[letter], proofs)]
         elif proofs and content[letter] != decimals(given):
             faults.append(f"{letter} is not the one that {spec.path} asks to be proved")
         elif proofs and number(proofs[0]["rate"]) > Fraction(repr(demands(goal)[0])):
@@ -113,13 +115,18 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     return faults
 
 
-def _missed(goal: Goal, gain: Any, proofs: list[dict[str, Any]]) -> Iterator[str]:
+def _norms(content: dict[str, Any], spec: Spec) -> dict[str, float]:
+    """Return the norms of both gains in the sizes of a spec."""
+    K, L = (np.array([[float(number(v)) for v in row] for row in content[letter]]) for letter in ("K", "L"))
+    return dict(zip(("K", "L"), spec_sizes(spec).norms(K, L), strict=True))
+
+
+def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[str]:
     """Yield what of a goal is not proved."""
     rates = [number(proof["rate"]) for proof in proofs if "rate" in proof]
     least, most = demands(goal)
     if not rates or max(rates) < Fraction(repr(least)):
         yield f"the rate asked for, {least:g} 1/s, is not proved"
-    norm = float(np.linalg.norm([[float(number(v)) for v in row] for row in gain], 2))
     if norm > most * (1 + _CLOSE):
         yield f"the gain has a norm of {norm:.6g}, above the bound {most:g}"
     if isinstance(goal, LeastCost):

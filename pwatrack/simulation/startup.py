@@ -14,7 +14,7 @@ _REST = "let the reference begin at rest or with sinusoids, or give eta_hat(0)"
 
 
 def measured_start(loop: ClosedLoop, x: Array) -> Array:
-    """Return x̂(0) from what is measured at t = 0, with its noise: the smallest x̂ for which C x̂ is nearest to it.
+    """Return x̂(0) from what is measured at t = 0, with its noise: in sizes the smallest x̂ with C x̂ nearest to it.
 
     Args:
         loop: What runs.
@@ -26,8 +26,8 @@ def measured_start(loop: ClosedLoop, x: Array) -> Array:
         y = y + drawn
     if loop.conditions.quanta is not None:
         y = loop.conditions.quanta.measured(y)
-    sizes = np.ones(len(x))  # "smallest" and "nearest" compare the states in these
-    x_hat: Array = sizes * (np.linalg.pinv(C * sizes) @ y)
+    states, outputs = loop.controller.sizes.state, loop.controller.sizes.output
+    x_hat: Array = states * (np.linalg.pinv(C * states / outputs[:, None]) @ (y / outputs))
     return x_hat
 
 

@@ -77,7 +77,9 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         sha256=digest,
         parameters={name: float(value) for name, value in values.items() if value is not None},
         overrides=parameters or {},
-        problem=TrackingProblem(plant=plant, units=file.system.units, reference=reference, parametric=parametric),
+        problem=TrackingProblem(
+            plant=plant, units=file.system.units, sizes=file.system.sizes, reference=reference, parametric=parametric
+        ),
         objectives=build_objectives(file.design),
         scenario=build_scenario(simulation, plant.states, conditions),
         requirements=requirements,

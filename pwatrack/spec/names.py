@@ -20,12 +20,12 @@ _COLUMN = re.compile(
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check on the raw tree that every name stands for one thing."""
     signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs))]
-    units = at_path(data, ("system", "units"))
-    units = units if isinstance(units, dict) and context.states else ()
     problems = [*_declared_twice(context), *_of_the_trace(signals)]
-    for name, meant in unknown_names(units, signals):
-        message = f"system.units: {shown(name)} is no state, input or output{meant}"
-        problems.append(Problem(message=message, subject=("system", "units", name)))
+    for key in ("units", "sizes"):
+        said = at_path(data, ("system", key))
+        for name, meant in unknown_names(said if isinstance(said, dict) and context.states else (), signals):
+            message = f"system.{key}: {shown(name)} is no state, input or output{meant}"
+            problems.append(Problem(message=message, subject=("system", key, name)))
     return [*problems, *_repeated(data, "cells", "cell"), *_repeated(data, "nonlinearities", "nonlinearity")]
 
 

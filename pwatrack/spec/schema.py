@@ -165,6 +165,7 @@ class SystemSection(Section):
     inputs: Names
     outputs: Names
     units: dict[str, Label] = {}
+    sizes: dict[str, Positive] = {}
     B: ExactRows
     C: ExactRows
     cells: Annotated[list[CellSection], Field(min_length=1)] | None = None

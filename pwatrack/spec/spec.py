@@ -28,12 +28,14 @@ class TrackingProblem:
     Attributes:
         plant: The system (1).
         units: Unit of each state, input and output that has one.
+        sizes: Deviation that matters of each state, input and output for which the file says one.
         reference: What to track.
         parametric: The plant as a function of the parameters.
     """
 
     plant: PWASystem
     units: Mapping[str, str]
+    sizes: Mapping[str, float]
     reference: Reference
     parametric: ParametricPlant
 

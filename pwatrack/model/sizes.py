@@ -1,0 +1,138 @@
+"""Sizes: the deviation that matters of each signal, in its own unit. They are the norm that a design speaks of."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from pwatrack.arrays import Array, readonly
+from pwatrack.model.balance import nearest_to_one, numbers, settled
+from pwatrack.model.pwa import PWASystem
+
+Origin = Literal["given", "limits", "reference", "noise", "ensemble", "balanced"]
+
+_LARGEST = 150.0  # of the logarithm of a size
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How far each signal may be off before it matters, and how fast that is.
+
+    With z = x / state, v = u / input, w = y / output and time τ = speed · t all numbers of a plant have no unit. So
+    what is said there, such as |z| = 1 or weights of one, does not depend on the units of the file.
+
+    Attributes:
+        state, input, output: (n,), (m,), (q,), positive.
+        speed: In 1/s: a state moves by about its size in 1 / speed.
+        origins: By name of the signal, where its size is from.
+
+    Example: a mass of 2 kg whose position matters to 0.1 m, and its speed to 1 m/s. It takes about 20 N.
+
+        >>> A, B, C = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [0.5]]), np.array([[1.0, 0.0]])
+        >>> sizes = Sizes.balanced(A, B, C, state=[0.1, 1.0])
+        >>> round(sizes.speed, 9), sizes.input.round(9).tolist(), sizes.output.round(9).tolist()
+        (10.0, [20.0], [0.1])
+    """
+
+    state: Array
+    input: Array
+    output: Array
+    speed: float
+    origins: Mapping[str, Origin] = field(default_factory=dict)
+
+    @classmethod
+    def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
+        """Return sizes of 1 in the units given."""
+        return cls(state=np.ones(n), input=np.ones(m), output=np.ones(q), speed=1.0)
+
+    @classmethod
+    def of(
+        cls, plant: PWASystem, known: Mapping[str, tuple[float, Origin]] | None = None, *, tempo: float = 1.0
+    ) -> "Sizes":
+        """Return the sizes of a plant: those that are known, and what balances it with them.
+
+        Args:
+            plant: The system (1).
+            known: By name of a signal its size, and where that is from.
+            tempo: Speed in 1/s of a plant that has none of its own, as a chain of integrators.
+        """
+        known = known or {}
+        kinds = (plant.states, plant.inputs, plant.outputs)
+        state, input_, output = ([known.get(name, (np.nan, "balanced"))[0] for name in names] for names in kinds)
+        found = cls.balanced(plant.A, plant.B, plant.C, state=state, input_=input_, output=output, tempo=tempo)
+        names = [name for kind in kinds for name in kind]
+        return replace(found, origins={name: known[name][1] if name in known else "balanced" for name in names})
+
+    @classmethod
+    def balanced(
+        cls,
+        A: Array,
+        B: Array,
+        C: Array | None = None,
+        *,
+        state: Sequence[float] | None = None,
+        input_: Sequence[float] | None = None,
+        output: Sequence[float] | None = None,
+        tempo: float = 1.0,
+    ) -> "Sizes":
+        """Return sizes that make every number of A and B, with time in 1 / speed, and of C as nearly 1 as can be.
+
+        That is the least Σ x²/2 − log x + ε (log x)² over the sizes x of all numbers that are not 0 (of A the largest
+        over the cells): x²/2 − log x is least at 1, much larger above it and little larger below, so that a number
+        which is nearly 0 counts for little. In the logarithms of the sizes it is convex, and other units shift its
+        solution by their ratio: the sizes found are the same in all of them. Where the numbers leave the speed open,
+        it is `tempo`. What they leave open besides is one factor for all sizes of a part of the plant, which matters to
+        no gain.
+
+        Args:
+            A: (l, n, n).
+            B: (n, m).
+            C: (q, n); none by default.
+            state, input_, output: What is known, NaN for what is not; nothing by default.
+            tempo: In 1/s.
+        """
+        n, m = B.shape
+        C = np.zeros((0, n)) if C is None else C
+        parts = ((state, n), (input_, m), (output, len(C)))
+        known = np.concatenate([np.full(k, np.nan) if part is None else np.asarray(part) for part, k in parts])
+        values, rows = numbers(np.abs(A).max(axis=0), np.abs(B), np.abs(C))
+        logs = np.append(np.log(known), np.nan)
+        if not settled(rows[:, np.isnan(logs)]):
+            logs[-1] = np.log(tempo)
+        free = np.isnan(logs)
+        offset = np.log(values) + rows[:, ~free] @ logs[~free]
+        logs[free] = nearest_to_one(rows[:, free], offset, int(free[:n].sum()))
+        sizes = readonly(np.exp(np.clip(logs, -_LARGEST, _LARGEST)))
+        return cls(state=sizes[:n], input=sizes[n : n + m], output=sizes[n + m : -1], speed=float(sizes[-1]))
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """The size of each signal that has a name."""
+        sizes = np.concatenate([self.state, self.input, self.output]).tolist()
+        return dict(zip(self.origins, sizes, strict=True)) if self.origins else {}
+
+    def gain(self, K: Array) -> Array:
+        """Return the gain of u = K x (m, n) in sizes: by how many the inputs move for one of a state."""
+        return np.asarray(K * self.state / self.input[:, None])
+
+    def norms(self, K: Array, L: Array) -> tuple[float, float]:
+        """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖.
+
+        Example: 1500 N/m and 200 N s/m are 5 times 50 N for 0.1 m and 1 m/s at once.
+
+            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.array([0.01]), speed=1.0)
+            >>> sizes.norms(np.array([[1500.0, 200.0]]), np.array([[-30.0], [-400.0]]))
+            (5.0, 5.0)
+        """
+        in_sizes = self.gain(K), L * self.output / self.state[:, None]
+        k, observer = (float(np.linalg.norm(X, 2)) for X in in_sizes)
+        return k, observer
+
+    def dual(self) -> "Sizes":
+        """Return those of the transposed plant, whose input matrix is Cᵀ and whose gain is Lᵀ.
+
+        There 1 / speed stands beside the output: an output that is off by its size weighs as much as a state that is
+        pushed by its size in 1 / speed.
+        """
+        return replace(self, state=1 / self.state, input=self.speed / self.output, output=1 / self.input, origins={})

@@ -1,0 +1,120 @@
+"""The sizes of a spec's signals: those that the file gives, and those that follow from what else it says."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.errors import OutsideTheory
+from pwatrack.model.normal_form import normal_form
+from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
+from pwatrack.model.sizes import Origin, Sizes
+from pwatrack.simulation.region import Box
+from pwatrack.spec.spec import Spec
+
+_SPAN = 20.0  # time constants in a run, for a plant that has no speed of its own: what decays so is over long before
+_TIMES = 4096  # at which a reference is looked at, beside its breaks
+_GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are even over [0, 1] and in step with no period
+_STILL = 1e-9  # of the largest value: what moves less is a constant, but for rounding
+
+Known = tuple[str, float, Origin]
+
+
+def spec_sizes(spec: Spec) -> Sizes:
+    """Return the sizes of all signals of a spec.
+
+    Each is the first of these that there is: what the file gives under `sizes`; of an input, half the width of its
+    limits; how far the reference moves the signal, half of its range, or where it rests; for a state half the width of
+    the region that members of an ensemble start in. The rest, and the speed, is what balances the plant. An output that
+    the file gives no size is at least as large as its noise: what is below that cannot be seen.
+
+    Example: the paper's reference moves the first mass by 0.15 m, at up to 0.94 m/s.
+
+        >>> from pwatrack import load_spec
+        >>> sizes = spec_sizes(load_spec("specs/two_mass_backlash.yaml"))
+        >>> sizes.state.round(2).tolist()[:2], sizes.origins["v1"], sizes.origins["v2"]
+        ([0.15, 0.94], 'reference', 'balanced')
+    """
+    plant, known = spec.problem.plant, dict[str, tuple[float, Origin]]()
+    tempo, noise = _SPAN / spec.scenario.duration, spec.scenario.conditions.noise
+    sources = (_given(spec), _limits(spec), _reference(spec), _ensemble(spec))
+    for name, size, origin in (found for source in sources for found in source):
+        if name not in known and 0 < size < np.inf:
+            known[name] = size, origin
+    sizes = Sizes.of(plant, known, tempo=tempo)
+    if noise is None:
+        return sizes
+    for name, size, std in zip(plant.outputs, sizes.output.tolist(), noise.std.tolist(), strict=True):
+        if name not in spec.problem.sizes and std > size:
+            known[name] = std, "noise"
+    return Sizes.of(plant, known, tempo=tempo)
+
+
+def _given(spec: Spec) -> Iterator[Known]:
+    for name, size in spec.problem.sizes.items():
+        yield name, size, "given"
+
+
+def _limits(spec: Spec) -> Iterator[Known]:
+    limits = spec.scenario.conditions.limits
+    for name, (low, high) in zip(spec.problem.plant.inputs, () if limits is None else limits.tolist(), strict=False):
+        yield name, (high - low) / 2, "limits"
+
+
+def _ensemble(spec: Spec) -> Iterator[Known]:
+    region = spec.scenario.regions.get("plant")
+    if region is not None:
+        radii = (region.high - region.low) / 2 if isinstance(region, Box) else region.radii
+        for name, radius in zip(spec.problem.plant.states, radii.tolist(), strict=True):
+            yield name, radius, "ensemble"
+
+
+def _reference(spec: Spec) -> Iterator[Known]:
+    """Yield how far the reference moves each signal that it determines."""
+    plant, reference, duration = spec.problem.plant, spec.problem.reference, spec.scenario.duration
+    found: Iterable[tuple[str, float]]
+    if isinstance(reference, SetPoint):
+        y = np.abs(reference.y)
+        found = [*zip(plant.outputs, y.tolist(), strict=True)]
+        for row, size in zip(plant.C, y, strict=True):  # an output that is a multiple of one state says its size
+            j = np.flatnonzero(row)
+            found += [(plant.states[k], float(size / abs(row[k]))) for k in j if len(j) == 1]
+    elif isinstance(reference, OutputReference):
+        found = _through_xi(spec, reference)
+    else:
+        names = plant.inputs if isinstance(reference, InputReference) else plant.states
+        system = exosystem(reference.signals())
+        found = zip(names, _moves(system.states(_times(system, duration)) @ system.Q.T).tolist(), strict=True)
+    for name, size in found:
+        yield name, size, "reference"
+
+
+def _through_xi(spec: Spec, reference: OutputReference) -> Iterator[tuple[str, float]]:
+    """Yield how far y_d moves the output, and each state that is a function of ξ = (y, ẏ, …) alone."""
+    plant = spec.problem.plant
+    try:
+        form = normal_form(plant)
+    except OutsideTheory:  # nothing can be said; the design says why
+        return
+    system = exosystem([reference.signal(form.r)])
+    w = system.states(_times(system, spec.scenario.duration))
+    xi = w @ system.derivative_rows(form.r - 1)[:, 0].T
+    yield plant.outputs[0], float(_moves(xi)[0])
+    alone = np.flatnonzero(~form.T_inverse[:, form.r :].any(axis=1))
+    x = (xi - form.offset[: form.r]) @ form.T_inverse[alone, : form.r].T
+    for j, size in zip(alone.tolist(), _moves(x).tolist(), strict=True):
+        yield plant.states[j], size
+
+
+def _times(system: Exosystem, duration: float) -> Array:
+    """Return times in s up to the end of a run or of the signals."""
+    end = duration if system.end is None else min(duration, system.end)
+    breaks = np.array([0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if t < end)])
+    even = end * (np.arange(1, _TIMES + 1) * _GOLDEN % 1.0)
+    return np.sort(np.concatenate([breaks, (breaks + np.append(breaks[1:], end)) / 2, even]))
+
+
+def _moves(values: Array) -> Array:
+    """Return half of the range of signals (T, k), or where they are constant their size, (k,)."""
+    half, largest = np.ptp(values, axis=0) / 2, np.abs(values).max(axis=0)
+    return np.asarray(np.where(half > _STILL * largest, half, largest))
