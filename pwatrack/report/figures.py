@@ -149,7 +149,7 @@ def size_texts(sizes: Sizes, most: int) -> list[str]:
         >>> from pwatrack import load_spec
         >>> from pwatrack.sizing import spec_sizes
         >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")), 20)[1]
-        'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001451 1/s'
+        'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001449 1/s'
     """
     known = sizes.by_name
     shown = list(known)[:most]
