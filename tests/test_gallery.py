@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pwatrack import PwatrackError, load_spec, simulate
+from pwatrack.report.required import required
 from pwatrack.spec.load import expected_exit
 from tests.conftest import SPECS
 
@@ -16,7 +17,9 @@ REFUSED = [path for path in ALL if expected_exit(path)]
 
 @pytest.mark.parametrize("path", WORKING, ids=lambda path: path.stem)
 def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
-    result = simulate(load_spec(path))
+    spec = load_spec(path)
+    result = simulate(spec)
+    assert all(checked.met for checked in required(spec, result.controller, result))
     desired = np.abs(result.response.y_d).max(axis=0)
     small = 1e-4 if result.loop.conditions.nominal else 0.1
     assert result.final_error <= small * max(desired.max(), np.abs(result.response.x_d).max())

@@ -93,6 +93,12 @@ def test_what_never_gets_there_has_no_time_and_what_starts_there_has_no_way() ->
     assert figures(np.ones_like(T), np.ones_like(T)).settling_time["y"] == 0
 
 
+def test_what_goes_beyond_by_rounding_does_not_overshoot() -> None:
+    rounded = 1 - np.exp(-9 * T) + 1e-15 * np.sin(300 * T)
+    assert rounded.max() > 1
+    assert figures(rounded, np.ones_like(T)).overshoot["y"] == 0
+
+
 @given(
     st.integers(0, 2**31),
     st.lists(st.integers(1, 999), max_size=4),

@@ -118,9 +118,9 @@ class _Move:
 
     @property
     def overshoot(self) -> float:
-        """How far the output goes beyond the rest, as a share of |h|."""
+        """How far the output goes beyond the rest, as a share of |h|; 0 where that is rounding."""
         beyond = self.high - self.target if self.distance > 0 else self.target - self.low
-        return max(0.0, beyond / abs(self.distance))
+        return beyond / abs(self.distance) if beyond > _STILL * self._size else 0.0
 
     @property
     def band(self) -> float:
