@@ -62,9 +62,15 @@ def program_of(kind: str, n: int, cells: int) -> Program:
 
 
 def ours(program: Program) -> float:
-    """Return the objective that we find."""
+    """Return the objective that we find, of a point that satisfies all constraints."""
     found = solve(program, gap=GAP)
-    return np.nan if found is None else found.objective
+    return np.nan if found is None or found.violation > 0 else found.objective
+
+
+def certain(program: Program) -> float:
+    """Return how far our objective may be from the least one, as a share: what the multipliers say."""
+    found = solve(program, gap=GAP)
+    return np.nan if found is None else (found.gap + found.dual_off) / abs(found.objective)
 
 
 def cvxpy(solver: str, **options: Any) -> Callable[[Program], float]:
@@ -172,8 +178,11 @@ def design(n: int, cells: int) -> float:
     return rates[0]
 
 
-def timed(call: str, limit: float) -> tuple[float, float]:
-    """Return the processor time in s and the objective, from a process of its own; infinity: ended, nan: failed."""
+def timed(call: str, limit: float) -> tuple[float, float, float]:
+    """Return the processor time in s, the objective and what it may be off, from a process of its own.
+
+    Infinity: it was ended; not a number: it failed.
+    """
     code = f"from benchmarks import lmi; lmi.{call}"
     run = subprocess.run(
         [sys.executable, "-c", code],
@@ -183,12 +192,12 @@ def timed(call: str, limit: float) -> tuple[float, float]:
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (round(limit), round(limit) + 5)),
     )
     if run.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return np.inf, np.nan
+        return np.inf, np.nan, np.nan
     try:
-        seconds, objective = json.loads(run.stdout.splitlines()[-1])
+        seconds, objective, off = json.loads(run.stdout.splitlines()[-1])
     except (IndexError, ValueError):
-        return np.nan, np.nan
-    return seconds, objective
+        return np.nan, np.nan, np.nan
+    return seconds, objective, off
 
 
 def alone(name: str, kind: str, n: int, cells: int, repeat: int) -> None:
@@ -196,7 +205,7 @@ def alone(name: str, kind: str, n: int, cells: int, repeat: int) -> None:
     objective_by = SOLVERS[name][0]
     objective_by(program_of(kind, 3, 2))
     program = program_of(kind, n, cells)
-    _report(lambda: objective_by(program), repeat)
+    _report(lambda: objective_by(program), repeat, certain(program) if objective_by is ours else np.nan)
 
 
 def designed(n: int, cells: int, repeat: int) -> None:
@@ -205,13 +214,13 @@ def designed(n: int, cells: int, repeat: int) -> None:
     _report(lambda: design(n, cells), repeat)
 
 
-def _report(run: Callable[[], float], repeat: int) -> None:
+def _report(run: Callable[[], float], repeat: int, off: float = np.nan) -> None:
     least, value = np.inf, np.nan
     for _ in range(repeat):
         start = time.process_time()
         value = run()
         least = min(least, time.process_time() - start)
-    sys.stdout.write("\n" + json.dumps([least, value]) + "\n")
+    sys.stdout.write("\n" + json.dumps([least, value, off]) + "\n")
 
 
 def exponent(sizes: list[int], times: list[float]) -> str:
@@ -234,19 +243,19 @@ class Measured:
             for name, (_, needs) in SOLVERS.items()
             if (not needs or name in options.peers) and all(find_spec(module) for module in needs)
         ]
-        self._found = dict[tuple[str, int, int], tuple[float, float]]()
+        self._found = dict[tuple[str, int, int], tuple[float, float, float]]()
 
-    def of(self, name: str, n: int, cells: int) -> tuple[float, float]:
+    def of(self, name: str, n: int, cells: int) -> tuple[float, float, float]:
         """Return the time of a solver and its objective; infinity where a smaller program took too long."""
         key = name, n, cells
         if key not in self._found:
             ended = any(
                 np.isinf(seconds) and by == name and states <= n and count <= cells
-                for (by, states, count), (seconds, _) in self._found.items()
+                for (by, states, count), (seconds, *_) in self._found.items()
             )
             repeat = self._options.repeat if name == self.names[0] else 1
             call = f"alone({name!r}, {self._kind!r}, {n}, {cells}, {repeat})"
-            self._found[key] = (np.inf, np.nan) if ended else timed(call, self._options.limit)
+            self._found[key] = (np.inf, np.nan, np.nan) if ended else timed(call, self._options.limit)
         return self._found[key]
 
     def row(self, n: int, cells: int) -> None:
@@ -254,9 +263,10 @@ class Measured:
         at = f"  n = {n:3} l = {cells:3}  "
         objective = self.of(self.names[0], n, cells)[1]
         for name in self.names:
-            seconds, other = self.of(name, n, cells)
-            off = f"{abs(other - objective) / max(abs(objective), 1e-300):.0e} from ours"
-            text = f"{seconds:9.3f} s  {other:+.8f}  {off if name != self.names[0] else ''}"
+            seconds, other, off = self.of(name, n, cells)
+            far = f"{abs(other - objective) / max(abs(objective), 1e-300):.0e} from ours"
+            far = far if name != self.names[0] else f"certain to {off:.0e}"
+            text = f"{seconds:9.3f} s  {other:+.8f}  {far}"
             too_long = f"more than {self._options.limit:g} s" if np.isinf(seconds) else "no answer"
             self._console.print(f"{at}{name:17} {text if np.isfinite(seconds) else too_long:>14}")
         seconds = self.of(self.names[0], n, cells)[0]
@@ -302,7 +312,7 @@ def main() -> None:
             continue
         console.print("\na whole default design, K and L with proofs, beside one margin program")
         for n, cells in (size for size in DESIGNS if size[0] <= max(options.states)):
-            seconds, rate = timed(f"designed({n}, {cells}, {options.repeat})", options.limit)
+            seconds, rate, _ = timed(f"designed({n}, {cells}, {options.repeat})", options.limit)
             name, fastest = measured.fastest_peer(n, cells)
             console.print(
                 f"  n = {n:3} l = {cells:3}  {seconds:7.3f} s (rate {rate:.4g}); one margin: {name} {fastest:.3f} s"
