@@ -409,10 +409,10 @@ def test_no_gain_is_said_only_where_the_input_does_nothing_or_nothing_is_seen(tm
         "simulation: {duration: 1, sample_time: 0.1}\n"
     )
     text = said(head + "B: [[0], [0]], C: [[1, 0]]" + tail, tmp_path)
-    assert "K = [0 0], ‖K‖ = 0, no gain: the input does nothing" in text
+    assert "K = [0 0], ‖K‖ = 0 in sizes, no gain: the input does nothing" in text
     assert text.count("no gain") == 1
     text = said(head + "B: [[1], [0]], C: [[0, 0]]" + tail, tmp_path)
-    assert "Lᵀ = [0 0], ‖L‖ = 0, no gain: the output shows nothing" in text
+    assert "Lᵀ = [0 0], ‖L‖ = 0 1/s in sizes, no gain: the output shows nothing" in text
     assert text.count("no gain") == 1
 
 
