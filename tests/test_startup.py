@@ -50,6 +50,7 @@ system:
   states: [z, v]
   inputs: [u]
   outputs: [y1, y2]
+  sizes: {{z: 2, v: 2, y1: 3, y2: 3}}
   A: [[0, 1], [-2, -1]]
   B: [[0], [1]]
   C: {rows}

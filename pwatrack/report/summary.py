@@ -17,7 +17,6 @@ from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -94,60 +93,6 @@ def _cell_text(report: Applicability, i: int) -> str:
 
 def _facet_text(plant: PWASystem, facet: Facet) -> str:
     return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
-
-
-def plant_json(
-    name: str,
-    report: Applicability,
-    reference: str = "",
-    sizes: Sizes | None = None,
-    remarks: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
-    plant, form = report.plant, report.form
-    planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
-    values = report.zero_dynamics if report.zero_dynamics is not None else ()
-    return {
-        "name": name,
-        "states": list(plant.states),
-        "inputs": list(plant.inputs),
-        "outputs": list(plant.outputs),
-        "cells": list(plant.cell_names),
-        "facets": [
-            {
-                "cells": [plant.cell_names[facet.i], plant.cell_names[facet.j]],
-                "hyperplane": planes[facet.k],
-            }
-            for facet in plant.partition.facets
-        ],
-        "continuous": True,
-        "form_11": form is not None,
-        "relative_degree": None if form is None else form.r,
-        "eta": [] if form is None else list(form.eta_names),
-        "zero_dynamics": {
-            cell: [[float(v.real), float(v.imag)] for v in row]
-            for cell, row in zip(plant.cell_names, values, strict=False)
-        },
-        "theorems": report.theorems(),
-        "reference": reference or None,
-        "sizes": sizes and {k: {"size": v, "from": sizes.origins[k]} for k, v in sizes.by_name.items()},
-        "speed": sizes and sizes.speed,
-        "remarks": [*plant.remarks, *remarks],
-    }
-
-
-def check_json(
-    name: str,
-    report: Applicability | None,
-    reference: str,
-    sizes: Sizes | None,
-    refusal: PwatrackError | None,
-    remarks: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
-    plant = {} if report is None else plant_json(name, report, reference, sizes, remarks)
-    problems = () if refusal is None else refusal.problems
-    return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
 
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
