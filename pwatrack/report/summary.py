@@ -30,6 +30,7 @@ from pwatrack.report.figures import (
     member_figures,
     signal_text,
     size_texts,
+    states_unit,
 )
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
@@ -319,7 +320,8 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
-    table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
+    off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
+    table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = figures["largest_input"].items()
     table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
