@@ -58,8 +58,7 @@ def check(
     with refusals():
         from pwatrack.control.applicability import applicability
         from pwatrack.errors import PwatrackError
-        from pwatrack.report import summary
-        from pwatrack.report.checked import check_json
+        from pwatrack.report.plant import check_json, print_plant
         from pwatrack.sizing import spec_sizes
         from pwatrack.spec.load import assignments, load_spec
         from pwatrack.tracking import check_reference, reference_remarks
@@ -76,7 +75,7 @@ def check(
         if as_json:
             typer.echo(json.dumps(check_json(name, report, reference, sizes, refusal, remarks), indent=2))
         elif report is not None:
-            summary.print_plant(console(), name, report, reference, sizes, remarks)
+            print_plant(console(), name, report, reference, sizes, remarks)
         if refusal is not None:
             raise refusal
 

@@ -119,7 +119,7 @@ class Watch:
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
         self._first, self._end = self._first or block, float(block.t[-1])
-        number, norm = self._number, np.linalg.norm(block.tracking_error, axis=1)
+        number, norm = self._number, block.error_norm
         self._number += len(norm)
         for k, (start, end) in enumerate(pairwise(self._edges)):
             self._error.see(k, block.tracking_error[max(start - number, 0) : max(end - number, 0)])
@@ -145,9 +145,11 @@ class Watch:
         assert self._first is not None
         first, promised = self._first, self._loop.controller.guarantees
         starts, t = (first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]), block.t
+        sizes, states = block.error_sizes, block.state_sizes
+        rounding, of_x = self._rounding(t[-1]), self._rounding_of_x(t[-1]) / (states if len(states) > 1 else 1.0)
         bounds = (
-            (self._norm_name, norm, promised.tracking_error(t, *starts, output=self._output), self._rounding(t[-1])),
-            ("‖x̂ − x‖", block.observer_error, promised.observer_error(t, starts[1]), self._rounding_of_x(t[-1])),
+            (self._norm_name, norm, promised.tracking_error(t, *starts, output=self._output), rounding / sizes),
+            ("‖x̂ − x‖", block.observer_error, promised.observer_error(t, starts[1]), of_x),
         )
         for name, error, bound, rounding in bounds:
             above = np.flatnonzero(error > bound + np.linalg.norm(rounding))
@@ -207,8 +209,8 @@ class Watch:
         allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
-            unit = {self._units.get(name, "") for name in self._names}
-            final, worst = (f"{v:.2e} {unit.copy().pop() if len(unit) == 1 else ''}".rstrip() for v in self._norms)
+            unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
+            final, worst = (f"{v:.2e} {unit}".rstrip() for v in self._norms)
             return Outcome(kind="tracks", text=f"tracks: {self._norm_name} at most {final} {when} ({worst} at worst)")
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]

@@ -264,7 +264,13 @@ def _member(result: Result, loop: ClosedLoop) -> Member:
 
     start = result.start.copy()
     _observe(spec, loop, start)
-    return Member(flow=loop.flow, z0=start, error=loop.tracking_error, resets=resets, judge=judge)
+    return Member(
+        flow=loop.flow,
+        z0=start,
+        error=loop.tracking_error / loop.controller.error_sizes[:, None],
+        resets=resets,
+        judge=judge,
+    )
 
 
 def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:

@@ -85,7 +85,7 @@ class Verdict:
     """Of one simulation: the largest error as a part of its bound, and the bounds as parts of the second opinion.
 
     Attributes:
-        output, state, observer: |y − y_d|, |x − x_d| and |x̂ − x| over their bounds; the largest of all samples.
+        output, state, observer: |y − y_d|, and in sizes |x − x_d| and |x̂ − x|, over their bounds; the worst of all.
         later: The same for bounds that start in the middle of the simulation.
         decay: The fastest certified decay of ‖x̂ − x‖_o over a sample, over the one seen; above 1 it is slower.
         opinions: Our bound over `Bound`, smallest and largest.
@@ -114,7 +114,8 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
     promised, t = loop.controller.guarantees, response.t
     e, delta = response.x - response.x_d, response.x_hat - response.x
     y, output = (response.y - response.y_d), loop.controller.generator is not None
-    floor = FLOOR * max(1.0, float(np.abs(response.x).max()))
+    sizes = loop.controller.sizes.state if e.shape[1] > 1 else np.ones(1)
+    floor = FLOOR * max(1.0, float(np.abs(response.x).max()), float(np.abs(response.x / sizes).max()))
 
     def part(error: Array, bound: Array) -> float:
         return float((np.linalg.norm(error, axis=1) / (bound + floor)).max())
@@ -135,17 +136,17 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
             ],
             axis=0,
         )
-        for S in (np.eye(e.shape[1]), loop.controller.plant.C)
+        for S in (np.diag(1 / sizes), loop.controller.plant.C)
     ]
     ours = [promised.tracking_error(t, e[0], delta[0], output=which) for which in (False, True)]
     ratio = np.concatenate([a / b for a, b in zip(ours, opinion, strict=True)])
     return Verdict(
         output=part(y, ours[1]) if output else 0.0,
-        state=part(e, ours[0]),
-        observer=part(delta, promised.observer_error(t, delta[0])),
+        state=part(e / sizes, ours[0]),
+        observer=part(delta / sizes, promised.observer_error(t, delta[0])),
         later=max(
-            part(e[half:], promised.tracking_error(rest, e[half], delta[half], output=False)),
-            part(delta[half:], promised.observer_error(rest, delta[half])),
+            part(e[half:] / sizes, promised.tracking_error(rest, e[half], delta[half], output=False)),
+            part(delta[half:] / sizes, promised.observer_error(rest, delta[half])),
         ),
         decay=float(max(seen)),
         opinions=(float(ratio.min()), float(ratio.max())),

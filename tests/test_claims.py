@@ -13,7 +13,8 @@ from pwatrack import ensemble, load_spec, simulate, write_result
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
 from pwatrack.pipeline import design
-from pwatrack.report import summary
+from pwatrack.report import summary, terminal
+from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.verify import verify
 from pwatrack.sizing import spec_sizes
@@ -45,13 +46,13 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     """Yield every row of every table that is printed for some plants, and every sentence of verify."""
     rows: list[Row] = []
 
-    class Recorded(summary.Table):  # type: ignore[misc, name-defined]
+    class Recorded(terminal.Table):  # type: ignore[misc, name-defined]
         def add_row(self, *texts: Any, **options: Any) -> None:
             if len(texts) == 2:  # not the figures of an ensemble
                 rows.append((str(texts[0]), str(texts[1])))
             super().add_row(*texts, **options)
 
-    monkeypatch.setattr(summary, "Table", Recorded)
+    monkeypatch.setattr(terminal, "Table", Recorded)
     console = Console(file=io.StringIO(), width=200)
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
@@ -59,7 +60,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
             reference = check_reference(spec)
         except PwatrackError as error:
             reference = str(error)
-        summary.print_plant(console, spec.name, applicability(spec.problem.plant), reference, spec_sizes(spec))
+        print_plant(console, spec.name, applicability(spec.problem.plant), reference, spec_sizes(spec))
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)

@@ -70,7 +70,7 @@ def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: P
         assert max(verdict.output, verdict.state, verdict.observer, verdict.later) <= 1
         assert verdict.decay <= 1 + 1e-9
         assert verdict.opinions == pytest.approx((1, 1), rel=1e-5)
-        size = np.linalg.norm(result.response.tracking_error, axis=1)
+        size = result.response.error_norm
         assert result.tracking_bound is not None
         assert result.observer_bound is not None
         assert (size <= result.tracking_bound * (1 + 1e-9) + 1e-12).all()

@@ -32,7 +32,9 @@ def response(y: Array, y_d: Array, t: Array = T) -> Response:
     y, y_d = y[:, None], y_d[:, None]
     signals = dict.fromkeys(("x", "x_hat", "x_d", "eta", "eta_hat", "u", "u_ff"), zero)
     trace = Trace(t=t, z=zero, modes=modes, events=())
-    return Response(trace=trace, y=y, y_d=y_d, tracking_error=y - y_d, **signals)
+    return Response(
+        trace=trace, y=y, y_d=y_d, tracking_error=y - y_d, state_sizes=np.ones(1), error_sizes=np.ones(1), **signals
+    )
 
 
 def figures(y: Array, y_d: Array, band: float | None = None) -> Figures:

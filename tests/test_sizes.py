@@ -18,7 +18,7 @@ from pwatrack.control.task import Task
 from pwatrack.errors import InvalidSpec
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.summary import print_plant
+from pwatrack.report.plant import print_plant
 from pwatrack.sizing import spec_sizes
 from tests.conftest import SPECS
 from tests.units import Units, apart, in_units

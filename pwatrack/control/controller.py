@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.generator import TrajectoryGenerator
@@ -48,7 +50,13 @@ class Controller:
     @cached_property
     def guarantees(self) -> Guarantees:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
-        return guarantees(self.plant, self.design, self.proofs)
+        return guarantees(self.plant, self.design, self.proofs, self.sizes)
+
+    @property
+    def error_sizes(self) -> Array:
+        """What each entry of the tracking error counts in a norm of them all: its size; 1 where it is the only one."""
+        sizes = self.sizes.state if self.generator is None else self.sizes.output
+        return np.ones(1) if len(sizes) == 1 else sizes
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:

@@ -26,6 +26,17 @@ class Norm:
         return cls(identity(n))
 
     @classmethod
+    def in_sizes(cls, sizes: Array) -> "Norm":
+        """Return the norm with Q = diag(1 / size²): the length of a vector whose entries are counted in sizes (n,).
+
+        Example:
+            >>> 5.0 <= Norm.in_sizes(np.array([0.5, 2.0]))(np.array([1.5, 8.0])) < 5.0 + 1e-14
+            True
+        """
+        n, squares = len(sizes), [1 / Fraction(size) ** 2 for size in sizes.tolist()]
+        return cls(rational([[squares[j] if j == k else Fraction(0) for k in range(n)] for j in range(n)], (n, n)))
+
+    @classmethod
     def of(cls, proof: Proof) -> "Norm":
         """Return the norm in which a proof says that errors shrink: Q = P⁻¹ for (8), Q = P for (9) and (17).
 

@@ -35,11 +35,16 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def error_unit(result: Result) -> str:
-    """Return the unit of the tracking error, or '' if its entries differ in unit."""
+    """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
     plant = result.spec.problem.plant
     names = plant.outputs if result.controller.generator is not None else plant.states
-    units = {result.spec.problem.units.get(name, "") for name in names}
-    return units.pop() if len(units) == 1 else ""
+    return result.spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
+
+
+def states_unit(spec: Spec) -> str:
+    """Return the unit of a norm of all states: of several it is in sizes."""
+    states = spec.problem.plant.states
+    return spec.problem.units.get(states[0], "") if len(states) == 1 else "sizes"
 
 
 def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from matplotlib.transforms import Bbox
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.pareto import Front
 from pwatrack.model.pwa import linear_form_text
-from pwatrack.report.figures import error_unit
+from pwatrack.report.figures import error_unit, states_unit
 from pwatrack.result import Result
 from pwatrack.spec.expression import LinearForm
 from pwatrack.variation import EnsembleResult
@@ -58,19 +58,20 @@ def tracking_error(result: Result) -> Figure:
     """Draw the tracking error over time, linear and logarithmic with its proved bound (Figure 2)."""
     plant = result.spec.problem.plant
     names = plant.outputs if result.controller.generator is not None else plant.states
-    error = result.response.tracking_error
+    error = result.response.tracking_error / result.response.error_sizes
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
     unit = error_unit(result)
     title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
-    size = np.asarray(np.linalg.norm(error, axis=1))
+    size = result.response.error_norm
     return _error(result, curves, size, result.tracking_bound, unit, title)
 
 
 def observer_error(result: Result) -> Figure:
     """Draw ‖x − x̂‖ over time, linear and logarithmic with its proved bound (Figure 2)."""
     error = result.response.observer_error
-    title = f"Observer error: {error[-1]:.1e} at the end"
-    return _error(result, {"‖x − x̂‖": error}, error, result.observer_bound, "", title)
+    unit = states_unit(result.spec)
+    title = f"Observer error: {error[-1]:.1e} {unit}".rstrip() + " at the end"
+    return _error(result, {"‖x − x̂‖": error}, error, result.observer_bound, unit, title)
 
 
 def outputs(result: Result) -> Figure:

@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,11 @@ from rich.table import Table
 
 from pwatrack.arrays import Array, complex_text, number_text
 from pwatrack.ball_matrix import different
-from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.model.cells import Facet
-from pwatrack.model.pwa import PWASystem
-from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import (
     channel_text,
     declared,
@@ -28,71 +24,17 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
     signal_text,
-    size_texts,
+    states_unit,
 )
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
+from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 
-_MOST_SHOWN = 20  # of cells or facets at the terminal
-_FEW = 5  # of more than that
 _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
-
-
-def print_plant(
-    console: Console,
-    name: str,
-    report: Applicability,
-    reference: str = "",
-    sizes: Sizes | None = None,
-    remarks: Sequence[str] = (),
-) -> None:
-    """Say what the plant is, which theorems apply, what is known of the reference, and which sizes are in force.
-
-    Of many cells, facets or signals only the first ones.
-    """
-    plant, form = report.plant, report.form
-    facets = plant.partition.facets
-    counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
-    orders = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
-    table = _titled(name)
-    table.add_row("plant (1)", f"{orders}; continuous across all {len(facets)} facets")
-    _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
-    _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
-    if form is not None:
-        table.add_row(
-            "form (11)", f"relative degree {form.r}, internal states η = {', '.join(form.eta_names) or 'none'}"
-        )
-    for theorem, answer in report.theorems().items():
-        table.add_row(theorem, answer)
-    if reference:
-        table.add_row("reference", reference)
-    for k, text in enumerate(size_texts(sizes, _MOST_SHOWN) if sizes else ()):
-        table.add_row("" if k else "sizes", text)
-    _remark_rows(table, (*plant.remarks, *remarks))
-    console.print(table)
-
-
-def _some_rows(table: Table, kind: str, count: int, text: Callable[[int], str]) -> None:
-    """Add a row for each of some things, or for the first of many."""
-    shown = count if count <= _MOST_SHOWN else _FEW
-    for k in range(shown):
-        table.add_row(kind, text(k))
-    if shown < count:
-        table.add_row("", f"… and {count - shown:,} more {kind}s (--json lists all)")
-
-
-def _cell_text(report: Applicability, i: int) -> str:
-    name = report.plant.cell_names[i]
-    values = () if report.zero_dynamics is None else report.zero_dynamics[i]
-    return f"{name}: zero dynamics {', '.join(complex_text(complex(v)) for v in values)}" if len(values) else name
-
-
-def _facet_text(plant: PWASystem, facet: Facet) -> str:
-    return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
 
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
@@ -100,11 +42,11 @@ _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output sh
 
 def print_design(console: Console, spec: Spec, controller: Controller, checked: Sequence[Checked] = ()) -> None:
     """Say what was proved and the gains; above all what was required and is not so."""
-    table = _titled(spec.name)
+    table = titled(spec.name)
     _missed_rows(table, checked)
     _met_row(table, checked)
     _proved_rows(table, spec, controller)
-    _remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller.form)))
+    remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller.form)))
     console.print(table)
 
 
@@ -254,7 +196,7 @@ def _met_row(table: Table, checked: Sequence[Checked]) -> None:
 def print_result(console: Console, result: Result, checked: Sequence[Checked] = ()) -> None:
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
-    table = _titled(result.spec.name)
+    table = titled(result.spec.name)
     _missed_rows(table, checked)
     table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
     _met_row(table, checked)
@@ -264,7 +206,8 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _proved_rows(table, result.spec, result.controller)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
-    table.add_row("observer error", f"‖x − x̂‖ = {figures['final_observer_error']:.2e} at the end")
+    off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
+    table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = figures["largest_input"].items()
     table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
@@ -278,7 +221,7 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
             f"after one period it misses itself by {steady.residual:.0e}",
         )
     _repair_rows(table, result)
-    _remark_rows(table, result.remarks)
+    remark_rows(table, result.remarks)
     console.print(table)
 
 
@@ -316,15 +259,10 @@ def _repair_rows(table: Table, result: Result) -> None:
             table.add_row("", f"which adds at most {size} to |{name.replace('-', '−')}| in the end")
 
 
-def _remark_rows(table: Table, remarks: Sequence[str]) -> None:
-    for remark in remarks:
-        table.add_row("remark", remark)
-
-
 def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
     figures, unit = ensemble_measures(many), error_unit(many.nominal)
-    table = _titled(None)
+    table = titled(None)
     table.add_row(
         "ensemble",
         f"{figures['members']:,} member{'s' * (figures['members'] != 1)} {many.variation.text}, seed {figures['seed']}",
@@ -384,20 +322,6 @@ def print_files(console: Console, folder: Path) -> None:
     console.print(f"Results in {folder!s}/: {', '.join(sorted(names))}", highlight=False, soft_wrap=True)
     if kept := kept_files(folder):
         console.print(f"Kept, as no run had left them so: {', '.join(kept)}", highlight=False, soft_wrap=True)
-
-
-def _titled(title: str | None) -> Table:
-    table = Table(
-        show_header=False,
-        box=None,
-        padding=(0, 2, 0, 0),
-        title=title if title else None,
-        title_justify="left",
-        title_style="bold",
-    )
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    return table
 
 
 def _matrix(X: Array) -> str:

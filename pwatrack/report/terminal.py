@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from pwatrack.errors import ExitCode, Problem, PwatrackError
@@ -117,3 +118,24 @@ def _hints_last(problems: Sequence[Problem]) -> list[str]:
         if problem.hint and (k + 1 == len(problems) or problems[k + 1].hint != problem.hint):
             lines.append(f"  hint: {problem.hint}")
     return lines
+
+
+def titled(title: str | None) -> Table:
+    """Return an empty table of labels and sentences."""
+    table = Table(
+        show_header=False,
+        box=None,
+        padding=(0, 2, 0, 0),
+        title=title if title else None,
+        title_justify="left",
+        title_style="bold",
+    )
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    return table
+
+
+def remark_rows(table: Table, remarks: Sequence[str]) -> None:
+    """Add what was noticed and is no promise."""
+    for remark in remarks:
+        table.add_row("remark", remark)

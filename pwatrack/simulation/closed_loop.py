@@ -83,6 +83,8 @@ class ClosedLoop:
             u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
             tracking_error=x - x_d if self.controller.generator is None else y - y_d,
+            state_sizes=self.controller.sizes.state,
+            error_sizes=self.controller.error_sizes,
         )
 
     @property
@@ -110,6 +112,7 @@ class Response:
         y, y_d: Outputs and their desired values, (K, q).
         u, u_ff: Inputs and their feedforward parts, (K, m).
         tracking_error: What goes to 0: y − y_d for output tracking, x − x_d for state tracking.
+        state_sizes, error_sizes: What states, and entries of the tracking error, are counted in together, (n,), (q,).
     """
 
     trace: Trace
@@ -123,6 +126,8 @@ class Response:
     u: Array
     u_ff: Array
     tracking_error: Array
+    state_sizes: Array
+    error_sizes: Array
 
     @property
     def t(self) -> Array:
@@ -131,8 +136,14 @@ class Response:
 
     @property
     def observer_error(self) -> Array:
-        """‖x − x̂‖, (K,)."""
-        return np.asarray(np.linalg.norm(self.x - self.x_hat, axis=1))
+        """‖x − x̂‖, in sizes where there are several states, (K,)."""
+        sizes = self.state_sizes if len(self.state_sizes) > 1 else 1.0
+        return np.asarray(np.linalg.norm((self.x - self.x_hat) / sizes, axis=1))
+
+    @property
+    def error_norm(self) -> Array:
+        """The norm of the tracking error, in sizes where it has several entries, (K,)."""
+        return np.asarray(np.linalg.norm(self.tracking_error / self.error_sizes, axis=1))
 
 
 def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> ClosedLoop:

@@ -173,7 +173,7 @@ class Measuring:
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
-        size, tail = np.linalg.norm(block.tracking_error, axis=1), last_tenth(self.samples).start - self._number
+        size, tail = block.error_norm, last_tenth(self.samples).start - self._number
         if 0 <= tail < len(size):
             self._last_tenth = float(block.t[tail])
         self._final = max(self._final, float(size[max(0, tail) :].max(initial=0.0)))
