@@ -16,6 +16,7 @@ class Part(Enum):
     b = auto()
     B = auto()
     C = auto()
+    TRACKED = auto()
     REFERENCE = auto()
     START = auto()  # of x_d
     GENERATOR_START = auto()  # eta_hat(0)
@@ -41,6 +42,7 @@ class Way(Enum):
     """
 
     STATE_TRACKING = auto()
+    TRACKED = auto()  # the name of an output
     OFFSET = auto()  # entries of b, and the name of the cell that it is for
     TOLERANCE = auto()  # the tolerance in force
     INTERVAL = auto()  # of a formula that grows

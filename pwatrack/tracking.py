@@ -138,7 +138,7 @@ def check_breaks(
             plant,
             gains.K,
             trajectory,
-            outputs=np.eye(len(plant.states)) if generator is None else plant.C,
+            outputs=np.eye(len(plant.states)) if generator is None else plant.tracked,
             smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
             subject=("reference", "state" if generator is None else "output"),
         )

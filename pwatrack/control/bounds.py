@@ -7,7 +7,8 @@ With d added to the k-th state equation, or to the k-th measured output, (1), (1
 
 g = (ε_k, −ε_k) for the disturbance and g = (0, −L ε_k) for the noise, ε_k the k-th unit vector: f is continuous and
 linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with Â and Ã in conv{A_i}, each for itself. An
-ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: C e, K (e + Δ) = u − u_ff, Δ.
+ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: c e for a tracked row c,
+K (e + Δ) = u − u_ff, Δ.
 
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
 0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
@@ -54,8 +55,8 @@ class Part:
             "observer": z = Δ, A_j + L C.
         channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
             (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k.
-        signals: The rows c. ("output", k): C e; ("state", k): e; ("input", k): K (e + Δ), of which a single loop has
-            its half; ("estimate", k): Δ.
+        signals: The rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of
+            which a single loop has its half; ("estimate", k): Δ.
         ellipsoid: Q, a and the sizes, one for each signal.
     """
 
@@ -75,8 +76,8 @@ class Bounds:
 
     Attributes:
         channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output.
-        sizes: ("output", k): |y_k − y_dk| for output tracking; ("state", k): |x_k − x_dk| for state tracking;
-            ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
+        sizes: ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
+            tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
     """
@@ -96,7 +97,7 @@ def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, 
         output: Whether outputs are tracked, else states.
 
     Returns:
-        One for each state equation, then one for each output.
+        One for each state equation, then one for each measured output.
 
     Example: the paper's example. A push of 1 N on the first mass, 1 m/s² there, moves it by 1 m at most.
 
@@ -120,14 +121,14 @@ class _Loops:
 
     def __init__(self, exact: Matrices, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], *, output: bool) -> None:
         A, B, C, n = different(exact.A), exact.B, exact.C, exact.B.shape[0]
-        self.B, self.C, self.K, self.L, self.unit = B, C, K, L, BallMatrix(identity(n))
+        self.B, self.c, self.K, self.L, self.unit = B, exact.tracked, K, L, BallMatrix(identity(n))
         self.M: dict[Loop, list[BallMatrix]] = {
             "controller": [A_i + B @ K for A_i in A],
             "observer": [A_i + L @ C for A_i in A],
         }
         few = len(A) ** 2 * (2 * n) ** 4 <= MOST_WORK
         self.few_pairs, self.few_cells = few, len(A) * n**4 <= MOST_WORK
-        self.tracked: list[Form] = [("output", k) for k in range(C.shape[0])] if output else []
+        self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
         self.estimates: list[Form] = [("estimate", k) for k in range(n)]
@@ -200,7 +201,7 @@ class _Loops:
     def row(self, loop: Loop, signal: Form) -> BallMatrix:
         """Return c, (1, N)."""
         kind, k = signal
-        row = _column((self.C if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
+        row = _column((self.c if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
         nothing = BallMatrix(0 * row.centre)
         e, delta = {"input": (row, row), "estimate": (nothing, row)}.get(kind, (row, nothing))
         return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()

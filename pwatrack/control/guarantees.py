@@ -6,8 +6,9 @@ The field is continuous and linear in each cell, so f(x̂) − f(x) = Â (x̂ �
     Δ' = (Â + L C) Δ,        e' = (Â + B K) e + B K Δ,
 
 whatever the switching. A proof is a norm with d‖Δ‖/dt ≤ −α ‖Δ‖; likewise for e. Everything here follows from these
-two lines, as in the proof of Theorem 2. x_d is the one that the generator (15) makes, from its own start: there C x_d =
-y_d. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is in `bounds`.
+two lines, as in the proof of Theorem 2. x_d is the one that the generator (15) makes, from its own start: there
+c x_d = y_d for the tracked row c. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is
+in `bounds`.
 """
 
 from collections.abc import Sequence
@@ -54,7 +55,7 @@ class Guarantees:
 
     Attributes:
         controller, observer, generator: The proofs of (8), (9) and (17) as contractions.
-        output: |C e| ≤ output_c ‖e‖_c for each proof c of (8).
+        output: Of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8).
         drive: ‖B K Δ‖_c ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9).
     """
 
@@ -133,7 +134,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> Gua
         (0.084, 0.0681, True)
     """
     exact, K, L = plant.exact, *(BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    BK, q, A = exact.B @ K, len(plant.C), different(exact.A)
+    BK, q, A = exact.B @ K, len(plant.tracked), different(exact.A)
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}
     for proof in proofs:
         norm, share, n = Norm.of(proof), 0.0, len(proof.exponents)
@@ -149,7 +150,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> Gua
         controller=controller,
         observer=observer,
         generator=generator,
-        output=tuple(_size(exact.C, c.norm, Norm.euclidean(q)) for c in controller),
+        output=tuple(_size(exact.tracked, c.norm, Norm.euclidean(q)) for c in controller),
         drive=tuple(tuple(_size(BK, o.norm, c.norm) for o in observer) for c in controller),
     )
 

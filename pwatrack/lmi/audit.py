@@ -5,8 +5,8 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
   opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
   fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
-- The normal form (11): c_0 = C, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j - B_j / delta c_r-1
-  for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
+- The normal form (11): c_0 is the tracked row, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j -
+  B_j / delta c_r-1 for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
 - A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
@@ -31,7 +31,7 @@ from itertools import combinations
 from math import lcm
 from typing import Any
 
-FORMAT = "pwatrack certificate 3"
+FORMAT = "pwatrack certificate 4"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -127,14 +127,14 @@ def claim(proof: Any, cells: list[str]) -> str:
 
 
 class Plant:
-    """x' = A_i x + b_i + B u in cell i, y = C x."""
+    """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference."""
 
     def __init__(self, content: Any) -> None:
         radius = content["radius"]
         self.A, self.b = (
             [ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b")
         )
-        self.B, self.C = (ball(content[name], radius[name]) for name in ("B", "C"))
+        self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
         self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
         self.parallel = [normalised(plane) for plane in self.planes]
         self.signs = [[int(s) for s in row] for row in content["signs"]]
@@ -142,7 +142,7 @@ class Plant:
         if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
             raise Fault("the matrices of the plant do not fit together")
         shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in self.signs}
-        rows = {len(row) for row in (*self.C[0], *(plane[1:] for plane in self.planes))}
+        rows = {len(row) for row in (*self.C[0], *self.tracked[0], *(plane[1:] for plane in self.planes))}
         if not n or not cells or len(self.signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
             raise Fault("the matrices of the plant do not fit together")
         if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
@@ -166,9 +166,9 @@ class Plant:
         """Return A_eta, (17), after checking that the plant has the form (11) that is claimed."""
         n, r = len(self.B[0]), int(generator["relative_degree"])
         internal = [int(j) for j in generator["internal"]]
-        if len(self.C[0]) != 1 or len(self.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
+        if len(self.tracked[0]) != 1 or len(self.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
             raise Fault("the form (11) does not fit the plant")
-        row, T = self.C, self.C
+        row, T = self.tracked, self.tracked
         for k in range(r):
             following, reached = times(row, self.A[0]), product(row[0], self.B[0])[0][0]
             if (reached == 0) != (k < r - 1):
@@ -279,11 +279,11 @@ class Plant:
     def row(self, loop: str, kind: str, k: int, K: Matrix) -> Ball:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         n = len(self.B[0])
-        place(k, {"output": len(self.C[0]), "input": len(K), "state": n, "estimate": n}[kind])
+        place(k, {"output": len(self.tracked[0]), "input": len(K), "state": n, "estimate": n}[kind])
         unit, zero = [Fraction(int(j == k)) for j in range(n)], [Fraction(0)] * n
-        e = {"output": self.C[0], "input": K}[kind][k] if kind in ("output", "input") else unit
+        e = {"output": self.tracked[0], "input": K}[kind][k] if kind in ("output", "input") else unit
         e, Delta = (zero, e) if kind == "estimate" else (e, e if kind == "input" else zero)
-        radius = self.C[1][k] if kind == "output" and self.C[1] else []
+        radius = self.tracked[1][k] if kind == "output" and self.tracked[1] else []
         rows = {"joint": e + Delta, "controller": e, "observer": Delta}
         radii = {"joint": radius + zero, "controller": radius, "observer": zero}
         return [rows[loop]], [radii[loop]] if radius else []

@@ -111,6 +111,7 @@ def _plant(plant: PWASystem) -> dict[str, Any]:
         "states": list(plant.states),
         "inputs": list(plant.inputs),
         "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
         "cells": list(plant.cell_names),
         "H": [[text(v) for v in row] for row in partition.exact_H],
         "h": [text(v) for v in partition.exact_h],
@@ -119,11 +120,13 @@ def _plant(plant: PWASystem) -> dict[str, Any]:
         "b": [X.texts for X in exact.b],
         "B": exact.B.texts,
         "C": exact.C.texts,
+        "tracked_rows": exact.tracked.texts,
         "radius": {
             "A": _radii(exact.A),
             "b": _radii(exact.b),
             "B": exact.B.radius_texts,
             "C": exact.C.radius_texts,
+            "tracked_rows": exact.tracked.radius_texts,
         },
     }
 

@@ -37,7 +37,7 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
 def error_unit(result: Result) -> str:
     """Return the unit of the tracking error, or '' if its entries differ in unit."""
     plant = result.spec.problem.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
+    names = plant.tracked_names if result.controller.generator is not None else plant.states
     units = {result.spec.problem.units.get(name, "") for name in names}
     return units.pop() if len(units) == 1 else ""
 
@@ -137,7 +137,7 @@ def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
     """Return a signal that is bounded, as text, and its unit."""
     kind, k = signal
     plant = spec.problem.plant
-    name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
+    name = {"output": plant.tracked_names, "input": plant.inputs}.get(kind, plant.states)[k]
     texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
     return texts.get(kind, f"{name} - {name}_d"), spec.problem.units.get(name, "")
 

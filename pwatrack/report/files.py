@@ -235,6 +235,7 @@ def _signals(run: RunFolder, result: Result) -> None:
 def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
     """Return the names and values of all signals."""
     plant = result.spec.problem.plant
+    forms = [k for k, name in enumerate(plant.tracked_names) if name not in plant.outputs]
     return (
         (["t"], response.t),
         (plant.states, response.x),
@@ -243,6 +244,8 @@ def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str]
         ([f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])], response.eta_hat),
         (plant.outputs, response.y),
         ([f"{y}_d" for y in plant.outputs], response.y_d),
+        ([plant.tracked_names[k] for k in forms], response.tracked[:, forms]),
+        ([f"{plant.tracked_names[k]}_d" for k in forms], response.tracked_d[:, forms]),
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )

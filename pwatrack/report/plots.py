@@ -57,7 +57,7 @@ def draw(result: Result) -> dict[str, Figure]:
 def tracking_error(result: Result) -> Figure:
     """Draw the tracking error over time, linear and logarithmic with its proved bound (Figure 2)."""
     plant = result.spec.problem.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
+    names = plant.tracked_names if result.controller.generator is not None else plant.states
     error = result.response.tracking_error
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
     unit = error_unit(result)
@@ -74,10 +74,13 @@ def observer_error(result: Result) -> Figure:
 
 
 def outputs(result: Result) -> Figure:
-    """Draw each output with its desired value, whole and at both ends."""
-    response = result.response
-    labels = ("output", "desired")
-    return _pairs(result, "Outputs", result.spec.problem.plant.outputs, response.y, response.y_d, labels)
+    """Draw what is tracked, then what else is measured, each with its desired value; one alone also at both ends."""
+    response, plant = result.response, result.spec.problem.plant
+    others = [k for k, name in enumerate(plant.outputs) if name not in plant.tracked_names]
+    names = [*plant.tracked_names, *(plant.outputs[k] for k in others)]
+    actual = np.hstack([response.tracked, response.y[:, others]])
+    desired = np.hstack([response.tracked_d, response.y_d[:, others]])
+    return _pairs(result, "Outputs", names, actual, desired, ("output", "desired"))
 
 
 def control_input(result: Result) -> Figure:

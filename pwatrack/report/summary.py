@@ -112,6 +112,7 @@ def plant_json(
         "states": list(plant.states),
         "inputs": list(plant.inputs),
         "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
         "cells": list(plant.cell_names),
         "facets": [
             {
@@ -323,7 +324,7 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = figures["largest_input"].items()
     table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
-    for name in plant.outputs[:_SIGNALS]:
+    for name in plant.tracked_names[:_SIGNALS]:
         table.add_row("step" if name in figures["overshoot"] else "settling", _step_text(figures, name, result))
     if (steady := result.steady_state) is not None:
         multipliers = ", ".join(complex_text(complex(value)) for value in steady.multipliers)

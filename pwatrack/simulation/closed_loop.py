@@ -69,7 +69,8 @@ class ClosedLoop:
         cell = trace.modes[:, [part.name for part in self.flow.parts].index("generator")]
         trajectory, limits = self.controller.trajectory, self.conditions.limits
         x, x_d = z[:, at.x], z @ self.x_d.T
-        y, y_d = x @ self.plant.C.T, x_d @ self.controller.plant.C.T
+        running, designed = self.plant, self.controller.plant
+        tracked, tracked_d = x @ running.tracked.T, x_d @ designed.tracked.T
         u = _switched(self.u, cell, z)
         return Response(
             trace=trace,
@@ -78,11 +79,13 @@ class ClosedLoop:
             x_d=x_d,
             eta=x @ trajectory.to_eta.T + trajectory.eta_offset,
             eta_hat=z[:, at.eta_hat],
-            y=y,
-            y_d=y_d,
+            y=x @ running.C.T,
+            y_d=x_d @ designed.C.T,
+            tracked=tracked,
+            tracked_d=tracked_d,
             u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
-            tracking_error=x - x_d if self.controller.generator is None else y - y_d,
+            tracking_error=x - x_d if self.controller.generator is None else tracked - tracked_d,
         )
 
     @property
@@ -91,7 +94,7 @@ class ClosedLoop:
         x = np.eye(self.at.order)[self.at.x]
         if self.controller.generator is None:
             return np.asarray(x - self.x_d)
-        return np.asarray(self.plant.C @ x - self.controller.plant.C @ self.x_d)
+        return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d)
 
     def generator_flow(self) -> Flow:
         """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled: nothing else acts on it."""
@@ -107,7 +110,8 @@ class Response:
         trace: The trace they are read from.
         x, x_hat, x_d: States of plant and observer, and desired states, (K, n).
         eta, eta_hat: What the generator's state is for, and that state, (K, p).
-        y, y_d: Outputs and their desired values, (K, q).
+        y, y_d: Measured outputs without their noise, and what they are at x_d, (K, q).
+        tracked, tracked_d: What follows a reference, and its desired value, (K, p).
         u, u_ff: Inputs and their feedforward parts, (K, m).
         tracking_error: What goes to 0: y − y_d for output tracking, x − x_d for state tracking.
     """
@@ -120,6 +124,8 @@ class Response:
     eta_hat: Array
     y: Array
     y_d: Array
+    tracked: Array
+    tracked_d: Array
     u: Array
     u_ff: Array
     tracking_error: Array

@@ -58,21 +58,23 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         b=b,
         B=system.B,
         C=system.C,
+        tracked=_tracked_rows(system),
         states=system.states,
         inputs=system.inputs,
         outputs=system.outputs,
+        tracked_names=system.tracked,
         tolerance=tolerance,
         continuous=system.cells is None,
     )
     return replace(plant, remarks=(*plant.remarks, *odd))
 
 
-def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder: Path, horizon: float) -> Reference:
+def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Path, horizon: float) -> Reference:
     """Return what is to be tracked.
 
     Args:
         section: The section of the file, with exactly one kind of reference.
-        outputs: Names of the outputs, for a set-point.
+        tracked: Names of what follows the reference, for a set-point.
         folder: Where table files are looked for.
         horizon: Up to when a course that repeats is laid out, in s.
 
@@ -82,7 +84,7 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if section.output is not None:
         return OutputReference(build_courses(section.output, folder, horizon, ("reference", "output")))
     if section.setpoint is not None:
-        return SetPoint(readonly([section.setpoint[name] for name in outputs]))
+        return SetPoint(readonly([section.setpoint[name] for name in tracked]))
     kind = "state" if section.state is not None else "input"
     courses, problems = list[tuple[Course, ...]](), list[Problem]()
     for k, signal in enumerate(getattr(section, kind)):
@@ -111,6 +113,15 @@ def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) 
         f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
         f"write into: {{{back}}} if it should pull it back"
     ]
+
+
+def _tracked_rows(system: SystemSection) -> list[Any] | None:
+    """Return the rows of what is to follow a reference; None for all that is measured."""
+    if system.track is None:
+        return None
+    if isinstance(system.track, dict):
+        return [form.coefficients for form in system.track.values()]
+    return [system.C[system.outputs.index(name)] for name in system.track]
 
 
 def _refuse_other_B(system: SystemSection) -> None:

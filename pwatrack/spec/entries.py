@@ -30,12 +30,14 @@ class Context:
     Attributes:
         parameters: Their values; None for one that is itself in error.
         states, inputs, outputs: The names declared under `system`.
+        tracked: Those of what is to follow a reference, where they are declared for that.
     """
 
     parameters: Mapping[str, Real | None]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    tracked: tuple[str, ...] = ()
 
 
 def _number(value: Any, info: ValidationInfo[Context]) -> float:
@@ -295,5 +297,9 @@ Rounding = Annotated[Positive, AfterValidator(_rounding)]
 ExitNumber = Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
 Form = Annotated[LinearForm, PlainValidator(_form)]
 FormPair = Annotated[list[Form], AfterValidator(_pair)]
+Tracked = Annotated[
+    Annotated[dict[Name, Form], Field(min_length=1), Tag("by name")] | Annotated[Names, Tag("in order")],
+    Discriminator(_start_kind),
+]
 Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities)]
 Normal = Annotated[ExactVector, AfterValidator(not_all_zero)]

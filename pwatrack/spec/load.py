@@ -17,6 +17,7 @@ from pwatrack.spec.entries import Context
 from pwatrack.spec.goals import goal_problems
 from pwatrack.spec.names import condition_problems, name_problems, start_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
+from pwatrack.spec.paths import at_path
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
 from pwatrack.spec.requirement import read_requirements
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
@@ -53,6 +54,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     context = Context(
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
+        tracked=tuple(tracked) if isinstance(tracked := at_path(document.data, ("system", "track")), dict) else (),
     )
     requirements, missing = read_requirements(document.data.get("require"), context)
     file = _checked(document, context, [*problems, *missing])
@@ -67,7 +69,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     )
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
-        reference = build_reference(file.reference, plant.outputs, folder, simulation.duration)
+        reference = build_reference(file.reference, plant.tracked_names, folder, simulation.duration)
         conditions = build_conditions(simulation, plant, parametric, folder)
     except PwatrackError as error:
         raise located(error, document.places) from None

@@ -19,11 +19,12 @@ _COLUMN = re.compile(
 
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check on the raw tree that every name stands for one thing."""
-    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs))]
+    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs, *context.tracked))]
     problems = [*_declared_twice(context), *_of_the_trace(signals)]
     for key in ("units", "sizes"):
         said = at_path(data, ("system", key))
-        for name, meant in unknown_names(said if isinstance(said, dict) and context.states else (), signals):
+        named = signals if key == "units" else [name for name in signals if name not in context.tracked]
+        for name, meant in unknown_names(said if isinstance(said, dict) and context.states else (), named):
             message = f"system.{key}: {shown(name)} is no state, input or output{meant}"
             problems.append(Problem(message=message, subject=("system", key, name)))
     return [*problems, *_repeated(data, "cells", "cell"), *_repeated(data, "nonlinearities", "nonlinearity")]
@@ -31,8 +32,8 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
 
 def _declared_twice(context: Context) -> Iterator[Problem]:
     taken: dict[str, str] = {}
-    for kind in ("parameters", "states", "inputs", "outputs"):
-        for name in getattr(context, kind):
+    for kind in ("parameters", "states", "inputs", "outputs", "track"):
+        for name in getattr(context, "tracked" if kind == "track" else kind):
             if taken.get(name, kind) != kind:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
                 yield Problem(message=message, subject=("system", kind))
@@ -111,7 +112,7 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("disturbance",), simulation.disturbance, system.states, "state"))
     if simulation.noise is not None:
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
-    given.append((("settled",), simulation.settled, system.outputs, "output"))
+    given.append((("settled",), simulation.settled, system.tracked, "output"))
     given.append((("quantum",), simulation.quantum, (*system.inputs, *system.outputs), "input or output"))
     given.append((("rate_limit",), simulation.rate_limit, system.inputs, "input"))
     return [

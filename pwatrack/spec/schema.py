@@ -43,6 +43,7 @@ from pwatrack.spec.entries import (
     StartOrMeasured,
     StartOrSteady,
     Time,
+    Tracked,
     Whole,
     as_course,
     listed,
@@ -164,6 +165,7 @@ class SystemSection(Section):
     states: Names
     inputs: Names
     outputs: Names
+    track: Tracked | None = None
     units: dict[str, Label] = {}
     sizes: dict[str, Positive] = {}
     B: ExactRows
@@ -173,6 +175,11 @@ class SystemSection(Section):
     A: ExactRows | None = None
     b: ExactVector | None = None
     nonlinearities: list[Element] | None = None
+
+    @property
+    def tracked(self) -> tuple[str, ...]:
+        """Names of what is to follow a reference: all outputs where nothing is said."""
+        return self.outputs if self.track is None else tuple(self.track)
 
 
 class CostSection(Section):
