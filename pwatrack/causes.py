@@ -30,6 +30,7 @@ class Part(Enum):
     COST = auto()
     SAMPLE_TIME = auto()  # of the controller
     DURATION = auto()
+    ESTIMATE = auto()  # of loads
 
 
 Subject = tuple[Part | str | int, ...]

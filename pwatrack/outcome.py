@@ -251,7 +251,11 @@ class Watch:
 def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     """Return the size of each state in which the loop is balanced, (n,), and the loop's norm in these units in 1/s."""
     plant, design = loop.controller.plant, loop.controller.design
-    F = np.abs(plant.A).max(axis=0) + np.abs(plant.B) @ np.abs(design.K) + np.abs(design.L) @ np.abs(plant.C)
+    F = (
+        np.abs(plant.A).max(axis=0)
+        + np.abs(plant.B) @ np.abs(design.K)
+        + np.abs(design.L[: len(plant.B)]) @ np.abs(plant.C)
+    )
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
 

@@ -6,6 +6,7 @@ from functools import cached_property
 
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Bounds, signal_bounds
+from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
@@ -20,7 +21,8 @@ from pwatrack.model.sizes import Sizes
 class Controller:
     """The overall design of Theorem 2 (state tracking) or Theorem 3 (output tracking).
 
-    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19).
+    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19). Where the plant has loads, the
+    observer runs these too, and `compensation` says what they add to x_d and u_ff.
 
     Attributes:
         plant: The system (1).
@@ -46,11 +48,19 @@ class Controller:
         return None if self.generator is None else self.generator.form
 
     @cached_property
+    def compensation(self) -> Compensation:
+        """What the estimates of loads add to the desired trajectory."""
+        form = None if self.generator is None else self.generator.form
+        return compensation(self.plant, form, self.trajectory.rate.shape[1])
+
+    @cached_property
     def guarantees(self) -> Guarantees:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
-        return guarantees(self.plant, self.design, self.proofs)
+        return guarantees(self.plant, self.design, self.proofs, self.compensation.X)
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:
         """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
-        return signal_bounds(self.plant, self.design, self.proofs, output=self.generator is not None)
+        return signal_bounds(
+            self.plant, self.design, self.proofs, self.compensation.X, output=self.generator is not None
+        )

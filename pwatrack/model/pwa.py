@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, stack
+from pwatrack.ball_matrix import BallMatrix, each, stack
+from pwatrack.ball_matrix import beside as sides
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
+from pwatrack.model.loads import Loads
 from pwatrack.model.offset import continuous_offset
 from pwatrack.rational import beside, on_entries
 
@@ -42,6 +45,19 @@ class Matrices:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Observed:
+    """What an observer runs: the plant, or the plant and its loads as one system.
+
+    Attributes:
+        A: (N, N), one per cell.
+        C: (q, N).
+    """
+
+    A: tuple[BallMatrix, ...]
+    C: BallMatrix
+
+
+@dataclass(frozen=True, kw_only=True)
 class PWASystem:
     """The system ẋ = A_i x + b_i + B u for x ∈ Λ_i: eq. (1), with two outputs.
 
@@ -60,6 +76,7 @@ class PWASystem:
         exact: The numbers that proofs are about.
         repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
         states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
+        loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
         remarks: What was noticed while it was built, and changes nothing.
 
     Example: a mass against a one-sided spring of stiffness 4.
@@ -83,6 +100,7 @@ class PWASystem:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     tracked_names: tuple[str, ...]
+    loads: Loads | None = None
     remarks: tuple[str, ...] = ()
 
     @classmethod
@@ -186,6 +204,15 @@ class PWASystem:
             tracked=exact.tracked.floats,
             exact=exact,
         )
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What the observer runs."""
+        A, C, loads = self.exact.A, self.exact.C, self.loads
+        if loads is None:
+            return Observed(A=A, C=C)
+        shape = C.shape[0], loads.E.shape[1]
+        return Observed(A=tuple(each(loads.observed, A)), C=sides(C, BallMatrix.of(np.zeros(shape), shape)))
 
     @property
     def cell_names(self) -> tuple[str, ...]:

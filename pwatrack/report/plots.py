@@ -49,6 +49,8 @@ def draw(result: Result) -> dict[str, Figure]:
         figures["internal_states.png"] = internal_states(result)
     if result.steady_state is not None:
         figures["steady_state.png"] = steady_state(result)
+    if result.response.estimates.shape[1]:
+        figures["estimates.png"] = estimates(result)
     for k, forms in enumerate(result.spec.scenario.portraits):
         figures[f"portrait_{k + 1}.png"] = portrait(result, forms)
     return figures
@@ -81,6 +83,13 @@ def outputs(result: Result) -> Figure:
     actual = np.hstack([response.tracked, response.y[:, others]])
     desired = np.hstack([response.tracked_d, response.y_d[:, others]])
     return _pairs(result, "Outputs", names, actual, desired, ("output", "desired"))
+
+
+def estimates(result: Result) -> Figure:
+    """Draw the estimate of each unknown load beside what it is."""
+    loads, response = result.controller.plant.loads, result.response
+    assert loads is not None
+    return _pairs(result, "Unknown loads", loads.names, response.estimates, response.loads, ("estimate", "load"))
 
 
 def control_input(result: Result) -> Figure:

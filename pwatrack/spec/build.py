@@ -1,17 +1,20 @@
 """Checked sections -> the plant (1) and the reference, as the model knows them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course
+from pwatrack.model.loads import Load, Loads
 from pwatrack.model.nonlinearity import Nonlinearity, drives_away, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import (
@@ -21,10 +24,12 @@ from pwatrack.model.reference import (
     SetPoint,
     StateReference,
 )
+from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.schema import (
     DeadZoneSection,
+    LoadSection,
     ReferenceSection,
     SpringSection,
     SystemSection,
@@ -67,6 +72,34 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         continuous=system.cells is None,
     )
     return replace(plant, remarks=(*plant.remarks, *odd))
+
+
+def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:
+    """Return the loads that are to be estimated; None for none."""
+    if estimate is None:
+        return None
+    if isinstance(estimate, str):
+        columns = [_reals(plant.exact.B.part(range(len(plant.states)), [k])) for k in range(len(plant.inputs))]
+        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(plant.inputs, columns, strict=True)]
+    else:
+        loads = [
+            Load(
+                name=name,
+                into={plant.states.index(state): factor for state, factor in section.into.items()},
+                frequency=section.frequency or Real.of(0),
+            )
+            for name, section in estimate.items()
+        ]
+    return Loads.of(loads, states=len(plant.states))
+
+
+def _reals(column: BallMatrix) -> dict[int, Real]:
+    """Return the entries of a column that are not 0."""
+    centres = [fraction_of(v) for v in column.centre.entries()]
+    radii = [Fraction(0)] * len(centres)
+    if column.radius is not None:
+        radii = [fraction_of(v) for v in column.radius.entries()]
+    return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
 
 
 def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Path, horizon: float) -> Reference:

@@ -89,6 +89,19 @@ def _tracked_problems(system: SystemSection) -> list[tuple[str, Subject]]:
     return [(f"track: {shown(name)} is no output; outputs: {known}{meant}", where) for name, meant in names]
 
 
+def load_problems(file: SpecFile) -> list[Problem]:
+    """Check that each load acts on states, and on some."""
+    problems, estimate = list[Problem](), file.design.estimate
+    for name, load in estimate.items() if isinstance(estimate, dict) else ():
+        where: Subject = ("design", "estimate", name, "into")
+        for state, meant in unknown_names(load.into, file.system.states):
+            message = f"load '{name}': {shown(state)} is no state{meant}"
+            problems.append(Problem(message=message, subject=(*where, state)))
+        if not any(factor.centre for factor in load.into.values()):
+            problems.append(Problem(message=f"load '{name}': all factors are 0: it does nothing", subject=where))
+    return problems
+
+
 def _sign_problems(
     cells: Sequence[CellSection], hyperplanes: Sequence[HyperplaneSection] | None
 ) -> list[tuple[str, Subject]]:

@@ -17,9 +17,18 @@ _COLUMN = re.compile(
 )  # of the trace, beside signals
 
 
+def declared_loads(data: Mapping[str, Any]) -> dict[str, int]:
+    """Return the loads that a raw tree asks to be estimated, and how many states each has."""
+    estimate, inputs = at_path(data, ("design", "estimate")), at_path(data, ("system", "inputs"))
+    if estimate == "input":
+        return {f"load_{name}": 1 for name in inputs if isinstance(name, str)} if isinstance(inputs, list) else {}
+    loads = estimate.items() if isinstance(estimate, dict) else ()
+    return {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads}
+
+
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check on the raw tree that every name stands for one thing."""
-    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs, *context.tracked))]
+    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs, *context.tracked, *context.loads))]
     problems = [*_declared_twice(context), *_of_the_trace(signals)]
     for key in ("units", "sizes"):
         said = at_path(data, ("system", key))
@@ -32,11 +41,11 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
 
 def _declared_twice(context: Context) -> Iterator[Problem]:
     taken: dict[str, str] = {}
-    for kind in ("parameters", "states", "inputs", "outputs", "track"):
-        for name in getattr(context, "tracked" if kind == "track" else kind):
+    for kind in ("parameters", "states", "inputs", "outputs", "track", "estimate"):
+        for name in getattr(context, {"track": "tracked", "estimate": "loads"}.get(kind, kind)):
             if taken.get(name, kind) != kind:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                yield Problem(message=message, subject=("system", kind))
+                yield Problem(message=message, subject=("design" if kind == "estimate" else "system", kind))
             taken[name] = kind
 
 

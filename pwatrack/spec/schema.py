@@ -18,6 +18,7 @@ from pwatrack.model.pwa import ROUNDING
 from pwatrack.real import Real
 from pwatrack.spec.entries import (
     Exact,
+    ExactPositive,
     ExactRows,
     ExactVector,
     ExitNumber,
@@ -46,6 +47,7 @@ from pwatrack.spec.entries import (
     Tracked,
     Whole,
     as_course,
+    estimate_kind,
     listed,
     region_kind,
 )
@@ -209,12 +211,27 @@ class ObserverSection(GoalSection):
     L: Rows | None = None
 
 
+class LoadSection(Section):
+    """An unknown load, added to d(state)/dt with a factor for each state in `into`; of known frequency in rad/s."""
+
+    into: Annotated[dict[str, Exact], Field(min_length=1)]
+    frequency: ExactPositive | None = None
+
+
+Estimate = Annotated[
+    Annotated[Literal["input"], Tag("a word")]
+    | Annotated[dict[Name, LoadSection], Field(min_length=1), Tag("by name")],
+    Discriminator(estimate_kind),
+]
+
+
 class DesignSection(Section):
     """What to design."""
 
     tracking: Literal["output", "state"] = "output"
     controller: ControllerSection = ControllerSection()
     observer: ObserverSection = ObserverSection()
+    estimate: Estimate | None = None
     solver: Solver = "clarabel"
 
 

@@ -19,6 +19,7 @@ _PATHS: Mapping[Part, Subject] = {
     Part.OBSERVER: ("design", "observer"),
     Part.GENERATOR_START: ("simulation", "initial", "generator"),
     Part.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
+    Part.ESTIMATE: ("design", "estimate"),
     Part.DURATION: ("simulation", "duration"),
     # of a cell
     Part.A: ("A",),
