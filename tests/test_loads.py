@@ -25,6 +25,7 @@ from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.sizing import spec_sizes
 from pwatrack.spec.expression import formula
 from tests.conftest import SPECS
 from tests.plants import random_plant
@@ -370,6 +371,17 @@ def test_the_unit_of_a_load_does_not_matter(tmp_path: Path) -> None:
     )
     assert np.allclose(one.design.L[:4], other.design.L[:4], rtol=1e-6)
     assert np.allclose(one.design.L[4:] * 2**20, other.design.L[4:], rtol=1e-6)
+
+
+def test_a_load_of_larger_size_is_learned_faster(tmp_path: Path) -> None:
+    plain = load_spec(write(tmp_path, "{estimate: {wind: {into: {v2: 2}}}}", ""))
+    balanced = spec_sizes(plain).load
+    path = write(tmp_path, "{estimate: {wind: {into: {v2: 2}}}}", "")
+    text = path.read_text(encoding="utf-8").replace("  units:", f"  sizes: {{wind: {100 * balanced[0]}}}\n  units:")
+    path.write_text(text, encoding="utf-8")
+    sized = load_spec(path)
+    assert np.allclose(spec_sizes(sized).load, 100 * balanced)
+    assert np.abs(design(sized).design.L[4]).max() > 10 * np.abs(design(plain).design.L[4]).max()
 
 
 def test_a_set_point_is_held_exactly_with_wrong_parameters(tmp_path: Path) -> None:
