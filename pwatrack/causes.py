@@ -16,6 +16,7 @@ class Part(Enum):
     b = auto()
     B = auto()
     C = auto()
+    TRACKED = auto()
     REFERENCE = auto()
     START = auto()  # of x_d
     GENERATOR_START = auto()  # eta_hat(0)
@@ -29,6 +30,7 @@ class Part(Enum):
     COST = auto()
     SAMPLE_TIME = auto()  # of the controller
     DURATION = auto()
+    ESTIMATE = auto()  # of loads
 
 
 Subject = tuple[Part | str | int, ...]
@@ -41,6 +43,7 @@ class Way(Enum):
     """
 
     STATE_TRACKING = auto()
+    TRACKED = auto()  # the name of an output
     OFFSET = auto()  # entries of b, and the name of the cell that it is for
     TOLERANCE = auto()  # the tolerance in force
     INTERVAL = auto()  # of a formula that grows

@@ -105,7 +105,7 @@ class Watch:
     def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str]) -> None:
         plant, self._output = loop.controller.plant, loop.controller.generator is not None
         self._loop, self._units = loop, units
-        self._names = plant.outputs if self._output else plant.states
+        self._names = plant.tracked_names if self._output else plant.states
         self._edges, self._number = tenths(samples), 0
         self._error = _Envelope(len(self._names))
         self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
@@ -123,7 +123,9 @@ class Watch:
         self._number += len(norm)
         for k, (start, end) in enumerate(pairwise(self._edges)):
             self._error.see(k, block.tracking_error[max(start - number, 0) : max(end - number, 0)])
-        self._reference = np.maximum(self._reference, np.abs(block.y_d if self._output else block.x_d).max(axis=0))
+        self._reference = np.maximum(
+            self._reference, np.abs(block.tracked_d if self._output else block.x_d).max(axis=0)
+        )
         self._norm = max(self._norm, float(norm.max()))
         self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
         largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
@@ -223,7 +225,7 @@ class Watch:
     def _expected(self) -> Array:
         """The size of reference and start of each entry of the error, in its unit: no error above it is a surprise."""
         assert self._first is not None
-        actual = self._first.y if self._output else self._first.x
+        actual = self._first.tracked if self._output else self._first.x
         start = np.maximum(np.abs(actual[0]), np.abs(self._first.tracking_error[0]))
         return np.asarray(np.maximum(self._reference, start))
 
@@ -242,7 +244,7 @@ class Watch:
     def _rounding(self, t: float) -> Array:
         """Likewise in each entry of the tracking error."""
         of_x = self._rounding_of_x(t)
-        return np.asarray(np.abs(self._loop.plant.C) @ of_x if self._output else of_x)
+        return np.asarray(np.abs(self._loop.plant.tracked) @ of_x if self._output else of_x)
 
     def _with_unit(self, value: float, name: str) -> str:
         return f"{value:.3g} {self._units.get(name, '')}".rstrip()
@@ -251,7 +253,11 @@ class Watch:
 def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     """Return the size of each state in which the loop is balanced, (n,), and the loop's norm in these units in 1/s."""
     plant, design = loop.controller.plant, loop.controller.design
-    F = np.abs(plant.A).max(axis=0) + np.abs(plant.B) @ np.abs(design.K) + np.abs(design.L) @ np.abs(plant.C)
+    F = (
+        np.abs(plant.A).max(axis=0)
+        + np.abs(plant.B) @ np.abs(design.K)
+        + np.abs(design.L[: len(plant.B)]) @ np.abs(plant.C)
+    )
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
 

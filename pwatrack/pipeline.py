@@ -13,6 +13,7 @@ from pwatrack.control.goal import LeastCost
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
+from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
@@ -56,6 +57,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         [[1.0, 0.0], [0.0, 0.0]]
     """
     with spec.located():
+        check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, solver = spec.objectives, spec.objectives.solver
@@ -131,7 +133,7 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
     plant, watch = spec.problem.plant, Watch(loop, samples, units=spec.problem.units)
-    measuring = Measuring(samples, outputs=plant.outputs, inputs=plant.inputs, bands=spec.scenario.bands)
+    measuring = Measuring(samples, outputs=plant.tracked_names, inputs=plant.inputs, bands=spec.scenario.bands)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
@@ -156,6 +158,8 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     period = system.period if not system.constant else spec.scenario.duration if starts_periodic(spec) else None
     if not p or period is None or not (controller.generator or starts_periodic(spec)):
         return None
+    if controller.plant.loads is not None and not starts_periodic(spec):
+        return None  # it goes where the loads are
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * period
     if radians > LONGEST_PERIOD and not starts_periodic(spec):
         return None

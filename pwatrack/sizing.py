@@ -75,8 +75,8 @@ def _reference(spec: Spec) -> Iterator[Known]:
     found: Iterable[tuple[str, float]]
     if isinstance(reference, SetPoint):
         y = np.abs(reference.y)
-        found = [*zip(plant.outputs, y.tolist(), strict=True)]
-        for row, size in zip(plant.C, y, strict=True):  # an output that is a multiple of one state says its size
+        found = [*zip(plant.tracked_names, y.tolist(), strict=True)]
+        for row, size in zip(plant.tracked, y, strict=True):  # an output that is a multiple of one state says its size
             j = np.flatnonzero(row)
             found += [(plant.states[k], float(size / abs(row[k]))) for k in j if len(j) == 1]
     elif isinstance(reference, OutputReference):
@@ -99,7 +99,7 @@ def _through_xi(spec: Spec, reference: OutputReference) -> Iterator[tuple[str, f
     system = exosystem([reference.signal(form.r)])
     w = system.states(_times(system, spec.scenario.duration))
     xi = w @ system.derivative_rows(form.r - 1)[:, 0].T
-    yield plant.outputs[0], float(_moves(xi)[0])
+    yield plant.tracked_names[0], float(_moves(xi)[0])
     alone = np.flatnonzero(~form.T_inverse[:, form.r :].any(axis=1))
     x = (xi - form.offset[: form.r]) @ form.T_inverse[alone, : form.r].T
     for j, size in zip(alone.tolist(), _moves(x).tolist(), strict=True):

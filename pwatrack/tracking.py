@@ -12,6 +12,7 @@ from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.synthesis import Design
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
+from pwatrack.control.visibility import check_loads
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.course import Table
 from pwatrack.model.normal_form import NormalForm, normal_form
@@ -50,6 +51,7 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """
     problem = spec.problem
     with spec.located():
+        check_loads(problem.plant, output=problem.tracking == "output")
         if isinstance(problem.reference, OutputReference):
             form = form or normal_form(problem.plant)
             _output_signal(problem.reference, form.r)
@@ -138,7 +140,7 @@ def check_breaks(
             plant,
             gains.K,
             trajectory,
-            outputs=np.eye(len(plant.states)) if generator is None else plant.C,
+            outputs=np.eye(len(plant.states)) if generator is None else plant.tracked,
             smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
             subject=("reference", "state" if generator is None else "output"),
         )

@@ -260,7 +260,9 @@ def _member(result: Result, loop: ClosedLoop) -> Member:
         watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
         bands = spec.scenario.bands
-        return _Judged(watch.outcome(), Figures.of(response, outputs=plant.outputs, inputs=plant.inputs, bands=bands))
+        return _Judged(
+            watch.outcome(), Figures.of(response, outputs=plant.tracked_names, inputs=plant.inputs, bands=bands)
+        )
 
     start = result.start.copy()
     _observe(spec, loop, start)
@@ -305,6 +307,7 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
                 (plant.b, other.b),
                 (plant.B, other.B),
                 (plant.C, other.C),
+                (plant.tracked, other.tracked),
                 (plant.partition.H, other.partition.H),
                 (plant.partition.h, other.partition.h),
             )

@@ -7,13 +7,19 @@ With d added to the k-th state equation, or to the k-th measured output, (1), (1
 
 g = (ε_k, −ε_k) for the disturbance and g = (0, −L ε_k) for the noise, ε_k the k-th unit vector: f is continuous and
 linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with Â and Ã in conv{A_i}, each for itself. An
-ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: C e, K (e + Δ) = u − u_ff, Δ.
+ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: c e for a tracked row c,
+K (e + Δ) = u − u_ff, Δ.
 
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
 0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
 
+Where loads are estimated, Δ has the errors of their estimates below x̂ − x, A_j and C are those of plant and loads
+together, and what drives e instead of B K is their coupling (see `compensation`), by which noise reaches e too:
+g = (X L_s ε_k, −L ε_k).
+
 Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, with M =
-A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds.
+A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds; with loads by
+each entry of the coupling, which acts like a disturbance of that state equation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,11 +34,12 @@ from scipy.linalg import block_diag, eigh
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity
 
 MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
@@ -42,7 +49,7 @@ _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "input"], int]
-Form = tuple[Literal["output", "state", "input", "estimate"], int]
+Form = tuple[Literal["output", "state", "input", "estimate", "coupling"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +61,9 @@ class Part:
             "observer": z = Δ, A_j + L C.
         channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
             (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k.
-        signals: The rows c. ("output", k): C e; ("state", k): e; ("input", k): K (e + Δ), of which a single loop has
-            its half; ("estimate", k): Δ.
+        signals: The rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of
+            which a single loop has its half; ("estimate", k): Δ; ("coupling", k), for the observer's loop only: what
+            of Δ drives e_k, where loads are estimated.
         ellipsoid: Q, a and the sizes, one for each signal.
     """
 
@@ -75,8 +83,8 @@ class Bounds:
 
     Attributes:
         channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output.
-        sizes: ("output", k): |y_k − y_dk| for output tracking; ("state", k): |x_k − x_dk| for state tracking;
-            ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
+        sizes: ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
+            tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
     """
@@ -86,17 +94,20 @@ class Bounds:
     parts: tuple[Part, ...]
 
 
-def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, output: bool) -> tuple[Bounds, ...]:
+def signal_bounds(
+    plant: PWASystem, design: Design, proofs: Sequence[Proof], X: BallMatrix, *, output: bool
+) -> tuple[Bounds, ...]:
     """Bound every signal for every disturbance and noise by itself, each proved exactly.
 
     Args:
         plant: The system (1).
         design: Its gains K and L.
         proofs: What `prove_design` returned for them.
+        X: Of the `Compensation` of loads.
         output: Whether outputs are tracked, else states.
 
     Returns:
-        One for each state equation, then one for each output.
+        One for each state equation, then one for each measured output.
 
     Example: the paper's example. A push of 1 N on the first mass, 1 m/s² there, moves it by 1 m at most.
 
@@ -106,7 +117,7 @@ def signal_bounds(plant: PWASystem, design: Design, proofs: Sequence[Proof], *, 
         (('disturbance', 1), True)
     """
     K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    loops = _Loops(plant.exact, K, L, proofs, output=output)
+    loops = _Loops(plant, K, L, proofs, X, output=output)
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
     return tuple(loops.bounds(channel) for channel in channels)
@@ -118,29 +129,39 @@ Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what pro
 class _Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals."""
 
-    def __init__(self, exact: Matrices, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], *, output: bool) -> None:
-        A, B, C, n = different(exact.A), exact.B, exact.C, exact.B.shape[0]
-        self.B, self.C, self.K, self.L, self.unit = B, C, K, L, BallMatrix(identity(n))
+    def __init__(
+        self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], X: BallMatrix, *, output: bool
+    ) -> None:
+        exact, seen, n, N = plant.exact, plant.observed, plant.exact.B.shape[0], L.shape[0]
+        A, B, drive = different(exact.A), exact.B, coupling(plant, K, L, X)
+        self.B, self.c, self.K, self.L = B, exact.tracked, K, L
+        self.n, self.N, self.coupling = n, N, drive
+        self.shifted = X @ L.part(range(n, N), range(L.shape[1]))  # by which noise reaches x_d
         self.M: dict[Loop, list[BallMatrix]] = {
             "controller": [A_i + B @ K for A_i in A],
-            "observer": [A_i + L @ C for A_i in A],
+            "observer": [A_i + L @ seen.C for A_i in different(seen.A)],
         }
-        few = len(A) ** 2 * (2 * n) ** 4 <= MOST_WORK
-        self.few_pairs, self.few_cells = few, len(A) * n**4 <= MOST_WORK
-        self.tracked: list[Form] = [("output", k) for k in range(C.shape[0])] if output else []
+        few = len(A) ** 2 * (n + N) ** 4 <= MOST_WORK
+        self.few_pairs, self.few_cells = few, len(A) * N**4 <= MOST_WORK
+        self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
-        self.estimates: list[Form] = [("estimate", k) for k in range(n)]
+        rows = [drive.part([k], range(N)) for k in range(n)]
+        acting: list[Form] = [("coupling", k) for k, row in enumerate(rows) if row.radius or any(row.centre.entries())]
+        self.drivers = acting if plant.loads else self.inputs
+        self.driven_as: Literal["disturbance", "input"] = "disturbance" if plant.loads else "input"
+        loads = () if plant.loads is None else plant.loads.where
+        self.estimates: list[Form] = [("estimate", k) for k in (*range(n), *(n + k for k in loads))]
         self.inners: dict[Loop, list[Inner]] = {
             "controller": [_inner(proof, invert=False) for proof in proofs if proof.role is CONTROLLER],
             "observer": [_inner(proof, invert=True) for proof in proofs if proof.role is OBSERVER],
         }
         if few:
-            nothing = BallMatrix(0 * identity(n))
+            nothing = BallMatrix.of(np.zeros((N, n)))
             self.M["joint"] = [
-                above(beside(X, B @ K), beside(nothing, Y)) for X in self.M["controller"] for Y in self.M["observer"]
+                above(beside(Z, drive), beside(nothing, Y)) for Z in self.M["controller"] for Y in self.M["observer"]
             ]
-            self.inners["joint"] = _blocks(self.M, self.inners, (B @ K).floats)
+            self.inners["joint"] = _blocks(self.M, self.inners, drive.floats)
 
     def bounds(self, channel: Channel) -> Bounds:
         """Bound e and u by the joint loop, or in two steps; Δ by the observer's own loop."""
@@ -155,10 +176,11 @@ class _Loops:
         return Bounds(channel=channel, sizes=found[0] | estimates[0], parts=found[1] + estimates[1])
 
     def in_two_steps(self, channel: Channel) -> Sized:
-        """Bound K Δ, then e driven by d and by K Δ: K (e + Δ) is at most K e and K Δ together."""
-        seen, feedback = self.tracked + self.inputs, self.sizes("observer", channel, self.inputs)
+        """Bound K Δ and what drives e, then e driven by d and by that: K (e + Δ) is at most K e and K Δ together."""
+        seen, within = self.tracked + self.inputs, list(dict.fromkeys(self.inputs + self.drivers))
+        feedback = self.sizes("observer", channel, within)
         steps = [(1.0, self.sizes("controller", channel, seen))]
-        steps += [(feedback[0].get(signal, np.inf), self.driven[signal]) for signal in self.inputs]
+        steps += [(feedback[0].get(signal, np.inf), self.driven[signal]) for signal in self.drivers]
         total = {signal: feedback[0].get(signal, 0.0) for signal in seen}
         for signal in seen:
             total[signal] += sum(drive * sizes.get(signal, np.inf) for drive, (sizes, _) in steps if drive)
@@ -168,9 +190,9 @@ class _Loops:
 
     @cached_property
     def driven(self) -> dict[Form, Sized]:
-        """What each input can do to e and K e."""
-        signals = self.tracked + self.inputs
-        return {("input", k): self.sizes("controller", ("input", k), signals) for _, k in self.inputs}
+        """What each driver can do to e and K e."""
+        signals, kind = self.tracked + self.inputs, self.driven_as
+        return {driver: self.sizes("controller", (kind, driver[1]), signals) for driver in self.drivers}
 
     def sizes(self, loop: Loop, channel: Channel, signals: list[Form]) -> Sized:
         """Return the bounds of signals and the ellipsoid they are from; nothing where none could be proved."""
@@ -188,21 +210,29 @@ class _Loops:
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
         """Return g, (N, 1)."""
         kind, k = channel
-        column = _column(self.unit if kind == "disturbance" else self.L if kind == "noise" else self.B, k)
-        nothing = BallMatrix(0 * column.centre)
-        e, delta = {
-            "disturbance": (column, nothing - column),
-            "noise": (nothing, nothing - column),
-            "input": (column, nothing),
-        }[kind]
+        nothing = BallMatrix.of(np.zeros((self.N, 1)))
+        if kind == "disturbance":
+            unit = _column(BallMatrix(identity(self.N)), k)
+            e, delta = unit.part(range(self.n), [0]), nothing - unit
+        elif kind == "noise":
+            e, delta = _column(self.shifted, k), nothing - _column(self.L, k)
+        else:
+            e, delta = _column(self.B, k), nothing
         return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
 
     def row(self, loop: Loop, signal: Form) -> BallMatrix:
         """Return c, (1, N)."""
         kind, k = signal
-        row = _column((self.C if kind == "output" else self.K if kind == "input" else self.unit).transpose(), k)
-        nothing = BallMatrix(0 * row.centre)
-        e, delta = {"input": (row, row), "estimate": (nothing, row)}.get(kind, (row, nothing))
+        e, delta = (BallMatrix.of(np.zeros((order, 1))) for order in (self.n, self.N))
+        if kind == "coupling":
+            delta = _column(self.coupling.transpose(), k)
+        elif kind == "estimate":
+            delta = _column(BallMatrix(identity(self.N)), k)
+        else:
+            rows = {"output": self.c, "input": self.K}.get(kind, BallMatrix(identity(self.n)))
+            e = _column(rows.transpose(), k)
+        if kind == "input":
+            delta = above(e, BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1)))
         return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Bounds, signal_bounds
+from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.synthesis import Design
@@ -22,7 +23,8 @@ from pwatrack.model.sizes import Sizes
 class Controller:
     """The overall design of Theorem 2 (state tracking) or Theorem 3 (output tracking).
 
-    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19).
+    x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19). Where the plant has loads, the
+    observer runs these too, and `compensation` says what they add to x_d and u_ff.
 
     Attributes:
         plant: The system (1).
@@ -48,17 +50,26 @@ class Controller:
         return None if self.generator is None else self.generator.form
 
     @cached_property
+    def compensation(self) -> Compensation:
+        """What the estimates of loads add to the desired trajectory."""
+        form = None if self.generator is None else self.generator.form
+        return compensation(self.plant, form, self.trajectory.rate.shape[1])
+
+    @cached_property
     def guarantees(self) -> Guarantees:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
-        return guarantees(self.plant, self.design, self.proofs, self.sizes)
+        return guarantees(self.plant, self.design, self.proofs, self.sizes, self.compensation.X)
 
     @property
     def error_sizes(self) -> Array:
         """What each entry of the tracking error counts in a norm of them all: its size; 1 where it is the only one."""
-        sizes = self.sizes.state if self.generator is None else self.sizes.output
-        return np.ones(1) if len(sizes) == 1 else sizes
+        if self.generator is not None:
+            return np.ones(1)
+        return np.ones(1) if len(self.sizes.state) == 1 else self.sizes.state
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:
         """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
-        return signal_bounds(self.plant, self.design, self.proofs, output=self.generator is not None)
+        return signal_bounds(
+            self.plant, self.design, self.proofs, self.compensation.X, output=self.generator is not None
+        )

@@ -5,9 +5,11 @@ The field is continuous and linear in each cell, so f(x̂) − f(x) = Â (x̂ �
 
     Δ' = (Â + L C) Δ,        e' = (Â + B K) e + B K Δ,
 
-whatever the switching. A proof is a norm with d‖Δ‖/dt ≤ −α ‖Δ‖; likewise for e. Everything here follows from these
-two lines, as in the proof of Theorem 2. x_d is the one that the generator (15) makes, from its own start: there C x_d =
-y_d. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is in `bounds`.
+whatever the switching. (Where loads are estimated, Δ has the errors of the estimates too, and other columns stand for
+B K: see `compensation`.) A proof is a norm with d‖Δ‖/dt ≤ −α ‖Δ‖; likewise for e. Everything here follows from
+these two lines, as in the proof of Theorem 2. x_d is the one that the generator (15) makes, from its own start: there
+c x_d = y_d for the tracked row c. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is
+in `bounds`.
 """
 
 from collections.abc import Sequence
@@ -19,6 +21,7 @@ from scipy.special import exprel
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.exact import Proof, unsure
@@ -55,8 +58,10 @@ class Guarantees:
 
     Attributes:
         controller, observer, generator: The proofs of (8), (9) and (17) as contractions.
-        output: |C e| ≤ output_c ‖e‖_c for each proof c of (8).
-        drive: ‖B K Δ‖_c ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9).
+        output: Of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8).
+        loads: How many states of the observer are those of loads; there are none, and it starts with none, in what
+            the bounds over time are about.
+        drive: ‖B K Δ‖_c, or what stands for it with loads, ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9).
     """
 
     controller: tuple[Contraction, ...]
@@ -64,6 +69,7 @@ class Guarantees:
     generator: tuple[Contraction, ...]
     output: tuple[float, ...]
     drive: tuple[tuple[float, ...], ...]
+    loads: int = 0
 
     def observer_error(self, t: Array, start: Array) -> Array:
         """Return a bound of |x̂ − x|, in sizes where there are several states, at the times t.
@@ -72,6 +78,7 @@ class Guarantees:
             t: Times in s, (K,).
             start: x̂(0) − x(0), (n,).
         """
+        start = np.pad(start, (0, self.loads))
         bounds = [o.from_norm * o.norm(start) * np.exp(-o.rate * t) for o in self.observer]
         return np.asarray(np.min(bounds, axis=0) * _ABOVE)
 
@@ -86,7 +93,7 @@ class Guarantees:
             observer_start: x̂(0) − x(0), (n,).
             output: Whether to bound y − y_d.
         """
-        bounds = []
+        bounds, observer_start = [], np.pad(observer_start, (0, self.loads))
         for c, size, drives in zip(self.controller, self._sizes(output), self.drive, strict=True):
             own = c.norm(start) * np.exp(-c.rate * t)
             for o, drive in zip(self.observer, drives, strict=True):
@@ -117,7 +124,7 @@ class Guarantees:
         return self.output if output else tuple(c.from_norm for c in self.controller)
 
 
-def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes: Sizes) -> Guarantees:
+def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes: Sizes, X: BallMatrix) -> Guarantees:
     """Read off the exact proofs what they promise. Every number is rounded to the safe side.
 
     Args:
@@ -125,6 +132,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes:
         design: Its gains K and L.
         proofs: What `prove_design` returned for them.
         sizes: Those of the states, in which errors of all of them are counted together.
+        X: Of the `Compensation` of loads.
 
     Example: the paper's example. With every entry of L up to 1.5 % off, the observer still converges as e^(−0.0681 t).
 
@@ -135,16 +143,20 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes:
         (0.084, 0.0681, True)
     """
     exact, K, L = plant.exact, *(BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    BK, q, A = exact.B @ K, len(plant.C), different(exact.A)
+    BK, q, A, seen = exact.B @ K, len(plant.tracked), different(exact.A), plant.observed
+    drives = coupling(plant, K, L, X)
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}
     for proof in proofs:
         norm, share, n = Norm.of(proof), 0.0, len(proof.exponents)
         if proof.role is CONTROLLER:
             share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, BallMatrix(proof.P), design.K)
         elif proof.role is OBSERVER:
-            slack = [_slack((A_i + L @ exact.C).transpose(), proof) for A_i in A]
-            share = largest_share(slack, BallMatrix(proof.P), exact.C.transpose(), design.L)
-        length = Norm.euclidean(n) if proof.role is GENERATOR or n == 1 else Norm.in_sizes(sizes.state)
+            slack = [_slack((A_i + L @ seen.C).transpose(), proof) for A_i in different(seen.A)]
+            share = largest_share(slack, BallMatrix(proof.P), seen.C.transpose(), design.L)
+        counted = np.append(sizes.state, sizes.load)[:n]  # the observer's errors are those of its loads too
+        if len(sizes.state) == 1:  # a single state is counted in its unit
+            counted = counted / counted[0]
+        length = Norm.euclidean(n) if proof.role is GENERATOR else Norm.in_sizes(counted)
         from_norm = largest_gain(identity(n), norm, length)
         parts[proof.role.name].append(Contraction(rate=proof.rate, share=share, norm=norm, from_norm=from_norm))
     controller, observer, generator = (tuple(part) for part in parts.values())
@@ -152,8 +164,9 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes:
         controller=controller,
         observer=observer,
         generator=generator,
-        output=tuple(_size(exact.C, c.norm, Norm.euclidean(q)) for c in controller),
-        drive=tuple(tuple(_size(BK, o.norm, c.norm) for o in observer) for c in controller),
+        output=tuple(_size(exact.tracked, c.norm, Norm.euclidean(q)) for c in controller),
+        drive=tuple(tuple(_size(drives, o.norm, c.norm) for o in observer) for c in controller),
+        loads=seen.C.shape[1] - len(plant.B),
     )
 
 

@@ -19,7 +19,7 @@ _MOST_SAID = 6  # cells in a refusal
 
 
 def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTrajectory:
-    """Return the constant trajectory with C x_d = y: A_i x_d + b_i + B u_ff = 0 with x_d in cell i.
+    """Return the constant trajectory with c x_d = y for the tracked rows c: A_i x_d + b_i + B u_ff = 0, x_d in cell i.
 
     Raises:
         OutsideTheory: If no cell holds such an equilibrium.
@@ -52,11 +52,11 @@ class _Solutions:
 
 
 def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | str:
-    """Return (x_d, u_ff) with A_i x_d + b_i + B u_ff = 0 and C x_d = y in cell i, or why there is none."""
-    (n, m), q = plant.B.shape, len(plant.C)
-    E = np.block([[plant.A[i], plant.B], [plant.C, np.zeros((q, m))]])
+    """Return (x_d, u_ff) with A_i x_d + b_i + B u_ff = 0 and c x_d = y in cell i, or why there is none."""
+    (n, m), q = plant.B.shape, len(plant.tracked)
+    E = np.block([[plant.A[i], plant.B], [plant.tracked, np.zeros((q, m))]])
     exact = plant.exact
-    rows = [exact.A[i].centre, exact.B.centre], [exact.C.centre, decimals(np.zeros((q, m)))]
+    rows = [exact.A[i].centre, exact.B.centre], [exact.tracked.centre, decimals(np.zeros((q, m)))]
     equations = stacked([beside(row) for row in rows]), stacked([-exact.b[i].centre, decimals(y[:, None])])
     found, name = _solved(*equations), plant.cell_names[i]
     if found is None:

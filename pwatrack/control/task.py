@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, each
+from pwatrack.ball_matrix import BallMatrix, each, stack
 from pwatrack.causes import Part, Subject
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.exact import RATE_GIVEN
@@ -50,12 +50,12 @@ class Task:
             solver: Which interior-point solver to ask.
             sizes: Those of the plant's signals; those that balance it by default.
         """
-        sizes = sizes or Sizes.of(plant)
-        B, exact_B = (plant.B, plant.exact.B) if role is CONTROLLER else (plant.C, plant.exact.C)
+        sizes, seen = sizes or Sizes.of(plant), plant.observed
+        A, B = (plant.exact.A, plant.exact.B) if role is CONTROLLER else (seen.A, seen.C)
         return cls(
-            A=role.oriented(plant.A),
-            B=role.oriented(B),
-            exact=(each(role.exact, plant.exact.A), role.exact(exact_B)),
+            A=role.oriented(stack(A)),
+            B=role.oriented(B.floats),
+            exact=(each(role.exact, A), role.exact(B)),
             role=role,
             cells=plant.cell_names,
             sizes=sizes if role is CONTROLLER else sizes.dual(),

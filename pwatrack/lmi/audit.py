@@ -5,8 +5,8 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
   opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
   fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
-- The normal form (11): c_0 = C, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j - B_j / delta c_r-1
-  for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
+- The normal form (11): c_0 is the tracked row, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j -
+  B_j / delta c_r-1 for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
 - A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
@@ -14,6 +14,10 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 - A bound has Q > 0 and -(M Q + Q M^T) - a Q - g g^T / a > 0 for M = [A_i + B K, B K; 0, A_j + L C] and all i, j, or for
   one of its diagonal blocks: so from z = 0 on, z' = M z + g d stays where z^T Q^-1 z <= sup |d|^2, and |c z| is at
   most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
+- Loads E s with s' = S s are estimated: then [A_i, E; 0, S] and [C, 0] stand for A_i and C in (9), Delta has the errors
+  of the estimates below x_hat - x, and [B K - X L_s C, -E] stands for B K beside A_i + B K, by which noise reaches e
+  too: L_s is the part of L that is below, and X = -T^-1 G, G = [g; 0], g_0 = 0, g_k+1 = c_k E + g_k S, the shift of x_d
+  by the estimates; for state tracking X = 0, and every load enters where an input does.
 - A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
 - An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
   all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P
@@ -31,7 +35,7 @@ from itertools import combinations
 from math import lcm
 from typing import Any
 
-FORMAT = "pwatrack certificate 3"
+FORMAT = "pwatrack certificate 5"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -66,11 +70,13 @@ def audit(text: str) -> tuple[list[str], list[str]]:
 def judged(content: Any) -> tuple[list[str], list[str]]:
     """Decide every claim of a certificate."""
     plant = Plant(content["plant"])
-    centres = (
-        ", at the centres of the balls that its numbers lie in" if any(content["plant"]["radius"].values()) else ""
-    )
+    open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
+    inexact = any(any(part["radius"].values()) for part in open_)
+    centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
     said = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous{centres}"]
     faults = plant.faults()
+    if content["tracking"] == "state" and plant.unmatched():
+        faults.append("a load enters where no input does, and x_d is given")
     K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
     generator = content["generator"]
     A_eta = None if generator is None else plant.tracking_dynamics(generator)
@@ -127,14 +133,18 @@ def claim(proof: Any, cells: list[str]) -> str:
 
 
 class Plant:
-    """x' = A_i x + b_i + B u in cell i, y = C x."""
+    """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference."""
 
     def __init__(self, content: Any) -> None:
         radius = content["radius"]
         self.A, self.b = (
             [ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b")
         )
-        self.B, self.C = (ball(content[name], radius[name]) for name in ("B", "C"))
+        self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
+        self.loads: tuple[Ball, Ball] | None = None
+        self.seen_A, self.seen_C = self.A, self.C
+        if content["loads"] is not None:
+            self.estimate(content["loads"])
         self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
         self.parallel = [normalised(plane) for plane in self.planes]
         self.signs = [[int(s) for s in row] for row in content["signs"]]
@@ -142,7 +152,7 @@ class Plant:
         if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
             raise Fault("the matrices of the plant do not fit together")
         shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in self.signs}
-        rows = {len(row) for row in (*self.C[0], *(plane[1:] for plane in self.planes))}
+        rows = {len(row) for row in (*self.C[0], *self.tracked[0], *(plane[1:] for plane in self.planes))}
         if not n or not cells or len(self.signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
             raise Fault("the matrices of the plant do not fit together")
         if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
@@ -150,13 +160,32 @@ class Plant:
         if len({plane[:2] for plane in self.parallel}) != k:
             raise Fault("two hyperplanes are one")
 
+    def estimate(self, content: Any) -> None:
+        """Take in the loads E s, s' = S s, that the observer estimates: it runs plant and loads as one system."""
+        E, S = (ball(content[name], content["radius"][name]) for name in ("E", "S"))
+        n, p = len(self.B[0]), len(S[0])
+        if not p or len(E[0]) != n or {len(row) for row in (*E[0], *S[0])} != {p}:
+            raise Fault("the loads do not fit to the plant")
+        below: Ball = [[Fraction(0)] * n for _ in range(p)], []
+        beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
+        self.loads = E, S
+        self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
+        self.seen_C = sides(self.C, beside)
+        self.shift: Ball = [[Fraction(0)] * p for _ in range(n)], []
+
+    def unmatched(self) -> bool:
+        """Say whether some load enters where no input does: nothing makes up for it while all of x_d is given."""
+        return self.loads is not None and rank(sides((self.B[0], []), (self.loads[0][0], []))[0]) != rank(self.B[0])
+
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
         """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
         if of == "plant":
             return [flipped(A) for A in self.A], []
         if of == "generator":
             return [flipped(A) for A in A_eta], []
-        A, B, gain = (self.A, self.B, K) if of == "controller" else ([flipped(A) for A in self.A], flipped(self.C), L)
+        A, B, gain = (self.A, self.B, K)
+        if of != "controller":
+            A, B, gain = [flipped(A) for A in self.seen_A], flipped(self.seen_C), L
         if gain is None:
             return A, B[0]
         BK = times(B, (gain if of == "controller" else transposed(gain), []))
@@ -166,9 +195,9 @@ class Plant:
         """Return A_eta, (17), after checking that the plant has the form (11) that is claimed."""
         n, r = len(self.B[0]), int(generator["relative_degree"])
         internal = [int(j) for j in generator["internal"]]
-        if len(self.C[0]) != 1 or len(self.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
+        if len(self.tracked[0]) != 1 or len(self.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
             raise Fault("the form (11) does not fit the plant")
-        row, T = self.C, self.C
+        row, T = self.tracked, self.tracked
         for k in range(r):
             following, reached = times(row, self.A[0]), product(row[0], self.B[0])[0][0]
             if (reached == 0) != (k < r - 1):
@@ -181,12 +210,14 @@ class Plant:
             if k < r - 1:
                 row = following
                 T = stacked(T, row)
-        delta = times(row, self.B)
+        delta, derivatives = times(row, self.B), T
         for j in internal:
             share = times(([self.B[0][j]], [self.B[1][j]] if self.B[1] else []), inverse(delta))
             taken = times(share, row)
             T = stacked(T, (added([[Fraction(int(j == k)) for k in range(n)]], taken[0], -1), taken[1]))
         back = inverse(T)
+        if self.loads is not None:
+            self.shift = self.shifted(derivatives, back)
         found = []
         for cell in self.A:
             X, R = times(times(T, cell), back)
@@ -194,6 +225,29 @@ class Plant:
         if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found] or matrix(generator["T"]) != T[0]:
             raise Fault("A_eta or T is not that of the plant")
         return found
+
+    def shifted(self, rows: Ball, back: Ball) -> Ball:
+        """Return X = -T^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; 0]."""
+        assert self.loads is not None
+        E, S = self.loads
+        n, p = len(E[0]), len(S[0])
+        g: Ball = [[Fraction(0)] * p], []
+        G = g
+        for k in range(len(rows[0]) - 1):
+            row = [rows[0][k]], [rows[1][k]] if rows[1] else []
+            g = plus(times(row, E), times(g, S))
+            G = stacked(G, g)
+        G = stacked(G, ([[Fraction(0)] * p for _ in range(n - len(G[0]))], []))
+        X, R = times(back, G)
+        return [[-v for v in row] for row in X], R
+
+    def coupling(self, K: Matrix, L: Matrix) -> Ball:
+        """Return the matrix by which errors of the observer drive e: B K, with loads [B K - X L_s C, -E]."""
+        BK = times(self.B, (K, []))
+        if self.loads is None:
+            return BK
+        (X, R), (E, S) = times(times(self.shift, (L[len(K[0]) :], [])), self.C), self.loads[0]
+        return sides((added(BK[0], X, -1), added_or(BK[1], R)), ([[-v for v in row] for row in E], S))
 
     def exceeded(self, entry: Any, K: Matrix, L: Matrix) -> list[str]:
         """Return what is wrong with the bounds of what one disturbance or noise can do to each signal."""
@@ -215,18 +269,18 @@ class Plant:
                 if not definite(left, sign=-1):
                     faults.append("an ellipsoid can be left")
             for kind, k, size in part["signals"]:
-                c = self.row(loop, kind, k, K)
+                c = self.row(loop, kind, k, K, L)
                 value, radius = times(times(c, (Q, [])), flipped(c))
                 if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
         for kind, k, size in entry["signals"]:
-            self.row("joint", kind, k, K)
-            if self.bound(found, entry["channel"], kind, k, L) > number(size):
+            self.row("joint", kind, k, K, L)
+            if self.bound(found, entry["channel"], kind, k, K, L) > number(size):
                 faults.append(f"{kind} {k} is not bounded by {size}")
         return faults
 
-    def bound(self, found: Any, channel: Any, kind: str, k: int, L: Matrix) -> Fraction:
+    def bound(self, found: Any, channel: Any, kind: str, k: int, K: Matrix, L: Matrix) -> Fraction:
         """Return the bound of a signal that the ellipsoids prove: at once, or that of K Delta first, which drives e."""
         name, where = channel
         if kind == "estimate":
@@ -234,11 +288,18 @@ class Plant:
         if ("joint", name, where, kind, k) in found:
             return Fraction(found["joint", name, where, kind, k])
         total = self.known(found, "controller", channel, kind, k, L)
-        for m in range(len(self.B[0][0])):
-            drive = self.known(found, "observer", channel, "input", m, L)
-            total += drive * self.known(found, "controller", ["input", m], kind, k, L) if drive else 0
-            total += drive if (kind, k) == ("input", m) else 0
-        return total
+        within, acts, drivers = "input", "input", list(range(len(K)))
+        if self.loads is not None:  # each entry of what drives e acts as a disturbance of that equation
+            X, R = self.coupling(K, L)
+            within, acts, drivers = (
+                "coupling",
+                "disturbance",
+                [j for j, row in enumerate(X) if any(row) or (R and any(R[j]))],
+            )
+        for j in drivers:
+            drive = self.known(found, "observer", channel, within, j, L)
+            total += drive * self.known(found, "controller", [acts, j], kind, k, L) if drive else 0
+        return total + (self.known(found, "observer", channel, kind, k, L) if kind == "input" else 0)
 
     def known(self, found: Any, loop: str, channel: Any, kind: str, k: int, L: Matrix) -> Fraction:
         """Return the size in one loop; 0 where nothing enters it."""
@@ -252,38 +313,42 @@ class Plant:
         observer = [flipped(M) for M in self.problem("observer", K, L, None)[0]]
         if name != "joint":
             return {"controller": controller, "observer": observer}[name]
-        BK, n = times(self.B, (K, [])), len(K[0])
-        zero: Matrix = [[Fraction(0)] * n for _ in range(n)]
-        pairs = []
-        for X, R in controller:
-            for Y, S in observer:
-                parts = [[R or zero, BK[1] or zero], [zero, S or zero]]
-                pairs.append((joined([[X, BK[0]], [zero, Y]]), joined(parts) if R or S or BK[1] else []))
+        drives, n, N = self.coupling(K, L), len(K[0]), len(L)
+        nothing: Ball = [[Fraction(0)] * n for _ in range(N)], []
+        pairs = [stacked(sides(X, drives), sides(nothing, Y)) for X in controller for Y in observer]
         return [pair for _, pair in unlike(pairs)]
 
     def drive(self, loop: str, channel: Any, L: Matrix) -> Ball:
         """Return the column by which a disturbance, a noise or an input enters a loop."""
         kind, n = channel[0], len(self.B[0])
         k = place(channel[1], {"disturbance": n, "noise": len(self.C[0]), "input": len(self.B[0][0])}[kind])
-        unit = [[Fraction(int(j == k))] for j in range(n)]
-        column = {"disturbance": unit, "noise": [[row[k]] for row in L] if kind == "noise" else [], "input": []}[kind]
-        zero, radius = [[Fraction(0)] for _ in range(n)], []
+        e: Ball = [[Fraction(int(j == k))] for j in range(n)], []
+        Delta: Ball = [[Fraction(-int(j == k))] for j in range(len(L))], []
+        if kind == "noise":
+            column = [[row[k]] for row in L]
+            e, Delta = ([[Fraction(0)]] * n, []), ([[-v for v in row] for row in column], [])
+            if self.loads is not None:
+                e = times(self.shift, (column[n:], []))
         if kind == "input":
             if loop != "controller":
                 raise Fault("an input drives the controller's loop only")
-            column, radius = [[row[k]] for row in self.B[0]], [[row[k]] for row in self.B[1]]
-        e = zero if kind == "noise" else column
-        Delta = [[-v for v in row] for row in column]
-        return {"joint": e + Delta, "controller": e, "observer": Delta}[loop], radius
+            e = [[row[k]] for row in self.B[0]], [[row[k]] for row in self.B[1]]
+        return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
-    def row(self, loop: str, kind: str, k: int, K: Matrix) -> Ball:
+    def row(self, loop: str, kind: str, k: int, K: Matrix, L: Matrix) -> Ball:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
-        n = len(self.B[0])
-        place(k, {"output": len(self.C[0]), "input": len(K), "state": n, "estimate": n}[kind])
-        unit, zero = [Fraction(int(j == k)) for j in range(n)], [Fraction(0)] * n
-        e = {"output": self.C[0], "input": K}[kind][k] if kind in ("output", "input") else unit
-        e, Delta = (zero, e) if kind == "estimate" else (e, e if kind == "input" else zero)
-        radius = self.C[1][k] if kind == "output" and self.C[1] else []
+        n, N = len(self.B[0]), len(self.seen_A[0][0])
+        place(k, {"output": len(self.tracked[0]), "input": len(K), "state": n, "estimate": N, "coupling": n}[kind])
+        if kind == "coupling":
+            if loop != "observer" or self.loads is None:
+                raise Fault("what drives e is a signal of the observer's loop, where loads are estimated")
+            X, R = self.coupling(K, L)
+            return [X[k]], [R[k]] if R else []
+        e = [Fraction(int(j == k and kind == "state")) for j in range(n)]
+        e = {"output": self.tracked[0], "input": K}[kind][k] if kind in ("output", "input") else e
+        Delta = [Fraction(int(j == k and kind == "estimate")) for j in range(N)]
+        Delta = e + [Fraction(0)] * (N - n) if kind == "input" else Delta
+        radius, zero = (self.tracked[1][k] if kind == "output" and self.tracked[1] else []), [Fraction(0)] * N
         rows = {"joint": e + Delta, "controller": e, "observer": Delta}
         radii = {"joint": radius + zero, "controller": radius, "observer": zero}
         return [rows[loop]], [radii[loop]] if radius else []
@@ -456,11 +521,6 @@ def packed(content: Any) -> tuple[Matrix, list[Fraction]]:
     return P, powers
 
 
-def joined(blocks: list[list[Matrix]]) -> Matrix:
-    """Return one matrix made of blocks."""
-    return [[v for block in row for v in block[k]] for row in blocks for k in range(len(row[0]))]
-
-
 def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
     """Add a diagonal above every symmetric E with |E| <= half + half^T.
 
@@ -603,6 +663,31 @@ def stacked(one: Ball, other: Ball) -> Ball:
     (X, R), (Y, S) = one, other
     zero = [[[Fraction(0)] * len(row) for row in Z] for Z in (X, Y)]
     return X + Y, ((R or zero[0]) + (S or zero[1]) if R or S else [])
+
+
+def sides(one: Ball, other: Ball) -> Ball:
+    """Return one matrix beside another."""
+    return flipped(stacked(flipped(one), flipped(other)))
+
+
+def plus(one: Ball, other: Ball) -> Ball:
+    """Return all sums of what is in two balls."""
+    return added(one[0], other[0]), added_or(one[1], other[1])
+
+
+def rank(X: Matrix) -> int:
+    """Return the rank, by Gauss' elimination."""
+    rows, found = [list(row) for row in X], 0
+    for k in range(len(rows[0])):
+        pivot = next((j for j in range(found, len(rows)) if rows[j][k]), None)
+        if pivot is None:
+            continue
+        rows[found], rows[pivot] = rows[pivot], rows[found]
+        for row in rows[found + 1 :]:
+            factor = row[k] / rows[found][k]
+            row[:] = [v - factor * p for v, p in zip(row, rows[found], strict=True)]
+        found += 1
+    return found
 
 
 def identity(n: int, factor: Any) -> Matrix:

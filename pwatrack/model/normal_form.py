@@ -82,14 +82,15 @@ def normal_form(plant: PWASystem) -> NormalForm:
         OutsideTheory: If the plant is not SISO, or y, ẏ, … depend on the cell
             before the input appears, or the input never appears.
     """
-    if plant.B.shape[1] != 1 or plant.C.shape[0] != 1:
+    if plant.B.shape[1] != 1 or len(plant.tracked) != 1:
+        one_of_many = plant.B.shape[1] == 1 and len(plant.tracked) > 1
         raise OutsideTheory(
             Problem(
-                message=f"output tracking (Theorem 3) needs one input and one output, the plant has "
-                f"{plant.B.shape[1]} and {plant.C.shape[0]}",
+                message=f"output tracking (Theorem 3) needs one input and one tracked output, the plant has "
+                f"{plant.B.shape[1]} and {len(plant.tracked)}",
                 subject=(Part.PLANT,),
-                hint=_STATE_TRACKING,
-                remedy=Remedy(Way.STATE_TRACKING),
+                hint="say which one follows the reference" if one_of_many else _STATE_TRACKING,
+                remedy=Remedy(Way.TRACKED, (plant.tracked_names[0],)) if one_of_many else Remedy(Way.STATE_TRACKING),
             )
         )
     rows, delta = _output_derivatives(plant)
@@ -128,7 +129,7 @@ def normal_form(plant: PWASystem) -> NormalForm:
 def _coordinates(exact: Matrices, r: int, internal: Sequence[int]) -> tuple[BallMatrix, BallMatrix]:
     """Return T and the offset: the rows c_k of the first cell, then e_j − (B_j / δ) c_{r−1} for some states j."""
     n = exact.A[0].shape[0]
-    row, T, offset = exact.C, exact.C, BallMatrix.of([[0]])
+    row, T, offset = exact.tracked, exact.tracked, BallMatrix.of([[0]])
     for _ in range(r - 1):
         offset = above(offset, row @ exact.b[0])
         row = row @ exact.A[0]
@@ -166,6 +167,7 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
         b=tuple(mended(X, missed) for X, missed in zip(exact.b, missed_b, strict=True)),
         B=mended(exact.B, missed_B),
         C=exact.C,
+        tracked=exact.tracked,
     )
     A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
     B = np.abs(floats(S.centre * missed_B))
@@ -185,7 +187,8 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
 
 def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
     """Return rows c_k with y⁽ᵏ⁾ = c_k x + o_k for k < r, and δ = c_{r−1} B, decided with a bound on rounding."""
-    c = plant.C[0]
+    c = plant.tracked[0]
+    where = Part.C if plant.tracked_names == plant.outputs else Part.TRACKED
     rows = [c]
     size_A, n = np.abs(plant.A).max(axis=0), plant.A.shape[1]
     rounding = 4 * n * EPS
@@ -211,7 +214,7 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
                     message=f"not of form (11): row C A^{len(rows)} differs between cells '{one}' and '{other}' "
                     f"before the input enters: entry '{plant.states[column]}' is "
                     f"{number_text(following[0, column], '.6g')} and {number_text(following[cell, column], '.6g')}",
-                    subject=(Part.C,),
+                    subject=(where,),
                     hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
                     remedy=Remedy(Way.STATE_TRACKING),
                 )
@@ -223,9 +226,9 @@ def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
     raise OutsideTheory(
         Problem(
             message=f"no relative degree in cell '{plant.cell_names[0]}': the input never reaches the output "
-            f"'{plant.outputs[0]}'",
+            f"'{plant.tracked_names[0]}'",
             subject=(Part.B,),
-            hint=f"measure another output or add an actuator; {_STATE_TRACKING}",
+            hint=f"track another output or add an actuator; {_STATE_TRACKING}",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     )

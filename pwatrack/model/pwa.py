@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, stack
+from pwatrack.ball_matrix import BallMatrix, each, stack
+from pwatrack.ball_matrix import beside as sides
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
+from pwatrack.model.loads import Loads
 from pwatrack.model.offset import continuous_offset
 from pwatrack.rational import beside, on_entries
 
@@ -20,28 +23,46 @@ ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one o
 
 @dataclass(frozen=True, kw_only=True)
 class Matrices:
-    """A_i, b_i, B and C as they are written: exactly, or with a ball around each irrational entry.
+    """A_i, b_i, B, C and the tracked rows as written: exactly, or with a ball around each irrational entry.
 
     Attributes:
         A: (n, n), one per cell.
         b: (n, 1), likewise.
         B, C: (n, m) and (q, n).
+        tracked: What is to follow a reference, (p, n).
     """
 
     A: tuple[BallMatrix, ...]
     b: tuple[BallMatrix, ...]
     B: BallMatrix
     C: BallMatrix
+    tracked: BallMatrix
 
     @property
     def exact(self) -> bool:
         """Whether no entry is irrational."""
-        return all(X.radius is None for X in (*self.A, *self.b, self.B, self.C))
+        return all(X.radius is None for X in (*self.A, *self.b, self.B, self.C, self.tracked))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """What an observer runs: the plant, or the plant and its loads as one system.
+
+    Attributes:
+        A: (N, N), one per cell.
+        C: (q, N).
+    """
+
+    A: tuple[BallMatrix, ...]
+    C: BallMatrix
 
 
 @dataclass(frozen=True, kw_only=True)
 class PWASystem:
-    """The system ẋ = A_i x + b_i + B u for x ∈ Λ_i, y = C x: eq. (1).
+    """The system ẋ = A_i x + b_i + B u for x ∈ Λ_i: eq. (1), with two outputs.
+
+    y = C x is what is measured, for the observer (9). What follows a reference, in (11)–(17), are other linear forms
+    of the state, or the same: neither needs to be part of the other.
 
     An instance is continuous and its cells cover ℝⁿ: `create` proves both.
 
@@ -50,10 +71,12 @@ class PWASystem:
         A: (l, n, n), in 1/s times the units of the states; the doubles nearest to the exact numbers, as are all these.
         b: (l, n).
         B: (n, m).
-        C: (q, n).
+        C: (q, n), measured.
+        tracked: (p, n), to follow a reference.
         exact: The numbers that proofs are about.
         repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
-        states, inputs, outputs: Names, for reports.
+        states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
+        loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
         remarks: What was noticed while it was built, and changes nothing.
 
     Example: a mass against a one-sided spring of stiffness 4.
@@ -70,11 +93,14 @@ class PWASystem:
     b: Array
     B: Array
     C: Array
+    tracked: Array
     exact: Matrices
     repair: Repair | None
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    tracked_names: tuple[str, ...]
+    loads: Loads | None = None
     remarks: tuple[str, ...] = ()
 
     @classmethod
@@ -86,9 +112,11 @@ class PWASystem:
         b: object,
         B: object,
         C: object,
+        tracked: object = None,
         states: Sequence[str] = (),
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
+        tracked_names: Sequence[str] = (),
         tolerance: float = ROUNDING,
         continuous: bool = False,
     ) -> "PWASystem":
@@ -98,7 +126,8 @@ class PWASystem:
             partition: The l cells.
             A, b, B, C: Nested sequences or arrays of `Real`, fractions, or doubles, which count as the decimals that
                 they print as; or `BallMatrix` (b_i as a column).
-            states, inputs, outputs: Names.
+            tracked: Likewise, rows of what is to follow a reference; None for all that is measured.
+            states, inputs, outputs, tracked_names: Names.
             tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
                 repaired: relative to the terms of that row at a point of the facet of typical size.
             continuous: Whether the field is exactly continuous by construction, which then is not decided again.
@@ -113,6 +142,7 @@ class PWASystem:
         given = [_matrix(rows, (n, n), "A") for rows in _sequence(A, cells, "A")]
         columns = (v if isinstance(v, BallMatrix) else [[entry] for entry in v] for v in _sequence(b, cells, "b"))
         offsets = [_matrix(column, (n, 1), "b") for column in columns]
+        measured = _matrix(C, (None, n), "C")
         empty = set(partition.empty_cells)
         kept = [i for i in range(cells) if i not in empty]
         system = cls._of(
@@ -121,9 +151,10 @@ class PWASystem:
                 A=tuple(given[i] for i in kept),
                 b=tuple(offsets[i] for i in kept),
                 B=_matrix(B, (n, None), "B"),
-                C=_matrix(C, (None, n), "C"),
+                C=measured,
+                tracked=measured if tracked is None else _matrix(tracked, (None, n), "tracked"),
             ),
-            names=(tuple(states), tuple(inputs), tuple(outputs)),
+            names=(tuple(states), tuple(inputs), tuple(outputs), tuple(tracked_names)),
             remarks=(
                 *partition.remarks,
                 *(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
@@ -137,24 +168,28 @@ class PWASystem:
         partition: Partition,
         exact: Matrices,
         *,
-        names: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
+        names: tuple[tuple[str, ...], ...],
         remarks: tuple[str, ...],
     ) -> "PWASystem":
         n, m, q = exact.A[0].shape[0], exact.B.shape[1], exact.C.shape[0]
+        defaults = (("x", n), ("u", m), ("y", q))
         states, inputs, outputs = (
-            given or _numbered(*default) for given, default in zip(names, (("x", n), ("u", m), ("y", q)), strict=True)
+            given or _numbered(*default) for given, default in zip(names[:3], defaults, strict=True)
         )
+        followed = names[3] or (outputs if exact.tracked is exact.C else _numbered("w", exact.tracked.shape[0]))
         return cls(
             partition=partition,
             A=stack(exact.A),
             b=stack(exact.b)[:, :, 0],
             B=exact.B.floats,
             C=exact.C.floats,
+            tracked=exact.tracked.floats,
             exact=exact,
             repair=None,
             states=states,
             inputs=inputs,
             outputs=outputs,
+            tracked_names=followed,
             remarks=remarks,
         )
 
@@ -166,8 +201,18 @@ class PWASystem:
             b=stack(exact.b)[:, :, 0],
             B=exact.B.floats,
             C=exact.C.floats,
+            tracked=exact.tracked.floats,
             exact=exact,
         )
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What the observer runs."""
+        A, C, loads = self.exact.A, self.exact.C, self.loads
+        if loads is None:
+            return Observed(A=A, C=C)
+        shape = C.shape[0], loads.E.shape[1]
+        return Observed(A=tuple(each(loads.observed, A)), C=sides(C, BallMatrix.of(np.zeros(shape), shape)))
 
     @property
     def cell_names(self) -> tuple[str, ...]:

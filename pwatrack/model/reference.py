@@ -65,7 +65,7 @@ class InputReference:
 
 @dataclass(frozen=True)
 class SetPoint:
-    """Wanted constant outputs: the plant shall rest at x_d with C x_d = y (state tracking)."""
+    """Wanted constant outputs: the plant shall rest at x_d with c x_d = y for the tracked rows c (state tracking)."""
 
     y: Array
 

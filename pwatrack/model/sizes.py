@@ -23,7 +23,7 @@ class Sizes:
     what is said there, such as |z| = 1 or weights of one, does not depend on the units of the file.
 
     Attributes:
-        state, input, output: (n,), (m,), (q,), positive.
+        state, input, output, load: (n,), (m,), (q,), (p,), positive; the last of the states of unknown loads.
         speed: In 1/s: a state moves by about its size in 1 / speed.
         origins: By name of the signal, where its size is from.
 
@@ -40,6 +40,7 @@ class Sizes:
     output: Array
     speed: float
     origins: Mapping[str, Origin] = field(default_factory=dict)
+    load: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
@@ -62,7 +63,10 @@ class Sizes:
         state, input_, output = ([known.get(name, (np.nan, "balanced"))[0] for name in names] for names in kinds)
         found = cls.balanced(plant.A, plant.B, plant.C, state=state, input_=input_, output=output, tempo=tempo)
         names = [name for kind in kinds for name in kind]
-        return replace(found, origins={name: known[name][1] if name in known else "balanced" for name in names})
+        load = np.zeros(0) if plant.loads is None else plant.loads.sizes(found.state, found.speed, known)
+        return replace(
+            found, load=load, origins={name: known[name][1] if name in known else "balanced" for name in names}
+        )
 
     @classmethod
     def balanced(
@@ -125,7 +129,7 @@ class Sizes:
             >>> sizes.norms(np.array([[1500.0, 200.0]]), np.array([[-30.0], [-400.0]]))
             (5.0, 5.0)
         """
-        in_sizes = self.gain(K), L * self.output / self.state[:, None]
+        in_sizes = self.gain(K), L * self.output / np.append(self.state, self.load)[:, None]
         k, observer = (float(np.linalg.norm(X, 2)) for X in in_sizes)
         return k, observer
 
@@ -135,4 +139,7 @@ class Sizes:
         There 1 / speed stands beside the output: an output that is off by its size weighs as much as a state that is
         pushed by its size in 1 / speed.
         """
-        return replace(self, state=1 / self.state, input=self.speed / self.output, output=1 / self.input, origins={})
+        state = 1 / np.append(self.state, self.load)
+        return replace(
+            self, state=state, input=self.speed / self.output, output=1 / self.input, load=np.zeros(0), origins={}
+        )

@@ -9,6 +9,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Form
+from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
@@ -16,6 +17,7 @@ from pwatrack.lmi.audit import FORMAT
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
@@ -23,7 +25,8 @@ from pwatrack.spec.spec import Spec
 CLAIM = (
     "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "
     "field is continuous and, for output tracking, the plant has the form (11). For them and, where a radius is "
-    "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T; "
+    "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T, "
+    "where loads are estimated with [A_i, E; 0, S] and [C, 0] in place of A_i and C; "
     "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
     "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X "
     "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
@@ -84,6 +87,24 @@ def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
         "gamma": form.gamma.tolist(),
         "delta": form.delta,
         "shift": None if shift is None else shift.tolist(),
+        "loads": _compensation_content(form),
+    }
+
+
+def _compensation_content(form: NormalForm) -> dict[str, Any] | None:
+    """Return what estimates s_hat of loads add: to x_d, to u_ff and to the rate of eta_hat, the last two by cell."""
+    loads = form.plant.loads
+    if loads is None:
+        return None
+    added = compensation(form.plant, form, 0)
+    return {
+        "names": list(loads.names),
+        "where": list(loads.where),
+        "E": loads.E.floats.tolist(),
+        "S": loads.S.floats.tolist(),
+        "x_d": added.X.floats.tolist(),
+        "u_ff": added.u_ff.tolist(),
+        "rate": added.rate.tolist(),
     }
 
 
@@ -111,6 +132,7 @@ def _plant(plant: PWASystem) -> dict[str, Any]:
         "states": list(plant.states),
         "inputs": list(plant.inputs),
         "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
         "cells": list(plant.cell_names),
         "H": [[text(v) for v in row] for row in partition.exact_H],
         "h": [text(v) for v in partition.exact_h],
@@ -119,12 +141,25 @@ def _plant(plant: PWASystem) -> dict[str, Any]:
         "b": [X.texts for X in exact.b],
         "B": exact.B.texts,
         "C": exact.C.texts,
+        "tracked_rows": exact.tracked.texts,
+        "loads": None if plant.loads is None else _loads(plant.loads),
         "radius": {
             "A": _radii(exact.A),
             "b": _radii(exact.b),
             "B": exact.B.radius_texts,
             "C": exact.C.radius_texts,
+            "tracked_rows": exact.tracked.radius_texts,
         },
+    }
+
+
+def _loads(loads: Loads) -> dict[str, Any]:
+    return {
+        "names": list(loads.names),
+        "where": list(loads.where),
+        "E": loads.E.texts,
+        "S": loads.S.texts,
+        "radius": {"E": loads.E.radius_texts, "S": loads.S.radius_texts},
     }
 
 

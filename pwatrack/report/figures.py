@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Controller
+from pwatrack.model.loads import Load
 from pwatrack.model.sizes import Sizes
 from pwatrack.result import Result
 from pwatrack.simulation.region import Box, Region
@@ -37,7 +38,7 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
 def error_unit(result: Result) -> str:
     """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
     plant = result.spec.problem.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
+    names = plant.tracked_names if result.controller.generator is not None else plant.states
     return result.spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
 
 
@@ -121,6 +122,25 @@ def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
     return content
 
 
+def load_kind(load: Load) -> str:
+    """Return what is known of an unknown load."""
+    return f"{number_text(float(load.frequency), 'g')} rad/s" if load.frequency.centre else "constant"
+
+
+def load_content(result: Result) -> dict[str, dict[str, Any]]:
+    """Return what run.json says of each load that is estimated: what is known of it, what it and its estimate are."""
+    loads, response = result.controller.plant.loads, result.response
+    return {
+        load.name: {
+            "kind": load_kind(load),
+            "unit": result.spec.problem.units.get(load.name, ""),
+            "load": float(response.loads[-1, k]),
+            "estimate": float(response.estimates[-1, k]),
+        }
+        for k, load in enumerate(() if loads is None else loads.each)
+    }
+
+
 def declared(spec: Spec, channel: Channel) -> bool:
     """Whether the simulation has this disturbance or noise."""
     kind, k = channel
@@ -142,7 +162,9 @@ def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
     """Return a signal that is bounded, as text, and its unit."""
     kind, k = signal
     plant = spec.problem.plant
-    name = {"output": plant.outputs, "input": plant.inputs}.get(kind, plant.states)[k]
+    named = {"output": plant.tracked_names, "input": plant.inputs}.get(kind, plant.states)
+    loads = {} if plant.loads is None else dict(zip(plant.loads.where, plant.loads.names, strict=True))
+    name = named[k] if k < len(named) else loads[k - len(named)]
     texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
     return texts.get(kind, f"{name} - {name}_d"), spec.problem.units.get(name, "")
 

@@ -22,6 +22,7 @@ from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
     gain_figures,
+    load_content,
     measures,
     member_figures,
 )
@@ -115,6 +116,7 @@ def write_result(
             "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
             "conditions": result.loop.conditions.texts(result.spec.problem.plant),
             "remarks": list(result.remarks),
+            "estimates": load_content(result),
             "bounds": bound_content(result.spec, result.controller),
         }
         if many:
@@ -235,6 +237,8 @@ def _signals(run: RunFolder, result: Result) -> None:
 def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
     """Return the names and values of all signals."""
     plant = result.spec.problem.plant
+    loads = () if plant.loads is None else plant.loads.names
+    forms = [k for k, name in enumerate(plant.tracked_names) if name not in plant.outputs]
     return (
         (["t"], response.t),
         (plant.states, response.x),
@@ -243,6 +247,10 @@ def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str]
         ([f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])], response.eta_hat),
         (plant.outputs, response.y),
         ([f"{y}_d" for y in plant.outputs], response.y_d),
+        ([plant.tracked_names[k] for k in forms], response.tracked[:, forms]),
+        ([f"{plant.tracked_names[k]}_d" for k in forms], response.tracked_d[:, forms]),
+        (loads, response.loads),
+        ([f"{name}_hat" for name in loads], response.estimates),
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )

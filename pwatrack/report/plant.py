@@ -88,6 +88,7 @@ def plant_json(
         "states": list(plant.states),
         "inputs": list(plant.inputs),
         "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
         "cells": list(plant.cell_names),
         "facets": [
             {

@@ -49,6 +49,8 @@ def draw(result: Result) -> dict[str, Figure]:
         figures["internal_states.png"] = internal_states(result)
     if result.steady_state is not None:
         figures["steady_state.png"] = steady_state(result)
+    if result.response.estimates.shape[1]:
+        figures["estimates.png"] = estimates(result)
     for k, forms in enumerate(result.spec.scenario.portraits):
         figures[f"portrait_{k + 1}.png"] = portrait(result, forms)
     return figures
@@ -57,7 +59,7 @@ def draw(result: Result) -> dict[str, Figure]:
 def tracking_error(result: Result) -> Figure:
     """Draw the tracking error over time, linear and logarithmic with its proved bound (Figure 2)."""
     plant = result.spec.problem.plant
-    names = plant.outputs if result.controller.generator is not None else plant.states
+    names = plant.tracked_names if result.controller.generator is not None else plant.states
     error = result.response.tracking_error / result.response.error_sizes
     curves = {f"{name} − {name}_d": error[:, k] for k, name in enumerate(names)}
     unit = error_unit(result)
@@ -75,10 +77,20 @@ def observer_error(result: Result) -> Figure:
 
 
 def outputs(result: Result) -> Figure:
-    """Draw each output with its desired value, whole and at both ends."""
-    response = result.response
-    labels = ("output", "desired")
-    return _pairs(result, "Outputs", result.spec.problem.plant.outputs, response.y, response.y_d, labels)
+    """Draw what is tracked, then what else is measured, each with its desired value; one alone also at both ends."""
+    response, plant = result.response, result.spec.problem.plant
+    others = [k for k, name in enumerate(plant.outputs) if name not in plant.tracked_names]
+    names = [*plant.tracked_names, *(plant.outputs[k] for k in others)]
+    actual = np.hstack([response.tracked, response.y[:, others]])
+    desired = np.hstack([response.tracked_d, response.y_d[:, others]])
+    return _pairs(result, "Outputs", names, actual, desired, ("output", "desired"))
+
+
+def estimates(result: Result) -> Figure:
+    """Draw the estimate of each unknown load beside what it is."""
+    loads, response = result.controller.plant.loads, result.response
+    assert loads is not None
+    return _pairs(result, "Unknown loads", loads.names, response.estimates, response.loads, ("estimate", "load"))
 
 
 def control_input(result: Result) -> Figure:

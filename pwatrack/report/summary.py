@@ -21,6 +21,8 @@ from pwatrack.report.figures import (
     declared,
     ensemble_measures,
     error_unit,
+    load_content,
+    load_kind,
     measures,
     member_figures,
     signal_text,
@@ -65,6 +67,11 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
             table.add_row("", _cost_text(claim.split()[1], spec, controller))
+    if (loads := controller.plant.loads) is not None:
+        named = [f"{load.name} ({load_kind(load)})" for load in loads.each]
+        table.add_row(
+            "loads", f"{', '.join(named)}: estimated and compensated; errors go to 0 as said here whatever their size"
+        )
     if generator is None:
         until, bounded = controller.trajectory.until, controller.trajectory.bounded
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
@@ -200,18 +207,22 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
     _missed_rows(table, checked)
     table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
     _met_row(table, checked)
-    if conditions := result.loop.conditions.texts(result.spec.problem.plant):
+    if conditions := result.loop.beyond_the_proofs:
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     if result.controller.trajectory.growth is not None:
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _proved_rows(table, result.spec, result.controller)
+    for name, figure in load_content(result).items():
+        unit = figure["unit"]
+        size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
+        table.add_row("estimate", f"of {name} at the end: {estimate}, and {size} acts")
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = figures["largest_input"].items()
     table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
-    for name in plant.outputs[:_SIGNALS]:
+    for name in plant.tracked_names[:_SIGNALS]:
         table.add_row("step" if name in figures["overshoot"] else "settling", _step_text(figures, name, result))
     if (steady := result.steady_state) is not None:
         multipliers = ", ".join(complex_text(complex(value)) for value in steady.multipliers)

@@ -1,6 +1,6 @@
 """Plant, observer, desired trajectory and exosystem as one flow."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from pwatrack.simulation.trace import Trace
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
     """The closed loop of Theorem 2 or 3.
+
+    Where loads are estimated, ŝ drives x_d, u_ff and η̂ beside the reference: see `control.compensation`.
 
     Attributes:
         controller: The design.
@@ -69,7 +71,9 @@ class ClosedLoop:
         cell = trace.modes[:, [part.name for part in self.flow.parts].index("generator")]
         trajectory, limits = self.controller.trajectory, self.conditions.limits
         x, x_d = z[:, at.x], z @ self.x_d.T
-        y, y_d = x @ self.plant.C.T, x_d @ self.controller.plant.C.T
+        loads = self.controller.plant.loads
+        running, designed = self.plant, self.controller.plant
+        tracked, tracked_d = x @ running.tracked.T, x_d @ designed.tracked.T
         u = _switched(self.u, cell, z)
         return Response(
             trace=trace,
@@ -78,14 +82,35 @@ class ClosedLoop:
             x_d=x_d,
             eta=x @ trajectory.to_eta.T + trajectory.eta_offset,
             eta_hat=z[:, at.eta_hat],
-            y=y,
-            y_d=y_d,
+            y=x @ running.C.T,
+            y_d=x_d @ designed.C.T,
+            tracked=tracked,
+            tracked_d=tracked_d,
             u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
-            tracking_error=x - x_d if self.controller.generator is None else y - y_d,
+            estimates=z[:, at.s_hat][:, loads.where] if loads else np.zeros((len(z), 0)),
+            loads=z @ self.load_rows.T,
+            tracking_error=x - x_d if self.controller.generator is None else tracked - tracked_d,
             state_sizes=self.controller.sizes.state,
             error_sizes=self.controller.error_sizes,
         )
+
+    @property
+    def load_rows(self) -> Array:
+        """Rows that read the loads off z: what of the disturbances they can make up, (loads, N)."""
+        loads, disturbance = self.controller.plant.loads, self.conditions.disturbance
+        rows = np.zeros((0 if loads is None else len(loads.each), self.at.order))
+        if loads is not None and disturbance is not None:
+            rows[:, self.at.d] = loads.truth(disturbance.Q, disturbance.rates)
+        return rows
+
+    @property
+    def beyond_the_proofs(self) -> list[str]:
+        """What the loop has that the proofs are not about, each in a few words; estimated loads are part of them."""
+        loads, disturbance, conditions = self.controller.plant.loads, self.conditions.disturbance, self.conditions
+        if loads is not None and disturbance is not None and loads.are(disturbance):
+            conditions = replace(conditions, disturbance=None)
+        return conditions.texts(self.controller.plant)
 
     @property
     def tracking_error(self) -> Array:
@@ -93,10 +118,10 @@ class ClosedLoop:
         x = np.eye(self.at.order)[self.at.x]
         if self.controller.generator is None:
             return np.asarray(x - self.x_d)
-        return np.asarray(self.plant.C @ x - self.controller.plant.C @ self.x_d)
+        return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d)
 
     def generator_flow(self) -> Flow:
-        """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled: nothing else acts on it."""
+        """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled and with no load estimated."""
         keep = np.r_[self.at.eta_hat, self.at.w, self.at.order - 1]
         return self.flow.subsystem("generator", keep)
 
@@ -109,8 +134,10 @@ class Response:
         trace: The trace they are read from.
         x, x_hat, x_d: States of plant and observer, and desired states, (K, n).
         eta, eta_hat: What the generator's state is for, and that state, (K, p).
-        y, y_d: Outputs and their desired values, (K, q).
+        y, y_d: Measured outputs without their noise, and what they are at x_d, (K, q).
+        tracked, tracked_d: What follows a reference, and its desired value, (K, p).
         u, u_ff: Inputs and their feedforward parts, (K, m).
+        estimates, loads: Of each load that is estimated, and what it is, (K, loads).
         tracking_error: What goes to 0: y − y_d for output tracking, x − x_d for state tracking.
         state_sizes, error_sizes: What states, and entries of the tracking error, are counted in together, (n,), (q,).
     """
@@ -123,8 +150,12 @@ class Response:
     eta_hat: Array
     y: Array
     y_d: Array
+    tracked: Array
+    tracked_d: Array
     u: Array
     u_ff: Array
+    estimates: Array
+    loads: Array
     tracking_error: Array
     state_sizes: Array
     error_sizes: Array
@@ -166,11 +197,11 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     at = Layout.of(controller, conditions)
     z = np.eye(at.order)  # z[part] are the rows that read it
     reference = np.vstack([z[at.eta_hat], z[at.w_held if sampling else at.w], z[-1:]])
-    x_d, u_ff = trajectory.x_d @ reference, trajectory.u_ff @ reference
+    added, s_hat = controller.compensation, z[at.s_hat]
+    shift = added.X.floats @ s_hat
+    x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat
     u_fb = K @ z[at.x_hat] - K @ x_d
-    y = plant.C @ z[at.x]
-    if conditions.noise:
-        y = y + z[at.v]
+    y = plant.C @ z[at.x] + (z[at.v] if conditions.noise else 0.0)
 
     F0 = np.zeros_like(z)
     F0[at.w, at.w] = trajectory.exosystem.S
@@ -180,10 +211,10 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     if sampling:  # both are held
         steady, switched, seen = z[at.u], np.zeros_like(u_ff), z[at.y]
         F0[at.w_held, at.w_held] = trajectory.exosystem.S
-    F0 += at.driven(steady, plant, model)
-    F0[at.x_hat] += L @ (model.C @ z[at.x_hat] - seen)
+    F0 += at.driven(steady, plant, model) + _loads(model, at)
+    F0[at.observer] += L @ (model.C @ z[at.x_hat] - seen)
     F_generator = np.zeros((len(model.A), *z.shape))
-    F_generator[:, at.eta_hat] = trajectory.rate @ reference
+    F_generator[:, at.eta_hat] = trajectory.rate @ reference + added.rate @ s_hat
     F_generator += [at.driven(rows, plant, model) for rows in switched]
     parts = [
         SwitchedPart.of("plant", plant, z[at.x], _affine(plant, at.x, z)),
@@ -202,10 +233,18 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
         conditions=conditions,
         at=at,
         flow=sampled(flow, conditions, at, measured=y, law=u_ff + u_fb) if sampling else flow,
-        x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]),
+        x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]) + shift,
         u_ff=u_ff,
         u=u,
     )
+
+
+def _loads(model: PWASystem, at: Layout) -> Array:
+    """Return what estimates of loads do in the observer: E ŝ in x̂' and S ŝ, (N, N)."""
+    F = np.zeros((at.order, at.order))
+    if model.loads is not None:
+        F[at.x_hat, at.s_hat], F[at.s_hat, at.s_hat] = model.loads.E.floats, model.loads.S.floats
+    return F
 
 
 def _affine(plant: PWASystem, where: slice, z: Array) -> Array:

@@ -184,7 +184,7 @@ class Measuring:
         self._visited |= block.trace.visited()
         self._moves = self._moves or [_Move(self.bands.get(name)) for name in self.outputs]
         for k, move in enumerate(self._moves):
-            move.see(block.t, block.y[:, k], block.y_d[:, k])
+            move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
 
     def figures(self, blocks: Iterable[Response]) -> Figures:
@@ -194,7 +194,7 @@ class Measuring:
             move.end(self._last_tenth)
         for block in blocks:
             for k, move in enumerate(self._moves):
-                move.follow(block.t, block.y[:, k], block.y_d[:, k])
+                move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
         return Figures(
             final_error=self._final,
             largest_error=self._largest,

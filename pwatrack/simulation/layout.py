@@ -12,10 +12,10 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, η̂, w, d, v, u, late, before, y, w', 1); what the conditions do not ask for is empty.
+    """z = (x, x̂, ŝ, η̂, w, d, v, u, late, before, y, w', 1); what the conditions do not ask for is empty.
 
     Attributes:
-        x, x_hat, eta_hat, w: Plant, observer, generator, exosystem.
+        x, x_hat, s_hat, eta_hat, w: Plant, observer, its estimates of loads, generator, exosystem.
         d, v: Exosystem of the disturbances, noise.
         u, late, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next one
             first, the one computed last where that matters, the measured output, a copy of w.
@@ -24,6 +24,7 @@ class Layout:
 
     x: slice
     x_hat: slice
+    s_hat: slice
     eta_hat: slice
     w: slice
     d: slice
@@ -40,7 +41,7 @@ class Layout:
         """Return the layout for these conditions."""
         (n, m), q = controller.plant.B.shape, len(controller.plant.C)
         p, s = controller.trajectory.rate.shape[1], len(controller.trajectory.exosystem.w0)
-        sizes = {"x": n, "x_hat": n, "eta_hat": p, "w": s}
+        sizes = {"x": n, "x_hat": n, "s_hat": len(controller.design.L) - n, "eta_hat": p, "w": s}
         sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
         sizes["v"] = q if conditions.noise else 0
         sampling = conditions.sampling
@@ -61,6 +62,11 @@ class Layout:
         """Where a sampled controller writes an input when it has computed it."""
         m = self.u.stop - self.u.start
         return slice(self.late.stop - m, self.late.stop)  # u itself where none waits
+
+    @property
+    def observer(self) -> slice:
+        """All states of the observer."""
+        return slice(self.x_hat.start, self.s_hat.stop)
 
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
         """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""

@@ -91,23 +91,43 @@ class SampleMaps:
             >>> maps.loop(0, 0.1).shape, maps.radius(0, 0.1) < 1
             ((8, 8), True)
         """
-        model, K, L = self.controller.plant, self.controller.design.K, self.controller.design.L
-        (n, m), q = model.B.shape, len(model.C)
+        model, L, law = self.controller.plant, self.controller.design.L, self._law(cell)
+        (n, m), (N, q), late = model.B.shape, L.shape, self.sampling.delay
         plant = self._exactly(self.plant.A[cell], self.plant.B, h)
-        inputs = np.hstack([model.B, -L])
-        observer = self._stepped(np.block([[model.A[cell] + L @ model.C, inputs], [np.zeros((m + q, n + m + q))]]), h)
-        late = self.sampling.delay
-        u, M = slice(2 * n, 2 * n + m), np.zeros((2 * n + m * late, 2 * n + m * late))
-        M[:n, :n], M[n : 2 * n, n : 2 * n] = plant[:n, :n], observer[:n, :n]
-        M[n : 2 * n, :n] = observer[:n, n + m :] @ self.plant.C
-        driven = np.vstack([plant[:n, n:], observer[:n, n : n + m]])
+        seen = model.observed.A[cell].floats + L @ model.observed.C.floats
+        inputs = np.hstack([np.vstack([model.B, np.zeros((N - n, m))]), -L])
+        observer = self._stepped(np.block([[seen, inputs], [np.zeros((m + q, N + m + q))]]), h)
+        k = n + law.shape[1]  # of plant, observer and, with loads, generator
+        M = np.zeros((k + m * late, k + m * late))
+        M[:n, :n], M[n : n + N, n : n + N] = plant[:n, :n], observer[:N, :N]
+        M[n : n + N, :n] = observer[:N, N + m :] @ self.plant.C
+        M[n + N : k, 2 * n : k] = self._generator(cell, h)[:, : k - 2 * n]
+        driven = np.vstack([plant[:n, n:], observer[:N, N : N + m], np.zeros((k - n - N, m))])
         if not late:
-            M[:, n:] += driven @ K
+            M[:, n:] += driven @ law
             return M
-        M[: 2 * n, u] = driven
-        M[2 * n : -m, 2 * n + m :] = np.eye(m * (late - 1))
-        M[-m:, n : 2 * n] = K
+        M[:k, k : k + m] = driven
+        M[k:-m, k + m :] = np.eye(m * (late - 1))
+        M[-m:, n:k] = law
         return M
+
+    def _law(self, cell: int) -> Array:
+        """Return the rows of u on x̂ and, where loads are estimated, on their estimates ŝ and on η̂."""
+        K, trajectory, added = self.controller.design.K, self.controller.trajectory, self.controller.compensation
+        if self.controller.plant.loads is None:
+            return K
+        p = trajectory.rate.shape[1]
+        of_eta = trajectory.u_ff[cell][:, :p] - K @ trajectory.x_d[:, :p]
+        return np.hstack([K, added.u_ff[cell] - K @ added.X.floats, of_eta])
+
+    def _generator(self, cell: int, h: float) -> Array:
+        """Return the rows of η̂ one sample later on (ŝ, η̂); none without loads, where nothing drives it in the loop."""
+        loads, rate = self.controller.plant.loads, self.controller.trajectory.rate[cell]
+        if loads is None:
+            return np.zeros((0, 0))
+        S, p = loads.S.floats, len(rate)
+        rates = np.block([[S, np.zeros((len(S), p))], [self.controller.compensation.rate[cell], rate[:, :p]]])
+        return self._stepped(rates, h)[len(S) :]
 
     def longest(self, h: float) -> float | None:
         """Return the longest sample time below a given one at which all cells are stable, in s; None if there is none.

@@ -37,7 +37,7 @@ def sampled(flow: Flow, conditions: Conditions, at: Layout, *, measured: Array, 
     if quanta is not None and quanta.inputs.any():
         maps.append(SwitchedMap(J0=np.eye(at.order), parts={}, quantum=_at(at.computed, quanta.inputs, at)))
     F0 = flow.F0.copy()
-    F0[at.x_hat], F0[at.w_held] = 0.0, 0.0
+    F0[at.observer], F0[at.w_held] = 0.0, 0.0
     still = [replace(part, F=np.zeros_like(part.F)) for part in flow.parts[1:]]
     return Flow(
         F0=F0, parts=(flow.parts[0], *still), clock=Clock(period=sampling.sample_time, maps=tuple(maps), first=1)
@@ -49,9 +49,11 @@ def _stepped(flow: Flow, sampling: Sampling, at: Layout) -> SwitchedMap:
     _, observer, generator, *_ = flow.parts
     step, program, estimate = np.eye(at.order), np.zeros_like(generator.F), np.zeros_like(observer.F)
     step[at.w_held] = step[at.w]
-    step[at.x_hat], step[at.eta_hat] = 0.0, 0.0
-    program[:, at.eta_hat] = [_step(F + _rows(flow.F0, at.w_held), sampling)[at.eta_hat] for F in generator.F]
-    estimate[:, at.x_hat] = [_step(F + _rows(flow.F0, at.x_hat), sampling)[at.x_hat] for F in observer.F]
+    step[at.observer], step[at.eta_hat] = 0.0, 0.0
+    known = _rows(flow.F0, at.w_held)
+    known[at.s_hat, at.s_hat] = flow.F0[at.s_hat, at.s_hat]
+    program[:, at.eta_hat] = [_step(F + known, sampling)[at.eta_hat] for F in generator.F]
+    estimate[:, at.observer] = [_step(F + _rows(flow.F0, at.observer), sampling)[at.observer] for F in observer.F]
     return SwitchedMap(J0=step, parts={observer.name: estimate, generator.name: program})
 
 

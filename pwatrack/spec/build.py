@@ -1,17 +1,20 @@
 """Checked sections -> the plant (1) and the reference, as the model knows them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course
+from pwatrack.model.loads import Load, Loads
 from pwatrack.model.nonlinearity import Nonlinearity, drives_away, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import (
@@ -21,10 +24,12 @@ from pwatrack.model.reference import (
     SetPoint,
     StateReference,
 )
+from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.schema import (
     DeadZoneSection,
+    LoadSection,
     ReferenceSection,
     SpringSection,
     SystemSection,
@@ -58,21 +63,51 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         b=b,
         B=system.B,
         C=system.C,
+        tracked=_tracked_rows(system),
         states=system.states,
         inputs=system.inputs,
         outputs=system.outputs,
+        tracked_names=system.tracked,
         tolerance=tolerance,
         continuous=system.cells is None,
     )
     return replace(plant, remarks=(*plant.remarks, *odd))
 
 
-def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder: Path, horizon: float) -> Reference:
+def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:
+    """Return the loads that are to be estimated; None for none."""
+    if estimate is None:
+        return None
+    if isinstance(estimate, str):
+        columns = [_reals(plant.exact.B.part(range(len(plant.states)), [k])) for k in range(len(plant.inputs))]
+        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(plant.inputs, columns, strict=True)]
+    else:
+        loads = [
+            Load(
+                name=name,
+                into={plant.states.index(state): factor for state, factor in section.into.items()},
+                frequency=section.frequency or Real.of(0),
+            )
+            for name, section in estimate.items()
+        ]
+    return Loads.of(loads, states=len(plant.states))
+
+
+def _reals(column: BallMatrix) -> dict[int, Real]:
+    """Return the entries of a column that are not 0."""
+    centres = [fraction_of(v) for v in column.centre.entries()]
+    radii = [Fraction(0)] * len(centres)
+    if column.radius is not None:
+        radii = [fraction_of(v) for v in column.radius.entries()]
+    return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
+
+
+def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Path, horizon: float) -> Reference:
     """Return what is to be tracked.
 
     Args:
         section: The section of the file, with exactly one kind of reference.
-        outputs: Names of the outputs, for a set-point.
+        tracked: Names of what follows the reference, for a set-point.
         folder: Where table files are looked for.
         horizon: Up to when a course that repeats is laid out, in s.
 
@@ -82,7 +117,7 @@ def build_reference(section: ReferenceSection, outputs: tuple[str, ...], folder:
     if section.output is not None:
         return OutputReference(build_courses(section.output, folder, horizon, ("reference", "output")))
     if section.setpoint is not None:
-        return SetPoint(readonly([section.setpoint[name] for name in outputs]))
+        return SetPoint(readonly([section.setpoint[name] for name in tracked]))
     kind = "state" if section.state is not None else "input"
     courses, problems = list[tuple[Course, ...]](), list[Problem]()
     for k, signal in enumerate(getattr(section, kind)):
@@ -111,6 +146,15 @@ def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) 
         f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
         f"write into: {{{back}}} if it should pull it back"
     ]
+
+
+def _tracked_rows(system: SystemSection) -> list[Any] | None:
+    """Return the rows of what is to follow a reference; None for all that is measured."""
+    if system.track is None:
+        return None
+    if isinstance(system.track, dict):
+        return [form.coefficients for form in system.track.values()]
+    return [system.C[system.outputs.index(name)] for name in system.track]
 
 
 def _refuse_other_B(system: SystemSection) -> None:

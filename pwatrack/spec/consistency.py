@@ -74,7 +74,32 @@ def plant_problems(system: SystemSection) -> list[Problem]:
         for state, meant in unknown_names(element.into, system.states):
             subject = ("system", "nonlinearities", k, "into", state)
             problems.append((f"nonlinearity '{element.name}': {shown(state)} is no state{meant}", subject))
-    return [Problem(message=message, subject=subject) for message, subject in problems]
+    return [Problem(message=message, subject=subject) for message, subject in problems + _tracked_problems(system)]
+
+
+def _tracked_problems(system: SystemSection) -> list[tuple[str, Subject]]:
+    """Check that what is tracked is an output, or a form without a constant: its desired value is the reference."""
+    where: Subject = ("system", "track")
+    if isinstance(system.track, dict):
+        offset = "a constant does not belong into what is tracked: put it into the reference"
+        forms = system.track.items()
+        return [(f"track: {name}: {offset}", (*where, name)) for name, form in forms if form.offset.centre]
+    names = unknown_names(system.track or (), system.outputs)
+    known = ", ".join(system.outputs)
+    return [(f"track: {shown(name)} is no output; outputs: {known}{meant}", where) for name, meant in names]
+
+
+def load_problems(file: SpecFile) -> list[Problem]:
+    """Check that each load acts on states, and on some."""
+    problems, estimate = list[Problem](), file.design.estimate
+    for name, load in estimate.items() if isinstance(estimate, dict) else ():
+        where: Subject = ("design", "estimate", name, "into")
+        for state, meant in unknown_names(load.into, file.system.states):
+            message = f"load '{name}': {shown(state)} is no state{meant}"
+            problems.append(Problem(message=message, subject=(*where, state)))
+        if not any(factor.centre for factor in load.into.values()):
+            problems.append(Problem(message=f"load '{name}': all factors are 0: it does nothing", subject=where))
+    return problems
 
 
 def _sign_problems(
@@ -107,7 +132,7 @@ def reference_problems(file: SpecFile) -> list[Problem]:
     if reference.input is not None and reference.start is None:
         message = "reference.start is missing: x_d(0), or 'periodic'"
         problems.append(Problem(message=message, subject=("reference",)))
-    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.outputs):
-        message = f"setpoint must give every output: {', '.join(file.system.outputs)}"
+    if reference.setpoint is not None and set(reference.setpoint) != set(file.system.tracked):
+        message = f"setpoint must give every output: {', '.join(file.system.tracked)}"
         problems.append(Problem(message=message, subject=("reference", "setpoint")))
     return problems

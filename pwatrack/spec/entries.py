@@ -4,7 +4,7 @@ import keyword
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from math import inf
 from typing import Annotated, Any, Literal
@@ -30,12 +30,23 @@ class Context:
     Attributes:
         parameters: Their values; None for one that is itself in error.
         states, inputs, outputs: The names declared under `system`.
+        tracked: Those of what is to follow a reference, where they are declared for that.
+        loads: Those of the loads to be estimated, with how many states each has.
     """
 
     parameters: Mapping[str, Real | None]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    tracked: tuple[str, ...] = ()
+    loads: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def states_and_estimates(self) -> tuple[str, ...]:
+        """The states of the observer."""
+        return (
+            (*self.states, *(name for name, order in self.loads.items() for _ in range(order))) if self.states else ()
+        )
 
 
 def _number(value: Any, info: ValidationInfo[Context]) -> float:
@@ -95,6 +106,12 @@ def _real(value: Any, info: ValidationInfo[Context]) -> Real:
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
     return sized_real(value, info.context)
+
+
+def _positive_real(value: Any, info: ValidationInfo[Context]) -> Real:
+    result = _real(value, info)
+    _positive(float(result))
+    return result
 
 
 def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
@@ -252,6 +269,11 @@ def _start_or_word(value: Any) -> str:
     return "a word" if isinstance(value, str) else _start_kind(value)
 
 
+def estimate_kind(value: Any) -> str:
+    """Loads stand by name; one word asks for one at each input."""
+    return "by name" if isinstance(value, dict) else "a word"
+
+
 def listed(value: Any) -> Any:
     """One of them may stand without a list."""
     return [value] if isinstance(value, dict) else value
@@ -265,6 +287,7 @@ def _rounding(value: float) -> float:
 
 Number = Annotated[float, BeforeValidator(_number)]
 Exact = Annotated[Real, PlainValidator(_real)]
+ExactPositive = Annotated[Real, PlainValidator(_positive_real)]
 Positive = Annotated[Number, AfterValidator(_positive)]
 NotNegative = Annotated[Number, AfterValidator(_not_negative)]
 Name = Annotated[str, AfterValidator(_name)]
@@ -295,5 +318,9 @@ Rounding = Annotated[Positive, AfterValidator(_rounding)]
 ExitNumber = Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
 Form = Annotated[LinearForm, PlainValidator(_form)]
 FormPair = Annotated[list[Form], AfterValidator(_pair)]
+Tracked = Annotated[
+    Annotated[dict[Name, Form], Field(min_length=1), Tag("by name")] | Annotated[Names, Tag("in order")],
+    Discriminator(_start_kind),
+]
 Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities)]
 Normal = Annotated[ExactVector, AfterValidator(not_all_zero)]

@@ -5,18 +5,20 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
-from pwatrack.spec.build import build_plant, build_reference
-from pwatrack.spec.consistency import plant_problems, reference_problems, sampling_problems
+from pwatrack.spec.build import build_loads, build_plant, build_reference
+from pwatrack.spec.consistency import load_problems, plant_problems, reference_problems, sampling_problems
 from pwatrack.spec.entries import Context
 from pwatrack.spec.goals import goal_problems
-from pwatrack.spec.names import condition_problems, name_problems, start_problems
+from pwatrack.spec.names import condition_problems, declared_loads, name_problems, start_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
+from pwatrack.spec.paths import at_path
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
 from pwatrack.spec.requirement import read_requirements
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
@@ -53,6 +55,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     context = Context(
         parameters=values,
         **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
+        loads=declared_loads(document.data),
+        tracked=tuple(tracked) if isinstance(tracked := at_path(document.data, ("system", "track")), dict) else (),
     )
     requirements, missing = read_requirements(document.data.get("require"), context)
     file = _checked(document, context, [*problems, *missing])
@@ -67,7 +71,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     )
     try:
         plant = build_plant(file.system, file.tolerance.continuity)
-        reference = build_reference(file.reference, plant.outputs, folder, simulation.duration)
+        plant = replace(plant, loads=build_loads(file.design.estimate, plant))
+        reference = build_reference(file.reference, plant.tracked_names, folder, simulation.duration)
         conditions = build_conditions(simulation, plant, parametric, folder)
     except PwatrackError as error:
         raise located(error, document.places) from None
@@ -104,7 +109,7 @@ def _checked(document: Document, context: Context, problems: list[Problem]) -> S
     except ValidationError as error:
         problems += validation_problems(error, data)
     if not problems:
-        problems += plant_problems(file.system) + reference_problems(file) + goal_problems(file)
+        problems += plant_problems(file.system) + load_problems(file) + reference_problems(file) + goal_problems(file)
         problems += condition_problems(file, context.parameters)
     if problems:
         raise located(InvalidSpec(*problems), document.places).sorted()

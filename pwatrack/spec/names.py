@@ -17,13 +17,23 @@ _COLUMN = re.compile(
 )  # of the trace, beside signals
 
 
+def declared_loads(data: Mapping[str, Any]) -> dict[str, int]:
+    """Return the loads that a raw tree asks to be estimated, and how many states each has."""
+    estimate, inputs = at_path(data, ("design", "estimate")), at_path(data, ("system", "inputs"))
+    if estimate == "input":
+        return {f"load_{name}": 1 for name in inputs if isinstance(name, str)} if isinstance(inputs, list) else {}
+    loads = estimate.items() if isinstance(estimate, dict) else ()
+    return {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads}
+
+
 def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
     """Check on the raw tree that every name stands for one thing."""
-    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs))]
+    signals = [*dict.fromkeys((*context.states, *context.inputs, *context.outputs, *context.tracked, *context.loads))]
     problems = [*_declared_twice(context), *_of_the_trace(signals)]
     for key in ("units", "sizes"):
         said = at_path(data, ("system", key))
-        for name, meant in unknown_names(said if isinstance(said, dict) and context.states else (), signals):
+        named = signals if key == "units" else [name for name in signals if name not in context.tracked]
+        for name, meant in unknown_names(said if isinstance(said, dict) and context.states else (), named):
             message = f"system.{key}: {shown(name)} is no state, input or output{meant}"
             problems.append(Problem(message=message, subject=("system", key, name)))
     return [*problems, *_repeated(data, "cells", "cell"), *_repeated(data, "nonlinearities", "nonlinearity")]
@@ -31,11 +41,11 @@ def name_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
 
 def _declared_twice(context: Context) -> Iterator[Problem]:
     taken: dict[str, str] = {}
-    for kind in ("parameters", "states", "inputs", "outputs"):
-        for name in getattr(context, kind):
+    for kind in ("parameters", "states", "inputs", "outputs", "track", "estimate"):
+        for name in getattr(context, {"track": "tracked", "estimate": "loads"}.get(kind, kind)):
             if taken.get(name, kind) != kind:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                yield Problem(message=message, subject=("system", kind))
+                yield Problem(message=message, subject=("design" if kind == "estimate" else "system", kind))
             taken[name] = kind
 
 
@@ -111,7 +121,7 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
         given.append((("disturbance",), simulation.disturbance, system.states, "state"))
     if simulation.noise is not None:
         given.append((("noise", "std"), simulation.noise.std, system.outputs, "output"))
-    given.append((("settled",), simulation.settled, system.outputs, "output"))
+    given.append((("settled",), simulation.settled, system.tracked, "output"))
     given.append((("quantum",), simulation.quantum, (*system.inputs, *system.outputs), "input or output"))
     given.append((("rate_limit",), simulation.rate_limit, system.inputs, "input"))
     return [

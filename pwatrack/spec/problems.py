@@ -35,10 +35,10 @@ _SHAPES: dict[Subject, tuple[str, ...]] = {
     ("reference", "input"): ("inputs",),
     ("reference", "start"): ("states",),
     ("design", "controller", "K"): ("inputs", "states"),
-    ("design", "observer", "L"): ("states", "outputs"),
+    ("design", "observer", "L"): ("states_and_estimates", "outputs"),
     ("design", "controller", "cost", "Q"): ("states", "states"),
     ("design", "controller", "cost", "R"): ("inputs", "inputs"),
-    ("design", "observer", "cost", "Q"): ("states", "states"),
+    ("design", "observer", "cost", "Q"): ("states_and_estimates", "states_and_estimates"),
     ("design", "observer", "cost", "R"): ("outputs", "outputs"),
     ("simulation", "initial", "plant"): ("states",),
     ("simulation", "initial", "observer"): ("states",),
@@ -77,9 +77,15 @@ def shape_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
             if wanted and len(entries) != wanted:
                 kind = "row" if where == subject and len(axes) == 2 else "entry"
                 found = f"{len(entries)} {kind if len(entries) == 1 else _PLURAL[kind]}"
-                message = f"{path_text(where)}: {found}, expected {wanted}, one for each of the {axis}"
+                message = (
+                    f"{path_text(where)}: {found}, expected {wanted}, one for each of the {_called(context, axis)}"
+                )
                 problems.append(Problem(message=message, subject=where))
     return problems
+
+
+def _called(context: Context, axis: str) -> str:
+    return axis.replace("_", " ") if context.loads else axis.partition("_")[0]
 
 
 def _shapes(data: Mapping[str, Any]) -> dict[Subject, tuple[str, ...]]:

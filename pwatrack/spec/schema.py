@@ -18,6 +18,7 @@ from pwatrack.model.pwa import ROUNDING
 from pwatrack.real import Real
 from pwatrack.spec.entries import (
     Exact,
+    ExactPositive,
     ExactRows,
     ExactVector,
     ExitNumber,
@@ -43,8 +44,10 @@ from pwatrack.spec.entries import (
     StartOrMeasured,
     StartOrSteady,
     Time,
+    Tracked,
     Whole,
     as_course,
+    estimate_kind,
     listed,
     region_kind,
 )
@@ -164,6 +167,7 @@ class SystemSection(Section):
     states: Names
     inputs: Names
     outputs: Names
+    track: Tracked | None = None
     units: dict[str, Label] = {}
     sizes: dict[str, Positive] = {}
     B: ExactRows
@@ -173,6 +177,11 @@ class SystemSection(Section):
     A: ExactRows | None = None
     b: ExactVector | None = None
     nonlinearities: list[Element] | None = None
+
+    @property
+    def tracked(self) -> tuple[str, ...]:
+        """Names of what is to follow a reference: all outputs where nothing is said."""
+        return self.outputs if self.track is None else tuple(self.track)
 
 
 class CostSection(Section):
@@ -202,12 +211,27 @@ class ObserverSection(GoalSection):
     L: Rows | None = None
 
 
+class LoadSection(Section):
+    """An unknown load, added to d(state)/dt with a factor for each state in `into`; of known frequency in rad/s."""
+
+    into: Annotated[dict[str, Exact], Field(min_length=1)]
+    frequency: ExactPositive | None = None
+
+
+Estimate = Annotated[
+    Annotated[Literal["input"], Tag("a word")]
+    | Annotated[dict[Name, LoadSection], Field(min_length=1), Tag("by name")],
+    Discriminator(estimate_kind),
+]
+
+
 class DesignSection(Section):
     """What to design."""
 
     tracking: Literal["output", "state"] = "output"
     controller: ControllerSection = ControllerSection()
     observer: ObserverSection = ObserverSection()
+    estimate: Estimate | None = None
     solver: Solver = "clarabel"
 
 

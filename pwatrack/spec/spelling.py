@@ -11,6 +11,7 @@ _PATHS: Mapping[Part, Subject] = {
     Part.CELLS: ("system", "cells"),
     Part.B: ("system", "B"),
     Part.C: ("system", "C"),
+    Part.TRACKED: ("system", "track"),
     Part.REFERENCE: ("reference",),
     Part.START: ("reference", "start"),
     Part.DESIGN: ("design",),
@@ -18,6 +19,7 @@ _PATHS: Mapping[Part, Subject] = {
     Part.OBSERVER: ("design", "observer"),
     Part.GENERATOR_START: ("simulation", "initial", "generator"),
     Part.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
+    Part.ESTIMATE: ("design", "estimate"),
     Part.DURATION: ("simulation", "duration"),
     # of a cell
     Part.A: ("A",),
@@ -31,6 +33,7 @@ _PATHS: Mapping[Part, Subject] = {
 }
 _WORDS: Mapping[Way, str] = {
     Way.STATE_TRACKING: "{hint}: write 'tracking: state'",
+    Way.TRACKED: "{hint}: for example track: [{0}] under system",
     Way.OFFSET: "b: [{0}] in cell '{1}' would make it continuous there",
     Way.TOLERANCE: "correct the cell; for data rounded in print, 'tolerance: {{continuity: …}}' accepts a larger jump "
     "(in force: {0:g})",

@@ -1,0 +1,86 @@
+"""What makes up for unknown loads in the desired trajectory, and how the errors of their estimates drive it.
+
+With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ; (9) for [A_i, E; 0, S] and [C, 0] proves ŝ → s. For
+output tracking differentiate y along f(x) + B u + E s: with g_0 = 0, g_{k+1} = c_k E + g_k S
+
+    ξ = (c_k x + o_k + g_k s),  η = N x,  so  x = T⁻¹ ([ξ; η] − o − G s),  G = [g; 0],
+
+and with X = −T⁻¹ G (c_0 X = 0, since g_0 = 0) and W_i = T (A_i X + E) + G S
+
+    y⁽ʳ⁾ = (11) + row r of W_i s,        η' = (14) + the rows below r of W_i s.
+
+So the desired trajectory takes x_d + X ŝ, u_ff − W_i[r] ŝ / δ and η̂' + W_i[η] ŝ. As ŝ' = S ŝ + L_s C Δ, Δ = x̂ − x, and
+c_0 X = 0, y_d = c_0 x_d stays exact, ẋ_d = f(x_d) + B u_ff + E ŝ + X L_s C Δ, and for e = x − x_d, σ = ŝ − s
+
+    e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ):
+
+e → 0 as (8) and (9) say, for every s, matched (E = B U: X = 0, W_i[η] = 0, u_ff − U ŝ) or not. For state tracking x_d
+is given: loads must be matched then, X = 0 and u_ff − U ŝ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, above, beside
+from pwatrack.control.realisable import pseudo_inverse
+from pwatrack.model.loads import Loads
+from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.pwa import PWASystem
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compensation:
+    """What the estimates ŝ of the loads add to the desired trajectory, by the cell of x_d.
+
+    Attributes:
+        X: x_d + X ŝ, (n, p), exactly.
+        u_ff: u_ff + u_ff[i] ŝ, (l, m, p).
+        rate: η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given.
+    """
+
+    X: BallMatrix
+    u_ff: Array
+    rate: Array
+
+
+def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Compensation:
+    """Return what makes up for the loads.
+
+    Args:
+        plant: The system (1) with its loads.
+        form: Its normal form, for output tracking.
+        filtered: For state tracking: how many η̂ there are.
+    """
+    (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
+    p = 0 if loads is None else loads.E.shape[1]
+    if loads is None or form is None:
+        needed = np.zeros((m, p)) if loads is None else -pseudo_inverse(plant.B) @ loads.E.floats
+        u_ff = np.broadcast_to(needed, (cells, m, p))
+        return Compensation(X=BallMatrix.of(np.zeros((n, p)), (n, p)), u_ff=u_ff, rate=np.zeros((cells, filtered, p)))
+    r, T, exact = form.r, form.exact.T, form.plant.exact
+    G = loads_in_derivatives(loads, T, r)
+    X = BallMatrix.of(np.zeros((n, p)), (n, p)) - T.inverse() @ G
+    W = np.array([(T @ (A_i @ X + loads.E) + G @ loads.S).floats for A_i in exact.A])
+    return Compensation(X=X, u_ff=-W[:, r - 1 : r] / form.delta, rate=W[:, r:])
+
+
+def loads_in_derivatives(loads: Loads, T: BallMatrix, r: int) -> BallMatrix:
+    """Return G = [g_0; …; g_{r−1}; 0]: what the loads add to y, …, y⁽ʳ⁻¹⁾, (n, p)."""
+    n, p = loads.E.shape
+    G = g = BallMatrix.of(np.zeros((1, p)), (1, p))
+    for k in range(r - 1):
+        g = T.part([k], range(n)) @ loads.E + g @ loads.S
+        G = above(G, g)
+    return above(G, BallMatrix.of(np.zeros((n - r, p)), (n - r, p))) if r < n else G
+
+
+def coupling(plant: PWASystem, K: BallMatrix, L: BallMatrix, X: BallMatrix) -> BallMatrix:
+    """Return the matrix by which the observer's errors (Δ, σ) drive e, (n, n + p): B K without loads."""
+    BK, loads, n = plant.exact.B @ K, plant.loads, plant.exact.B.shape[0]
+    if loads is None:
+        return BK
+    gain = L.part(range(n, L.shape[0]), range(L.shape[1]))
+    nothing = BallMatrix.of(np.zeros(loads.E.shape), loads.E.shape)
+    return beside(BK - X @ gain @ plant.exact.C, nothing - loads.E)
