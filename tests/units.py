@@ -27,7 +27,7 @@ class Units:
     @classmethod
     def random(cls, path: Path, seed: int) -> "Units":
         random, system = np.random.default_rng(seed), tree(path)["system"]
-        names = [name for kind in ("states", "inputs", "outputs") for name in system[kind]]
+        names = [name for kind in ("states", "inputs", "outputs", "track") for name in system.get(kind, [])]
         return cls({name: str(random.choice(POWERS + ODD)) for name in names}, str(random.choice(POWERS[4:15] + ODD)))
 
     def value(self, name: str) -> float:
@@ -63,6 +63,12 @@ def in_units(path: Path, units: Units) -> str:
     for element in system.get("nonlinearities", []):
         element["of"] = form(element["of"], units)
         element["into"] = {name: times(v, f"({units.time})/({units.of[name]})") for name, v in element["into"].items()}
+    tracked = system.get("track", system["outputs"])
+    if isinstance(tracked, dict):
+        system["track"] = {k: times(form(text, units), f"1/({units.of[k]})") for k, text in tracked.items()}
+    for load in design.get("estimate", {}).values():
+        load["into"] = {name: times(v, f"({units.time})/({units.of[name]})") for name, v in load["into"].items()}
+        load |= {"frequency": times(load["frequency"], units.time)} if "frequency" in load else {}
     for part, rows, columns in (("controller", u, x), ("observer", flow, y)):
         asked = design.get(part, {})
         for letter in ("K", "L"):
@@ -80,7 +86,7 @@ def in_units(path: Path, units: Units) -> str:
                 "Q": scaled(matrix(asked["cost"]["Q"], back, back), units.time),
                 "R": scaled(matrix(asked["cost"]["R"], *[[f"1/({g})" for g in y]] * 2), f"1/({units.time})"),
             }
-    for key, names in (("output", system["outputs"]), ("state", system["states"]), ("input", system["inputs"])):
+    for key, names in (("output", list(tracked)), ("state", system["states"]), ("input", system["inputs"])):
         if key in reference:
             one = not isinstance(reference[key], list)
             given = [reference[key]] if one else reference[key]
@@ -144,6 +150,7 @@ def apart(one: Design, other: Design, sizes: Sizes, units: Units) -> float:
     old = np.array([units.value(name) for name in names])
     n, m = len(sizes.state), len(sizes.input)
     x, u, y = old[:n], old[n : n + m], old[n + m :]
-    pairs = ((other.K * u[:, None] / x, one.K), ((other.L * x[:, None] / y / units.tick).T, one.L.T))
+    x = np.append(x, np.ones(len(one.L) - n))  # loads keep their units
+    pairs = ((other.K * u[:, None] / x[:n], one.K), ((other.L * x[:, None] / y / units.tick).T, one.L.T))
     scaled = [[part.gain(X) for X in pair] for part, pair in zip((sizes, sizes.dual()), pairs, strict=True)]
     return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in scaled)
