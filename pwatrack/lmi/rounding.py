@@ -33,24 +33,23 @@ def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational],
     import flint
 
     ends = [(N_i * A_i, N_i * A_i * R, N_i * R) for N_i, A_i in zip(N, A, strict=True)]
-    lists = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
     unknowns = [(i, j, k) for i, V_i in enumerate(V) for j in range(V_i.nrows()) for k in range(j, V_i.nrows())]
-    columns = []
-    for i, j, k in unknowns:
-        N_i, NA, NAR, NR = lists[i]
-        pairs = [(N_i[j], NAR[k]), (NA[j], NR[k])] + ([(N_i[k], NAR[j]), (NA[k], NR[j])] if j != k else [])
-        columns.append(_outer(pairs).entries())
     residual = total_of(
         [
             N_i.transpose() * V_i * NAR + NA.transpose() * V_i * NR
             for N_i, V_i, (NA, NAR, NR) in zip(N, V, ends, strict=True)
         ]
-    )
-    G = flint.fmpq_mat(len(columns), residual.nrows() * residual.ncols(), [v for c in columns for v in c])
-    chosen, rows = _pivots(floats(G))
-    square = flint.fmpq_mat(len(rows), len(chosen), [G[c, r] for r in rows for c in chosen])
+    ).entries()
+    chosen, rows = _pivots(np.vstack([_equations(N_i, *end) for N_i, end in zip(N, ends, strict=True)]))
+    lists = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
+    columns = []
+    for i, j, k in (unknowns[c] for c in chosen):
+        N_i, NA, NAR, NR = lists[i]
+        pairs = [(N_i[j], NAR[k]), (NA[j], NR[k])] + ([(N_i[k], NAR[j]), (NA[k], NR[j])] if j != k else [])
+        columns.append(_outer(pairs).entries())
+    square = flint.fmpq_mat(len(rows), len(chosen), [entries[r] for r in rows for entries in columns])
     try:
-        step = square.solve(column([-residual.entries()[r] for r in rows])).entries() if rows else []
+        step = square.solve(column([-residual[r] for r in rows])).entries() if rows else []
     except ZeroDivisionError:
         return False
     for c, dx in zip(chosen, step, strict=True):
@@ -59,6 +58,15 @@ def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational],
         if j != k:
             V[i][k, j] += dx
     return True
+
+
+def _equations(N: Rational, NA: Rational, NAR: Rational, NR: Rational) -> Array:
+    """Return in doubles what each entry V_jk with j ≤ k adds to Σ (Z_i A_i + A_iᵀ Z_i) R, a row each."""
+    left, left_A, right_A, right = (floats(X) for X in (N, NA, NAR, NR))
+    each = np.einsum("ja,kb->jkab", left, right_A) + np.einsum("ja,kb->jkab", left_A, right)
+    both = each + each.swapaxes(0, 1)
+    j, k = np.triu_indices(len(left))
+    return np.asarray(np.where((j == k)[:, None, None], each[j, k], both[j, k]).reshape(len(j), -1))
 
 
 def _pivots(G: Array) -> tuple[list[int], list[int]]:
