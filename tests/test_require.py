@@ -30,10 +30,18 @@ def response(y: Array, y_d: Array, t: Array = T) -> Response:
     """A run of which only output and reference matter."""
     zero, modes = np.zeros((len(t), 1)), np.zeros((len(t), 1), dtype=int)
     y, y_d = y[:, None], y_d[:, None]
-    signals = dict.fromkeys(("x", "x_hat", "x_d", "eta", "eta_hat", "u", "u_ff"), zero)
+    signals = dict.fromkeys(("x", "x_hat", "x_d", "eta", "eta_hat", "u", "u_ff", "estimates", "loads"), zero)
     trace = Trace(t=t, z=zero, modes=modes, events=())
     return Response(
-        trace=trace, y=y, y_d=y_d, tracking_error=y - y_d, state_sizes=np.ones(1), error_sizes=np.ones(1), **signals
+        trace=trace,
+        y=y,
+        y_d=y_d,
+        tracked=y,
+        tracked_d=y_d,
+        tracking_error=y - y_d,
+        state_sizes=np.ones(1),
+        error_sizes=np.ones(1),
+        **signals,
     )
 
 
