@@ -23,6 +23,7 @@ class Part(Enum):
     DESIGN = auto()
     CONTROLLER = auto()
     OBSERVER = auto()
+    UNCERTAIN = auto()  # parameters
     K = auto()
     L = auto()
     RATE = auto()

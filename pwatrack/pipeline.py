@@ -11,11 +11,14 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.proof import prove_design
+from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
@@ -29,6 +32,7 @@ from pwatrack.simulation.startup import measured_start, steady_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.sizing import spec_sizes
+from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
@@ -75,6 +79,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
+            robust=_robust(spec, plant, gains, proofs) if goals.uncertain else None,
         )
 
 
@@ -202,6 +207,13 @@ def _initial(values: Array | None, length: int, part: str) -> Array:
             Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
         )
     return values
+
+
+def _robust(spec: Spec, plant: PWASystem, gains: Design, proofs: tuple[Proof, ...]) -> Robust:
+    """Return what is proved for all of the box of uncertain parameters."""
+    problem, goals = spec.problem, spec.objectives
+    found = corners(problem.parametric, plant, goals.uncertain)
+    return prove_box(plant, gains, proofs, found, output=problem.tracking == "output", solver=goals.solver)
 
 
 def _costs(spec: Spec, gains: Design, sizes: Sizes) -> dict[str, Array]:

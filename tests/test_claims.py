@@ -32,6 +32,7 @@ EXTRA = {
     "cost": "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}\nreference: {output: 0.1*sin(t)}",
     "required": "reference: {output: {constant: 0.01}}\nrequire: {rate: 99, norm_K: 1e-9, norm_L: 1e9, overshoot: 99}",
     "loads": "design: {estimate: {push: {into: {v: 1}}, hum: {into: {v: 1}, frequency: 3}}}\nreference: {output: 0.1}",
+    "uncertain": "parameters: {m: 1}\ndesign: {uncertain: {m: 5%}}\nreference: {output: 0.1*sin(t)}\n",
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
@@ -76,13 +77,21 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 
 def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
-    for name in ("two_mass_backlash", "two_mass_goals", "two_mass_machine", "gallery/dc_motor_brushes"):
+    for name in (
+        "two_mass_backlash",
+        "two_mass_goals",
+        "two_mass_machine",
+        "gallery/dc_motor_brushes",
+        "gallery/robust_positioning",
+    ):
         yield specs / f"{name}.yaml"
     (tmp_path / "rod.yaml").write_text(ROD)
     yield tmp_path / "rod.yaml"
     yield cart(tmp_path, RUNAWAY["other parameters"], reference="0.08*cos(t)")
     for name, wishes in EXTRA.items():
         slope = "1.001" if name == "rounded" else "1"
+        push = "1/m" if name == "uncertain" else "1"
+        limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
         path = tmp_path / f"{name}.yaml"
         path.write_text(
             f"""name: {name}
@@ -90,13 +99,13 @@ system:
   states: [z, v]
   inputs: [u]
   outputs: [y]
-  B: [[0], [1]]
+  B: [[0], [{push}]]
   C: [[1, 0]]
   cells:
     - {{name: free, where: ["z <= 0.05"], A: [[0, 1], [-1, -1]]}}
     - {{name: touching, where: ["z >= 0.05"], A: [[0, 1], [-2, -1]], b: [0, {slope}*0.05]}}
 {wishes}
-simulation: {{duration: 10, sample_time: 0.1, initial: {{plant: [0.2, 0]}}}}
+simulation: {{duration: 10, sample_time: 0.1, initial: {{plant: [0.2, 0]}}, {limits}}}
 """
         )
         yield path

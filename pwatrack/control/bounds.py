@@ -117,7 +117,7 @@ def signal_bounds(
         (('disturbance', 1), True)
     """
     K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    loops = _Loops(plant, K, L, proofs, X, output=output)
+    loops = Loops(plant, K, L, proofs, X, output=output)
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
     return tuple(loops.bounds(channel) for channel in channels)
@@ -126,7 +126,7 @@ def signal_bounds(
 Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
 
 
-class _Loops:
+class Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals."""
 
     def __init__(

@@ -11,6 +11,7 @@ from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
+from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.lmi.exact import Proof
@@ -34,6 +35,7 @@ class Controller:
         proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
         sizes: Of all signals of the plant: what the gains were weighed with.
         costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
+        robust: What is proved for uncertain parameters, where some are.
     """
 
     plant: PWASystem
@@ -43,6 +45,7 @@ class Controller:
     proofs: tuple[Proof, ...]
     sizes: Sizes
     costs: Mapping[str, Array] = field(default_factory=dict)
+    robust: Robust | None = None
 
     @property
     def form(self) -> NormalForm | None:

@@ -18,6 +18,10 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
   of the estimates below x_hat - x, and [B K - X L_s C, -E] stands for B K beside A_i + B K, by which noise reaches e
   too: L_s is the part of L that is below, and X = -T^-1 G, G = [g; 0], g_0 = 0, g_k+1 = c_k E + g_k S, the shift of x_d
   by the estimates; for state tracking X = 0, and every load enters where an input does.
+- Uncertain parameters have corners: other A_c, b_c and B_c for the same cells, whose fields are continuous too. Their
+  bounds are such bounds for M = [A_ci + B_c K, B_c K; A_i - A_ci - (B_c - B) K, A_j + L C - (B_c - B) K], all corners
+  and all i, j; M is affine in A_c and B_c, so they hold for all means of the corners. g = (w, -w) with one entry of w;
+  each entry in which a corner differs from the plant has its bounds.
 - A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
 - An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
   all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P
@@ -35,7 +39,7 @@ from itertools import combinations
 from math import lcm
 from typing import Any
 
-FORMAT = "pwatrack certificate 5"
+FORMAT = "pwatrack certificate 6"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -98,6 +102,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"bound of {entry['channel']}: {fault}" for fault in plant.exceeded(entry, K or [], L or [])]
     if content.get("bounds"):
         said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
+    if (uncertain := content.get("uncertain")) is not None:
+        wrong, sentence = plant.uncertain(content["plant"], uncertain, K or [], L or [])
+        faults += [f"uncertain parameters: {fault}" for fault in wrong]
+        said.append(sentence)
     if not refusal:
         wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
         absent = sorted(NAMES[of] for of in wanted - decided)
@@ -113,7 +121,8 @@ def misplaced(content: Any) -> list[str]:
     """Return what does not belong into the proof of a refusal."""
     proof, *more = content["proofs"]
     of = proof["of"]
-    faults = ["a refusal has one proof, and no bounds"] if more or content.get("bounds") else []
+    extra = more or content.get("bounds") or content.get("uncertain")
+    faults = ["a refusal has one proof, and no bounds"] if extra else []
     if of == "plant" or (of == "generator" and number(proof["rate"])):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
     if (of != "controller" and content["K"] is not None) or (of != "observer" and content["L"] is not None):
@@ -280,6 +289,23 @@ class Plant:
                 faults.append(f"{kind} {k} is not bounded by {size}")
         return faults
 
+    def uncertain(self, plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str], str]:
+        """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
+        box = Box(plant, content["corners"])
+        faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
+        bounded, signals = set[int](), [{(kind, k) for kind, k, _ in entry["signals"]} for entry in content["bounds"]]
+        for entry in content["bounds"]:
+            kind, k = entry["channel"]
+            if kind != "disturbance":
+                raise Fault("a bound of uncertain parameters is one of an entry of w")
+            bounded.add(k)
+            faults += [f"entry {k + 1}: {fault}" for fault in box.exceeded(entry, K, L)]
+        if bounded < box.varying() or any(one != signals[0] for one in signals):
+            faults.append("an entry of w, or a signal of one, has no bound")
+        names = ", ".join(str(name) for name, _, _ in content["parameters"])
+        count = len(unlike(box.loop("joint", K, L)))
+        return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {len(box.corners)} corners"
+
     def bound(self, found: Any, channel: Any, kind: str, k: int, K: Matrix, L: Matrix) -> Fraction:
         """Return the bound of a signal that the ellipsoids prove: at once, or that of K Delta first, which drives e."""
         name, where = channel
@@ -437,6 +463,48 @@ class Plant:
         rows = [[*direction, offset] for direction, offset in above.items()]
         rows += [[-v for v in (*direction, offset)] for direction, offset in below.items()]
         return strictly_feasible(rows)
+
+
+class Box(Plant):
+    """The same plant, where another one runs that is a mean of some corners."""
+
+    def __init__(self, content: Any, corners: Any) -> None:
+        super().__init__(content)
+        if self.loads is not None:
+            raise Fault("uncertain parameters go without estimated loads")
+        self.corners = [
+            Plant(content | {name: X[name] for name in ("A", "b", "B")} | {"radius": content["radius"] | X["radius"]})
+            for X in corners
+        ]
+        if not corners or any(len(corner.B[0][0]) != len(self.B[0][0]) for corner in self.corners):
+            raise Fault("the matrices of the corners do not fit those of the plant")
+
+    def varying(self) -> set[int]:
+        """Return the state equations in which a corner differs from the plant."""
+        return {
+            k
+            for corner in self.corners
+            for own, other in zip((*self.A, *self.b, self.B), (*corner.A, *corner.b, corner.B), strict=True)
+            for k, row in enumerate(own[0])
+            if row != other[0][k]
+        }
+
+    def loop(self, name: str, K: Matrix, L: Matrix) -> list[Ball]:
+        """Return the matrices of (e, Delta) for all corners and pairs of cells."""
+        if name != "joint":
+            raise Fault("the bounds of uncertain parameters are those of the joint loop")
+        observer, pairs = [flipped(M) for M in self.problem("observer", K, L, None)[0]], list[Ball]()
+        for corner in self.corners:
+            BK, off = times(corner.B, (K, [])), times(less(self.B, corner.B), (K, []))
+            for A_c, A in zip(corner.A, self.A, strict=True):
+                lower = plus(less(A, A_c), off)
+                pairs += [stacked(sides(plus(A_c, BK), BK), sides(lower, plus(A_j, off))) for A_j in observer]
+        return [pair for _, pair in unlike(pairs)]
+
+
+def less(one: Ball, other: Ball) -> Ball:
+    """Return all differences of what is in two balls."""
+    return added(one[0], other[0], -1), added_or(one[1], other[1])
 
 
 def normalised(plane: list[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, int]:

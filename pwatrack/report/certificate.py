@@ -13,13 +13,14 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
+from pwatrack.control.robust import Robust
 from pwatrack.lmi.audit import FORMAT
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm, normal_form
-from pwatrack.model.pwa import PWASystem
+from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.spec.spec import Spec
 
 CLAIM = (
@@ -30,9 +31,12 @@ CLAIM = (
     "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
     "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X "
     "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
-    "equation or one measured output, can make of each signal. Multipliers Z_i prove, for the numbers as they are "
-    "written, that no such P exists for any gain, or for the one that is given. The file can be checked with pwatrack "
-    "verify, or with audit.py of pwatrack alone."
+    "equation or one measured output, can make of each signal. Under uncertain: for every plant whose A, b and B are "
+    "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
+    "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
+    "without a bound are 0. Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
+    "gain, or for the one that is given. The file can be checked with pwatrack verify, or with audit.py of pwatrack "
+    "alone."
 )
 
 
@@ -43,7 +47,9 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
         goal = getattr(spec.objectives, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
     bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
-    return _content(spec, controller.design.K, controller.design.L, proofs) | {"bounds": bounds}
+    uncertain = None if controller.robust is None else _uncertain(spec, controller.robust)
+    content = _content(spec, controller.design.K, controller.design.L, proofs)
+    return content | {"bounds": bounds, "uncertain": uncertain}
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -53,6 +59,17 @@ def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
     Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
     proofs = [{"of": evidence.role.name, "rate": _decimal(evidence.rate), "Z": Z}]
     return _content(spec, known.get(CONTROLLER), known.get(OBSERVER), proofs)
+
+
+def corner_content(spec: Spec, corners: Sequence[Matrices]) -> dict[str, Any]:
+    """Return the part of a proof for uncertain parameters that the spec alone decides."""
+    return {
+        "parameters": [
+            [interval.name, *(text(end.centre) for end in (interval.low, interval.high))]
+            for interval in spec.objectives.uncertain
+        ],
+        "corners": [_corner(X) for X in corners],
+    }
 
 
 def subject_content(spec: Spec) -> dict[str, Any]:
@@ -153,6 +170,15 @@ def _plant(plant: PWASystem) -> dict[str, Any]:
     }
 
 
+def _corner(exact: Matrices) -> dict[str, Any]:
+    return {
+        "A": [X.texts for X in exact.A],
+        "b": [X.texts for X in exact.b],
+        "B": exact.B.texts,
+        "radius": {"A": _radii(exact.A), "b": _radii(exact.b), "B": exact.B.radius_texts},
+    }
+
+
 def _loads(loads: Loads) -> dict[str, Any]:
     return {
         "names": list(loads.names),
@@ -161,6 +187,10 @@ def _loads(loads: Loads) -> dict[str, Any]:
         "S": loads.S.texts,
         "radius": {"E": loads.E.radius_texts, "S": loads.S.radius_texts},
     }
+
+
+def _uncertain(spec: Spec, robust: Robust) -> dict[str, Any]:
+    return corner_content(spec, robust.corners) | {"bounds": [_bounds(bounds) for bounds in robust.bounds]}
 
 
 def _radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:

@@ -1,14 +1,15 @@
 """What is said of a design, a run or an ensemble in figures: the same in run.json, at the terminal and in pictures."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.model.loads import Load
 from pwatrack.model.sizes import Sizes
@@ -111,8 +112,13 @@ def gain_figures(controller: Controller) -> dict[str, float]:
 
 def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
     """Return what run.json says of each disturbance and each sensor's noise: the bound of every signal per 1 of it."""
+    return bounds_content(spec, controller.bounds)
+
+
+def bounds_content(spec: Spec, found: Sequence[Bounds]) -> list[dict[str, Any]]:
+    """Return the bounds of every signal per 1 of what acts, for run.json."""
     content = []
-    for bounds in controller.bounds:
+    for bounds in found:
         on, unit = channel_text(spec, bounds.channel)
         signals = {}
         for signal, size in bounds.sizes.items():
@@ -186,6 +192,33 @@ def size_texts(sizes: Sizes, most: int) -> list[str]:
     origins = dict.fromkeys(sizes.origins[name] for name in shown)
     groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
     return [*said, f"{'; '.join(groups)}; speed {sizes.speed:.4g} 1/s"]
+
+
+def limit_texts(spec: Spec, sizes: Iterable[tuple[Form, float]]) -> Iterator[str]:
+    """Yield the bounds of signals in words, rounded up."""
+    for signal, size in sizes:
+        name, unit = signal_text(spec, signal)
+        yield f"{sized(name)} ≤ {up(size)} {unit}".rstrip()
+
+
+def sized(name: str) -> str:
+    """Return the size of a signal in words."""
+    return f"|{name.replace('-', '−')}|"
+
+
+def down(value: float) -> str:
+    """Return a number in four digits, not larger: what is said must be proved too.
+
+    Example:
+        >>> down(0.0826799), up(1.4001)
+        ('0.08267', '1.41')
+    """
+    return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
+
+
+def up(value: float) -> str:
+    """Return a number in three digits, not smaller."""
+    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
 def per_second(unit: str) -> str:

@@ -28,6 +28,7 @@ from pwatrack.report.figures import (
 )
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
+from pwatrack.report.uncertain import box_figures, robust_content
 from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -76,6 +77,8 @@ def write_design(
         }
         index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)
+        if controller.robust is not None:
+            index["uncertain"] = robust_content(spec, controller.robust)
         if broken is not None:
             said = "; ".join(problem.message for problem in broken.problems)
             index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
@@ -119,6 +122,9 @@ def write_result(
             "estimates": load_content(result),
             "bounds": bound_content(result.spec, result.controller),
         }
+        if (robust := result.controller.robust) is not None:
+            along = {"along_x_d": box_figures(result, robust)}
+            more["uncertain"] = robust_content(result.spec, robust) | along
         if many:
             _ensemble(run, many)
             more["ensemble"] = ensemble_measures(many)

@@ -1,7 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,23 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.report.figures import (
     channel_text,
     declared,
+    down,
     ensemble_measures,
     error_unit,
+    limit_texts,
     load_content,
     load_kind,
     measures,
     member_figures,
     signal_text,
+    sized,
     states_unit,
+    up,
 )
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
+from pwatrack.report.uncertain import box_rows, run_rows
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
@@ -82,6 +86,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         _generator_rows(table, generator, promised.generator)
     _promise_rows(table, controller)
     _bound_rows(table, spec, controller)
+    for k, text in enumerate(box_rows(spec, controller)):
+        table.add_row("" if k else "uncertain", text)
 
 
 def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
@@ -97,7 +103,7 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
         return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
     level = noise_level(X, controller.design.L, goal.Q, goal.R)
     return (
-        f"E[Δᵀ X⁻¹ W X⁻¹ Δ] ≤ {_up(level)} 1/s under the white noise given, averaged over a long time, for any "
+        f"E[Δᵀ X⁻¹ W X⁻¹ Δ] ≤ {up(level)} 1/s under the white noise given, averaged over a long time, for any "
         "switching; Δ = x̂ − x, W = Q + L R Lᵀ, X in gains.json"
     )
 
@@ -133,23 +139,23 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
 
 def _rate(proved: Sequence[Contraction]) -> str:
     """Say the best rate that one inequality is proved for."""
-    return f"rate {_down(max(p.rate for p in proved))} 1/s"
+    return f"rate {down(max(p.rate for p in proved))} 1/s"
 
 
 def _promise_rows(table: Table, controller: Controller) -> None:
     """Say how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
     error = "y − y_d and x − x_d go" if controller.generator is not None else "x − x_d goes"
-    text = f"from every start {error} to 0 at least as fast as e^(−{_down(promised.rate)} t), for any switching"
+    text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
-        own = _down(max(p.rate for p in promised.generator))
+        own = down(max(p.rate for p in promised.generator))
         text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"
     rate, of_K, of_L = promised.robust
     table.add_row("promise", text)
     table.add_row(
         "",
-        f"at least as fast as e^(−{_down(rate)} t) with K and L changed in every entry by less than "
-        f"{_down(100 * of_K)} % and {_down(100 * of_L)} % of it, the plant as designed",
+        f"at least as fast as e^(−{down(rate)} t) with K and L changed in every entry by less than "
+        f"{down(100 * of_K)} % and {down(100 * of_L)} % of it, the plant as designed",
     )
 
 
@@ -164,28 +170,10 @@ def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
     for bounds in found[:_CHANNELS]:
         on, unit = channel_text(spec, bounds.channel)
         sizes = [(signal, size) for signal, size in bounds.sizes.items() if signal[0] != "estimate"][:_SIGNALS]
-        said = ", ".join(
-            f"|{name.replace('-', '−')}| ≤ {_up(size)} {of}".rstrip()
-            for (name, of), size in ((signal_text(spec, signal), size) for signal, size in sizes)
-        )
+        said = ", ".join(limit_texts(spec, sizes))
         table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound proved'}")
     if len(found) > _CHANNELS:
         table.add_row("", f"{len(found) - _CHANNELS} more in run.json")
-
-
-def _down(value: float) -> str:
-    """Return a number in four digits, not larger: what is said must be proved too.
-
-    Example:
-        >>> _down(0.0826799), _up(1.4001)
-        ('0.08267', '1.41')
-    """
-    return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
-
-
-def _up(value: float) -> str:
-    """Return a number in three digits, not smaller."""
-    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
 def _missed_rows(table: Table, checked: Sequence[Checked]) -> None:
@@ -216,6 +204,8 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
         unit = figure["unit"]
         size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
         table.add_row("estimate", f"of {name} at the end: {estimate}, and {size} acts")
+    for text in run_rows(result):
+        table.add_row("uncertain", text)
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
@@ -260,14 +250,14 @@ def _repair_rows(table: Table, result: Result) -> None:
     table.add_row(
         "repair",
         "with states and inputs no larger than here, the plant as it was given differs by at most "
-        + ", ".join(f"{_up(acting[k])} {unit} on {name}".replace("  ", " ") for k, name, unit in on),
+        + ", ".join(f"{up(acting[k])} {unit} on {name}".replace("  ", " ") for k, name, unit in on),
     )
     for signal in bounds[0].sizes:
         if signal[0] in ("output", "state") and all(signal in bounds[k].sizes for k, _, _ in on):
             name, unit = signal_text(spec, signal)
             total = float(sum(bounds[k].sizes[signal] * acting[k] for k, _, _ in on)) * (1 + 1e-12)
-            size = f"{_up(total)} {unit}".rstrip()
-            table.add_row("", f"which adds at most {size} to |{name.replace('-', '−')}| in the end")
+            size = f"{up(total)} {unit}".rstrip()
+            table.add_row("", f"which adds at most {size} to {sized(name)} in the end")
 
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:

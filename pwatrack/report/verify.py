@@ -14,9 +14,10 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit import Fault, audit, number
 from pwatrack.model.normal_form import normal_form
-from pwatrack.report.certificate import CLAIM, decimals, generator_content, subject_content
+from pwatrack.report.certificate import CLAIM, corner_content, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.sizing import spec_sizes
+from pwatrack.spec.corners import corners
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 
@@ -96,6 +97,7 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         for name in ("tracking", "plant", "generator")
         if content[name] != subject[name]
     ]
+    faults += _other_box(content.get("uncertain"), spec)
     if content["spec_sha256"] != spec.sha256:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
     impossible = any("Z" in proof for proof in content["proofs"])
@@ -113,6 +115,20 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         if given is not None and not impossible and content[letter] != decimals(given):
             faults.append(f"{letter} is not the one that {spec.path} gives")
     return faults
+
+
+def _other_box(uncertain: Any, spec: Spec) -> list[str]:
+    """Return whether the corners of uncertain parameters are not those that the spec asks for."""
+    box = spec.objectives.uncertain
+    wanted = None
+    if box and uncertain is not None:
+        wanted = corner_content(spec, corners(spec.problem.parametric, spec.problem.plant, box))
+    found = None if uncertain is None else {name: uncertain[name] for name in ("parameters", "corners")}
+    return (
+        [f"the uncertain parameters are not those of {spec.path}"]
+        if found != wanted or bool(box) != bool(found)
+        else []
+    )
 
 
 def _norms(content: dict[str, Any], spec: Spec) -> dict[str, float]:
@@ -158,9 +174,14 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
                 proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
         wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
         wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
-        shown = [signal["bound"] for entry in index.get("bounds", []) for signal in entry["signals"].values()]
-        bounds = [float(number(size)) for entry in content["bounds"] for *_, size in entry["signals"]]
-        wrong += ["bounds"] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
+        box, told = content.get("uncertain"), index.get("uncertain")
+        for name, entries, proofs in (
+            ("bounds", index.get("bounds", []), content["bounds"]),
+            ("uncertain", told["bounds"] if told else [], box["bounds"] if box else []),
+        ):
+            shown = [signal["bound"] for entry in entries for signal in entry["signals"].values()]
+            bounds = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
+            wrong += [name] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
 
 

@@ -146,6 +146,20 @@ def as_course(value: Any) -> Any:
     return {"formula": value} if isinstance(value, str) else value
 
 
+def _share_or_interval(value: Any, info: ValidationInfo[Context]) -> Real | tuple[Real, Real]:
+    if isinstance(value, str) and value.rstrip().endswith("%"):
+        share = sized_real(value.rstrip()[:-1], info.context) / 100
+        if share.centre <= 0:
+            raise ValueError(f"{shown(value)} is no positive share")
+        return share
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError("a share such as 5%, or an interval such as [0.9, 1.1], is expected")
+    low, high = (sized_real(entry, info.context) for entry in value)
+    if not low.centre < high.centre:
+        raise ValueError(f"low {float(low):g} is not below high {float(high):g}")
+    return low, high
+
+
 def _positive(value: float) -> float:
     if value <= 0:
         raise ValueError(f"{value:g} is not positive")
@@ -308,6 +322,7 @@ StartOrMeasured = Annotated[
 StartOrSteady = Annotated[
     Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]
+ShareOrInterval = Annotated[Real | tuple[Real, Real], PlainValidator(_share_or_interval)]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
 PositiveOrLargest = Annotated[float | Literal["largest"], PlainValidator(_positive_or("largest"))]
 PositiveOrSmallest = Annotated[float | Literal["smallest"], PlainValidator(_positive_or("smallest"))]

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
+from pwatrack.spec.box import box_problems
 from pwatrack.spec.build import build_loads, build_plant, build_reference
 from pwatrack.spec.consistency import load_problems, plant_problems, reference_problems, sampling_problems
 from pwatrack.spec.entries import Context
@@ -85,7 +86,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
         problem=TrackingProblem(
             plant=plant, units=file.system.units, sizes=file.system.sizes, reference=reference, parametric=parametric
         ),
-        objectives=build_objectives(file.design),
+        objectives=build_objectives(file.design, values),
         scenario=build_scenario(simulation, plant.states, conditions),
         requirements=requirements,
         expected_exit=file.expect.exit if file.expect else 0,
@@ -110,7 +111,7 @@ def _checked(document: Document, context: Context, problems: list[Problem]) -> S
         problems += validation_problems(error, data)
     if not problems:
         problems += plant_problems(file.system) + load_problems(file) + reference_problems(file) + goal_problems(file)
-        problems += condition_problems(file, context.parameters)
+        problems += condition_problems(file, context.parameters) + box_problems(file.design, context.parameters)
     if problems:
         raise located(InvalidSpec(*problems), document.places).sorted()
     return file

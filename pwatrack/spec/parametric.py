@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pwatrack.arrays import number_text
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
@@ -24,7 +25,7 @@ from pwatrack.spec.paths import path_text
 from pwatrack.spec.problems import MOST
 from pwatrack.spec.schema import HyperplaneSection, Section, SystemSection
 
-Value = str | float | Expression
+Value = str | float | Expression | Real
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +86,7 @@ class ParametricPlant:
             tolerance=tolerance,
         )
 
-    def at(self, parameters: Mapping[str, float | str], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
+    def at(self, parameters: Mapping[str, float | str | Real], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
         """Return the plant with these parameters, and their values.
 
         Args:
@@ -99,12 +100,13 @@ class ParametricPlant:
             values = self._values(parameters)
             plant = build_plant(self._section(values), self.tolerance)
         except PwatrackError as refusal:
-            said = f"plant with {', '.join(f'{name} = {value}' for name, value in parameters.items())}: "
+            given = ((name, number_text(float(v)) if isinstance(v, Real) else v) for name, v in parameters.items())
+            said = f"plant with {', '.join(f'{name} = {value}' for name, value in given)}: "
             problems = (replace(p.prefixed(said), subject=subject, place=None) for p in refusal.problems)
             raise type(refusal)(*problems) from None
         return plant, {name: float(value) for name in parameters if (value := values[name]) is not None}
 
-    def _values(self, parameters: Mapping[str, float | str]) -> dict[str, Real | None]:
+    def _values(self, parameters: Mapping[str, float | str | Real]) -> dict[str, Real | None]:
         values, problems = evaluated(self.parameters, parameters, outside=self.outside - set(parameters))
         if problems:
             raise InvalidSpec(*problems)
@@ -149,6 +151,9 @@ def evaluated(
             values[name] = None  # said by the schema
             continue
         try:
+            if isinstance(text, Real):
+                values[name] = text
+                continue
             if not isinstance(text, str | int | float | Expression):
                 raise ExpressionError("a number or an expression is expected")
             values[name] = real(text if isinstance(text, Expression) else str(text), values)

@@ -1,6 +1,6 @@
 """Checked sections -> the objectives of a design, and the scenario that is simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,8 @@ from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smal
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
+from pwatrack.real import Real
+from pwatrack.spec.box import build_box
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.schema import (
@@ -23,12 +25,13 @@ from pwatrack.spec.spec import Objectives, Scenario
 from pwatrack.spec.starts import initial_states, regions
 
 
-def build_objectives(section: DesignSection) -> Objectives:
-    """Return what the gains are to achieve."""
+def build_objectives(section: DesignSection, values: Mapping[str, Real | None]) -> Objectives:
+    """Return what the gains are to achieve; `values` are those of the parameters."""
     return Objectives(
         controller=_goal(section.controller, section.controller.K),
         observer=_goal(section.observer, section.observer.L),
         solver=section.solver,
+        uncertain=build_box(section, values),
     )
 
 

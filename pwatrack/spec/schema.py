@@ -40,6 +40,7 @@ from pwatrack.spec.entries import (
     Rounding,
     Rows,
     Scale,
+    ShareOrInterval,
     Start,
     StartOrMeasured,
     StartOrSteady,
@@ -233,6 +234,8 @@ class DesignSection(Section):
     observer: ObserverSection = ObserverSection()
     estimate: Estimate | None = None
     solver: Solver = "clarabel"
+    uncertain: dict[Name, ShareOrInterval] = {}
+    """Parameters that are known to lie in an interval, or within a share of their value."""
 
 
 class SineSection(Section):

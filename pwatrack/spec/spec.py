@@ -15,6 +15,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
+from pwatrack.spec.box import Box
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.requirement import Requirement
@@ -52,11 +53,13 @@ class Objectives:
     Attributes:
         controller, observer: Goals of K and Lᵀ.
         solver: Which interior-point solver to ask.
+        uncertain: Parameters of which only intervals are known.
     """
 
     controller: Goal
     observer: Goal
     solver: Solver
+    uncertain: Box = ()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ _PATHS: Mapping[Part, Subject] = {
     Part.DESIGN: ("design",),
     Part.CONTROLLER: ("design", "controller"),
     Part.OBSERVER: ("design", "observer"),
+    Part.UNCERTAIN: ("design", "uncertain"),
     Part.GENERATOR_START: ("simulation", "initial", "generator"),
     Part.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
     Part.ESTIMATE: ("design", "estimate"),

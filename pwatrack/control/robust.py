@@ -1,0 +1,186 @@
+"""What is proved of the loop for every plant of a box: the plants at its corners, and all their means.
+
+Let x' = f_p(x) + B_p u be the plant that runs, with the cells of the one that the controller knows, f and B. With
+e = x − x_d, Δ = x̂ − x and u = K (e + Δ) + u_ff, (18) and (19) give
+
+    e' = f_p(x) − f_p(x_d) + B_p K (e + Δ) + w,      w = f_p(x_d) − f(x_d) + (B_p − B) u_ff,
+    Δ' = f(x̂) − f(x) + L C Δ − (f_p − f)(x) + (f_p − f)(x_d) − (B_p − B) K (e + Δ) − w.
+
+Along the segment from x_d to x, f_p and f change by the matrices of the same cells in the same shares, so
+
+    (e, Δ)' = M (e, Δ) + (w, −w),    M ∈ conv{M_cij},
+    M_cij = [A_i(c) + B(c) K, B(c) K; A_i − A_i(c) − (B(c) − B) K, A_j + L C − (B(c) − B) K]
+
+for the corners c and all cells i, j: M is affine in A_i(p) and B_p. One ellipsoid for each entry of w that is not 0
+bounds every signal, as in `bounds`; p may change with time, in any way. The desired trajectory is that of the known
+plant, and does not depend on p.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pwatrack.arrays import Array, number_text
+from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.causes import Part
+from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
+from pwatrack.control.convergence import best_certificate
+from pwatrack.control.synthesis import Design
+from pwatrack.errors import OutsideTheory, Problem, Undecided
+from pwatrack.lmi.ellipsoid import Inner
+from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.inequality import Solver
+from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.rational import identity
+
+_KEPT = 0.97  # of the rate of the P that ellipsoids start from
+_CLAIM = "the proof for the uncertain parameters"
+_ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robust:
+    """The proof for a box.
+
+    Attributes:
+        plant: The plant of the design.
+        corners: The matrices at the corners.
+        count: How many inequalities of order 2 n each ellipsoid satisfies.
+        bounds: What 1 of an entry of w can make of each output or state that is tracked, and of each input, for every
+            plant of the box; one for each entry that is not 0.
+    """
+
+    plant: PWASystem
+    corners: tuple[Matrices, ...]
+    count: int
+    bounds: tuple[Bounds, ...]
+
+    @property
+    def rate(self) -> float:
+        """Errors go to their bound at least as fast as e^(−rate t), in 1/s."""
+        return min(part.ellipsoid.a for bounds in self.bounds for part in bounds.parts) / 2
+
+    def deviation(self, x_d: Array, u_ff: Array) -> Array:
+        """Return the largest size of each entry of w along samples of x_d (K, n) and u_ff (K, m), over the box.
+
+        w is affine in the matrices, so it is largest at a corner.
+        """
+        plant, largest = self.plant, np.zeros(x_d.shape[1])
+        sides = np.sign(x_d @ plant.partition.H.T + plant.partition.h)
+        for i, signs in enumerate(plant.partition.signs):
+            here = (sides * signs >= 0).all(axis=1)
+            for A, b, B in self._differences:
+                w = x_d[here] @ A[i].T + b[i] + u_ff[here] @ B.T
+                largest = np.maximum(largest, np.abs(w).max(axis=0, initial=0.0))
+        return largest
+
+    def reached(self, deviation: Array) -> dict[Form, float]:
+        """Return the bound of each signal in the end, for entries of w of these sizes at most (n,)."""
+        total = dict.fromkeys(self.bounds[0].sizes, 0.0)
+        for bounds in self.bounds:
+            for signal in total:
+                total[signal] += bounds.sizes[signal] * float(deviation[bounds.channel[1]])
+        return {signal: size * _ABOVE for signal, size in total.items()}
+
+    @cached_property
+    def _differences(self) -> list[tuple[Array, Array, Array]]:
+        plant = self.plant
+        return [
+            (
+                np.array([X.floats for X in corner.A]) - plant.A,
+                np.array([X.floats[:, 0] for X in corner.b]) - plant.b,
+                corner.B.floats - plant.B,
+            )
+            for corner in self.corners
+        ]
+
+
+def prove_box(
+    plant: PWASystem,
+    design: Design,
+    proofs: Sequence[Proof],
+    corners: Sequence[Matrices],
+    *,
+    output: bool,
+    solver: Solver = "clarabel",
+) -> Robust:
+    """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
+
+    Args:
+        plant: The plant of the design.
+        design: Its gains.
+        proofs: What `prove_design` returned for them.
+        corners: The matrices at the corners, with the same cells.
+        output: Whether outputs are tracked, else states.
+        solver: Which interior-point solver to ask for a common P.
+
+    Raises:
+        OutsideTheory: If loads are estimated too.
+        Undecided: If there are too many inequalities, or no common P is found.
+    """
+    if plant.loads is not None:
+        message = "bounds for uncertain parameters are proved without estimates of unknown loads"
+        raise OutsideTheory(Problem(message=message, subject=(Part.UNCERTAIN,), hint="leave out one or the other"))
+    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    M = _joint(plant.exact, corners, K, L)
+    order = M[0].shape[0]
+    if len(M) * order**4 > MOST_WORK:
+        most = MOST_WORK // order**4
+        message = (
+            f"{_CLAIM} is undecided: {len(M)} inequalities of order {order}, at most {most} of that order are tried"
+        )
+        raise Undecided(
+            Problem(message=message, subject=(Part.UNCERTAIN,), hint="let parameters that matter least be known")
+        )
+    matrices = np.array([X.floats for X in M])
+    worst = float(np.linalg.eigvals(matrices).real.max())
+    found = best_certificate(matrices, solver=solver) if worst < 0 else None
+    if found is None or found.rate <= 0:
+        raise _undecided(len(M), order, worst)
+    n = len(plant.B)
+    no_loads = BallMatrix.of(np.zeros((n, 0)), (n, 0))
+    loops = Loops(plant, K, L, proofs, no_loads, output=output)
+    loops.M["joint"], loops.inners["joint"] = M, [Inner(Q=found.P, most=2 * _KEPT * found.rate)]
+    bounds = []
+    for k in varying_rows(plant.exact, corners):
+        channel: Channel = ("disturbance", k)
+        sizes, parts = loops.sizes("joint", channel, loops.tracked + loops.inputs)
+        if not parts:
+            raise _undecided(len(M), order, worst)
+        bounds.append(Bounds(channel=channel, sizes=sizes, parts=parts))
+    return Robust(plant=plant, corners=tuple(corners), count=len(M), bounds=tuple(bounds))
+
+
+def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
+    """Return the state equations in which the plants differ."""
+    return [
+        k
+        for k in range(exact.B.shape[0])
+        if any(
+            any((X.part([k], range(X.shape[1])).centre - Y.part([k], range(X.shape[1])).centre).entries())
+            for corner in corners
+            for X, Y in zip((*corner.A, *corner.b, corner.B), (*exact.A, *exact.b, exact.B), strict=True)
+        )
+    ]
+
+
+def _joint(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:
+    """Return the different M_cij."""
+    nothing = BallMatrix(identity(exact.B.shape[0]) * 0)
+    observers, found = [A_j + L @ exact.C for A_j in different(exact.A)], list[BallMatrix]()
+    for corner in corners:
+        BK, off = corner.B @ K, nothing - (corner.B - exact.B) @ K
+        for A_c, A_i in zip(corner.A, exact.A, strict=True):
+            upper, left = beside(A_c + BK, BK), A_i - A_c + off
+            found += [above(upper, beside(left, A_j + off)) for A_j in observers]
+    return different(found)
+
+
+def _undecided(count: int, order: int, worst: float) -> Undecided:
+    message = f"{_CLAIM} is undecided: no common P was found for {count} inequalities of order {order}"
+    if worst >= 0:
+        message += f"; at a corner an eigenvalue of the loop has real part {number_text(worst, '.3g')}"
+    hint = "give smaller intervals, or ask for gains with a faster decay"
+    return Undecided(Problem(message=message, subject=(Part.UNCERTAIN,), hint=hint))

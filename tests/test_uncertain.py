@@ -1,0 +1,305 @@
+"""Uncertain parameters: the corners speak for the box, and the bounds hold for every plant in it."""
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pwatrack import design, load_spec, simulate, write_result
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
+from pwatrack.lmi.audit import audit
+from pwatrack.rational import fraction_of
+from pwatrack.report.uncertain import box_figures, covered
+from pwatrack.report.verify import verify
+from pwatrack.spec.corners import corners
+
+SPRING = """
+name: mass on a spring
+parameters: {{m: 2, k: 3, d: 1, e: 0, c: 0.1, j: d/2}}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [{stiff}, -d/m]]
+  B: [[0], [{push}]]
+  C: [[{seen}, 0]]
+  nonlinearities:
+    - {{name: stop, kind: spring, of: z, start: {start}, slope: 2*k, into: {{v: -1/m}}}}
+design: {{uncertain: {{{box}}}}}
+reference: {{output: 0.1*sin(t)}}
+simulation: {{duration: 30, sample_time: 0.05{conditions}}}
+"""
+PLAIN = {"stiff": "-k/m", "push": "1/m", "seen": "1", "start": "0.05", "box": "m: 5%", "conditions": ""}
+
+
+def spring(folder: Path, **changes: str) -> Path:
+    path = folder / "spring.yaml"
+    path.write_text(SPRING.format(**PLAIN | changes))
+    return path
+
+
+def backlash(specs: Path, folder: Path, share: str, conditions: str = "") -> Path:
+    text = (specs / "two_mass_backlash.yaml").read_text(encoding="utf-8")
+    text = text.replace("k3: 0.4 ", "k3: k2 ").replace("\nsimulation:\n", f"\nsimulation:\n{conditions}")
+    box = ", ".join(f"{name}: {share}" for name in ("k1", "k2", "d1", "d2"))
+    path = folder / "backlash.yaml"
+    path.write_text(text.replace("  tracking: output\n", f"  tracking: output\n  uncertain: {{{box}}}\n"))
+    return path
+
+
+def exactly(matrices: Any) -> list[Fraction]:
+    """Return all entries of A, b and B."""
+    every: list[BallMatrix] = [*matrices.A, *matrices.b, matrices.B]
+    return [fraction_of(v) for X in every for v in X.centre.entries()]
+
+
+@pytest.mark.parametrize(
+    ("box", "inverse"), [("m: [1.5, 3], k: 10%, d: [0.5, 1]", {"m"}), ("k: [-1, 4], d: 100%", set[str]())]
+)
+def test_plants_of_the_box_are_means_of_the_corners(tmp_path: Path, box: str, inverse: set[str]) -> None:
+    path = spring(tmp_path, box=box, stiff="-(k + 2*d*k)/m + j*k/m")
+    spec, rng = load_spec(path), np.random.default_rng(3)
+    problem, intervals = spec.problem, spec.objectives.uncertain
+    found = [exactly(X) for X in corners(problem.parametric, problem.plant, intervals)]
+    for _ in range(5):
+        point, shares = {}, []
+        for interval in intervals:
+            low, high = interval.low.centre, interval.high.centre
+            value = low + (high - low) * Fraction(int(rng.integers(1, 1000)), 1000)
+            point[interval.name] = str(value)
+            q: Callable[[Fraction], Fraction] = (lambda v: 1 / v) if interval.name in inverse else (lambda v: v)
+            shares.append((q(value) - q(low)) / (q(high) - q(low)))
+        weights = [
+            prod([s if end else 1 - s for s, end in zip(shares, ends, strict=True)])
+            for ends in product((0, 1), repeat=len(shares))
+        ]
+        assert all(w >= 0 for w in weights)
+        mean = [sum(w * v for w, v in zip(weights, entry, strict=True)) for entry in zip(*found, strict=True)]
+        there = load_spec(path, point)
+        assert exactly(there.problem.plant.exact) == mean
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "said"),
+    [
+        ({"stiff": "-k/m - m"}, 3, "not affine in a power of 'm'"),
+        ({"box": "k: 5%", "stiff": "-k**2/m"}, 3, "not affine in a power of 'k'"),
+        ({"box": "d: 5%", "stiff": "-j*d"}, 3, "not affine in a power of 'd'"),
+        ({"box": "k: 5%", "stiff": "-sqrt(k)"}, 3, "no sum of products"),
+        ({"box": "m: 5%", "push": "1/(m + 1)"}, 3, "no sum of products"),
+        ({"box": "c: 5%", "start": "c"}, 3, "hyperplanes are to be known"),
+        ({"box": "m: 5%", "seen": "m"}, 3, "what is measured and tracked is to be known"),
+        ({"box": "m: [-1, 3]"}, 3, "contains 0"),
+        ({"box": "c: 5%"}, 2, "in no matrix"),
+        ({"box": "e: 5%"}, 2, "a share of a value that is 0"),
+        ({"box": "m: [3, 4]"}, 2, "the value of the design, 2, is not in it"),
+        ({"box": "mass: 5%"}, 2, "'mass' is no parameter"),
+        ({"box": "m: 5"}, 2, "a share such as 5%"),
+        ({"box": "m: [3, 1]"}, 2, "not below"),
+        ({"box": "m: -5%"}, 2, "no positive share"),
+        ({"box": "k: [-400, 9]"}, 5, "no common P was found"),
+    ],
+)
+def test_what_the_corners_do_not_speak_for_is_refused(
+    tmp_path: Path, changes: dict[str, str], code: int, said: str
+) -> None:
+    with pytest.raises(PwatrackError, match=said) as refused:
+        design(load_spec(spring(tmp_path, **changes)))
+    assert refused.value.code == code
+    assert refused.value.problems[0].place is not None
+
+
+def test_a_box_with_too_many_corners_is_undecided_before_anything_is_solved(tmp_path: Path) -> None:
+    names = [f"p{k}" for k in range(13)]
+    text = SPRING.format(**PLAIN | {"stiff": "-(" + "+".join(names) + ")", "box": ", ".join(f"{p}: 5%" for p in names)})
+    path = tmp_path / "many.yaml"
+    path.write_text(text.replace("parameters: {", "parameters: {" + "".join(f"{p}: 1, " for p in names)))
+    with pytest.raises(PwatrackError, match=r"2\^13 corners") as refused:
+        design(load_spec(path))
+    assert refused.value.code == ExitCode.UNDECIDED
+
+
+def test_the_papers_example_is_proved_to_nine_percent_and_not_to_ten(specs: Path, tmp_path: Path) -> None:
+    robust = design(load_spec(backlash(specs, tmp_path, "5%"))).robust
+    assert robust is not None
+    assert robust.count == (16 + 8) * 2  # corners of the cells with a spring, which are alike, and of the gap
+    assert [bounds.channel[1] for bounds in robust.bounds] == [1, 3]
+    assert design(load_spec(backlash(specs, tmp_path, "9.3%"))).robust is not None
+    with pytest.raises(PwatrackError, match="no common P") as refused:
+        design(load_spec(backlash(specs, tmp_path, "10%")))
+    assert refused.value.code == ExitCode.UNDECIDED
+
+
+def peak_gain(F: Array, g: Array, c: Array) -> float:
+    """Return ∫|c e^{Ft} g| dt from below, by a sum over a fine grid."""
+    step = 0.02 / float(np.abs(np.linalg.eigvals(F)).max())
+    end = 12 / -float(np.linalg.eigvals(F).real.max())
+    E, z, total = expm(F * step), g, 0.0
+    for _ in range(int(end / step)):
+        after = E @ z
+        total += step * min(abs(float(c @ z)), abs(float(c @ after)))
+        z = after
+    return total
+
+
+ONE_CELL = """
+name: one cell
+parameters: {{{parameters}}}
+system:
+  states: [a, b, c]
+  inputs: [u]
+  outputs: [y]
+  A: [[-1, p0, 0.3], [0.5*p1, -0.4, 1], [p0*p1, 0.2, -2]]
+  B: [[0], [{gain}], [1]]
+  C: [[1, 0, 0.5]]
+design: {{tracking: state, uncertain: {{{box}}}}}
+reference: {{setpoint: {{y: 1}}}}
+simulation: {{duration: 1, sample_time: 0.1}}
+"""
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_plant_of_the_box_has_a_peak_gain_above_its_bound(tmp_path: Path, seed: int) -> None:
+    """Of (x, x̂)' in one cell, where w acts on x alone: no common P, no ellipsoid and no error coordinates."""
+    rng, path = np.random.default_rng(seed), tmp_path / "one.yaml"
+    nominal = {"p0": rng.uniform(0.3, 1), "p1": rng.uniform(-1, 1), "p2": rng.uniform(0.5, 1.5)}
+    parameters = ", ".join(f"{name}: {value:.3f}" for name, value in nominal.items())
+    path.write_text(ONE_CELL.format(parameters=parameters, gain="1/p2", box="p0: 8%, p1: 8%, p2: 8%"))
+    spec = load_spec(path)
+    controller = design(spec)
+    K, L, known, robust = controller.design.K, controller.design.L, controller.plant, controller.robust
+    assert robust is not None
+    ratios = []
+    for bounds in robust.bounds:
+        g, worst = np.eye(6)[bounds.channel[1]], dict.fromkeys(bounds.sizes, 0.0)
+        ends = product(*((float(i.low), float(i.high)) for i in spec.objectives.uncertain))
+        inner = [[float(rng.uniform(float(i.low), float(i.high))) for i in spec.objectives.uncertain] for _ in range(3)]
+        for values in [*ends, *inner]:
+            plant = load_spec(path, dict(zip(nominal, map(repr, values), strict=True))).problem.plant
+            A_hat = known.A[0] + known.B @ K + L @ known.C
+            F = np.block([[plant.A[0], plant.B @ K], [-L @ known.C, A_hat]])
+            for kind, k in worst:
+                c = np.hstack([np.eye(3)[k], np.zeros(3)]) if kind == "state" else np.hstack([np.zeros(3), K[k]])
+                worst[kind, k] = max(worst[kind, k], peak_gain(F, g, c))
+        assert all(worst[signal] <= size for signal, size in bounds.sizes.items())
+        ratios += [size / worst[signal] for signal, size in bounds.sizes.items()]
+    assert np.median(ratios) < 10  # a bound of any use
+
+
+@pytest.mark.parametrize("values", [(1, 1, 1, 1), (-1, -1, -1, -1), (1, -1, -1, 1), (0.3, 0.9, -0.7, -0.2)])
+def test_simulated_errors_stay_below_what_is_proved_for_the_box(
+    specs: Path, tmp_path: Path, values: tuple[float, ...]
+) -> None:
+    nominal = {"k1": 1, "k2": 0.4, "d1": 0.2, "d2": 0.1}
+    moved = ", ".join(f"{p}: {v * (1 + 0.05 * s):.9g}" for (p, v), s in zip(nominal.items(), values, strict=True))
+    path = backlash(specs, tmp_path, "5%", f"  plant: {{parameters: {{{moved}}}}}\n")
+    result = simulate(load_spec(path, {}))
+    assert covered(result)
+    assert result.controller.robust is not None
+    along = box_figures(result, result.controller.robust)
+    assert set(along) == {"y - y_d", "u - u_ff"}
+    late = result.response.t > 54
+    seen = np.abs(result.response.y - result.response.y_d)[late].max()
+    assert along["y - y_d"]["seen"] == pytest.approx(seen, rel=1e-2)
+    assert 0 < along["y - y_d"]["seen"] <= along["y - y_d"]["bound"]
+    assert 0 < along["u - u_ff"]["seen"] <= along["u - u_ff"]["bound"]
+
+
+def test_deviation_is_that_of_the_worst_plant_of_the_box(tmp_path: Path) -> None:
+    spec = load_spec(spring(tmp_path, box="m: 5%, k: 5%"))
+    controller, rng = design(spec), np.random.default_rng(1)
+    assert controller.robust is not None
+    x_d, u_ff = rng.normal(size=(7, 2)), rng.normal(size=(7, 1))
+    found, reached = controller.robust.deviation(x_d, u_ff), 0.0
+    for m, k in product(np.linspace(1.9, 2.1, 5), np.linspace(2.85, 3.15, 5)):
+        plant = load_spec(spec.path, {"m": repr(float(m)), "k": repr(float(k))}).problem.plant
+        for x, u in zip(x_d, u_ff, strict=True):
+            w = plant.field(x, u) - controller.plant.field(x, u)
+            assert w[0] == pytest.approx(0, abs=1e-15)
+            assert abs(w[1]) <= found[1] * (1 + 1e-12)
+            reached = max(reached, abs(w[1]))
+    assert reached == pytest.approx(found[1])
+    assert found[0] == 0
+
+
+def drop_a_corner(box: Any) -> None:
+    box["corners"].pop()
+
+
+def stiffer_corner(box: Any) -> None:
+    box["corners"][0]["B"][1][0] = "0.4"
+
+
+def no_bounds(box: Any) -> None:
+    box["bounds"].clear()
+
+
+def smaller_bound(box: Any) -> None:
+    box["bounds"][0]["signals"][0][2] = "1e-6"
+
+
+def smaller_ellipsoid(box: Any) -> None:
+    Q = box["bounds"][0]["parts"][0]["Q"]
+    Q["exponents"] = [e - 3 for e in Q["exponents"]]
+
+
+def jumping_corner(box: Any) -> None:
+    box["corners"][0]["b"][0][1][0] = "0.1"
+
+
+def wider_interval(box: Any) -> None:
+    box["parameters"][0][2] = "9"
+
+
+@pytest.mark.parametrize(
+    ("change", "alone"),
+    [
+        (drop_a_corner, False),
+        (wider_interval, False),
+        (stiffer_corner, True),
+        (no_bounds, True),
+        (smaller_bound, True),
+        (smaller_ellipsoid, True),
+        (jumping_corner, True),
+    ],
+)
+def test_a_certificate_that_was_changed_is_found_out(
+    tmp_path: Path, change: Callable[[Any], None], alone: bool
+) -> None:
+    path = spring(tmp_path, box="m: 5%, k: 5%")
+    folder = write_result(simulate(load_spec(path)), tmp_path / "run")
+    assert any("uncertain parameters: m, k" in sentence for sentence in verify(folder))
+    file = folder / "certificate.json"
+    content = json.loads(file.read_text())
+    change(content["uncertain"])
+    file.write_text(json.dumps(content))
+    _, faults = audit(file.read_text())
+    assert bool(faults) == alone
+    with pytest.raises(CheckFailed):
+        verify(folder)
+
+
+def test_a_proof_for_no_box_does_not_belong_to_a_spec_with_one(tmp_path: Path) -> None:
+    folder = write_result(simulate(load_spec(spring(tmp_path))), tmp_path / "run")
+    content = json.loads((folder / "certificate.json").read_text())
+    content["uncertain"] = None
+    (folder / "certificate.json").write_text(json.dumps(content))
+    with pytest.raises(CheckFailed, match="uncertain parameters are not those"):
+        verify(folder)
+
+
+def test_estimated_loads_beside_uncertain_parameters_are_refused(tmp_path: Path) -> None:
+    path = spring(tmp_path)
+    path.write_text(path.read_text().replace("design: {", "design: {estimate: input, "))
+    with pytest.raises(PwatrackError, match="without estimates") as refused:
+        design(load_spec(path))
+    assert refused.value.code == ExitCode.OUTSIDE_THEORY
