@@ -55,6 +55,7 @@ class Way(Enum):
     GAIN_BOUND = auto()
     DESIRED_STATE = auto()
     DESIRED_START = auto()
+    SMALLER_BOX = auto()  # of uncertain parameters
     FASTER_SAMPLES = auto()  # the longest time in s that would do
 
 

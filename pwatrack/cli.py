@@ -87,9 +87,13 @@ def design(
     parameters: Set = None,
     solver: SolverName = None,
     pareto: Annotated[bool, typer.Option("--pareto", help="Draw what a faster decay costs in gain.")] = False,
+    robust: Annotated[
+        Literal["largest"] | None,
+        typer.Option("--robust", help="Find how far the box of uncertain parameters can be scaled."),
+    ] = None,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(spec_path, out, parameters, solver, simulated=False, fronts=pareto)
+    _run(spec_path, out, parameters, solver, simulated=False, fronts=pareto, scaled=robust is not None)
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")

@@ -16,9 +16,7 @@ from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
@@ -32,6 +30,7 @@ from pwatrack.simulation.startup import measured_start, steady_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.sizing import spec_sizes
+from pwatrack.spec.box import Box
 from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
@@ -71,7 +70,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         )
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes, solver=solver)
-        return Controller(  # (18), (19)
+        controller = Controller(  # (18), (19)
             plant=plant,
             design=gains,
             trajectory=trajectory,
@@ -79,8 +78,9 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
-            robust=_robust(spec, plant, gains, proofs) if goals.uncertain else None,
         )
+    box = goals.uncertain
+    return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
 
 
 def simulate(spec: Spec, controller: Controller | None = None) -> Result:
@@ -209,11 +209,19 @@ def _initial(values: Array | None, length: int, part: str) -> Array:
     return values
 
 
-def _robust(spec: Spec, plant: PWASystem, gains: Design, proofs: tuple[Proof, ...]) -> Robust:
-    """Return what is proved for all of the box of uncertain parameters."""
-    problem, goals = spec.problem, spec.objectives
-    found = corners(problem.parametric, plant, goals.uncertain)
-    return prove_box(plant, gains, proofs, found, output=problem.tracking == "output", solver=goals.solver)
+def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:
+    """Prove a design for all plants of a box: see `corners` and `prove_box`, which say what they refuse."""
+    problem, proofs = spec.problem, controller.proofs
+    with spec.located():
+        found = corners(problem.parametric, controller.plant, box)
+        return prove_box(
+            controller.plant,
+            controller.design,
+            proofs,
+            found,
+            output=problem.tracking == "output",
+            solver=spec.objectives.solver,
+        )
 
 
 def _costs(spec: Spec, gains: Design, sizes: Sizes) -> dict[str, Array]:

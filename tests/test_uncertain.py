@@ -18,6 +18,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
 from pwatrack.lmi.audit import audit
 from pwatrack.rational import fraction_of
+from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures, covered
 from pwatrack.report.verify import verify
 from pwatrack.spec.corners import corners
@@ -303,3 +304,28 @@ def test_estimated_loads_beside_uncertain_parameters_are_refused(tmp_path: Path)
     with pytest.raises(PwatrackError, match="without estimates") as refused:
         design(load_spec(path))
     assert refused.value.code == ExitCode.OUTSIDE_THEORY
+
+
+def test_the_largest_box_is_found_with_its_proof(specs: Path, tmp_path: Path) -> None:
+    path = backlash(specs, tmp_path, "5%")
+    run(path, tmp_path / "run", [], None, simulated=False, scaled=True)
+    largest = json.loads((tmp_path / "run" / "run.json").read_text())["largest_box"]
+    assert 1 < largest["factor"] < largest["beyond"] <= 1.011 * largest["factor"]
+    assert largest["parameters"]["k1"] == pytest.approx([1 - 0.05 * largest["factor"], 1 + 0.05 * largest["factor"]])
+    assert verify(tmp_path / "run")
+    assert design(load_spec(backlash(specs, tmp_path, f"{5 * largest['factor']:.9g}%"))).robust is not None
+    with pytest.raises(PwatrackError, match="no common P"):
+        design(load_spec(backlash(specs, tmp_path, f"{5 * largest['beyond']:.9g}%")))
+
+
+def test_a_box_that_is_too_large_is_undecided_and_says_which_is_not(specs: Path, tmp_path: Path) -> None:
+    path = backlash(specs, tmp_path, "20%")
+    with pytest.raises(PwatrackError, match=r"undecided; proved for the box scaled by 0\.[3-5]") as refused:
+        run(path, tmp_path / "run", [], None, simulated=False, scaled=True)
+    assert refused.value.code == ExitCode.UNDECIDED
+
+
+def test_without_uncertain_parameters_no_box_is_scaled(specs: Path, tmp_path: Path) -> None:
+    with pytest.raises(PwatrackError, match="no parameter is uncertain") as refused:
+        run(specs / "two_mass_backlash.yaml", tmp_path / "run", [], None, simulated=False, scaled=True)
+    assert refused.value.code == ExitCode.INVALID

@@ -24,7 +24,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
-from pwatrack.causes import Part
+from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Design
@@ -183,4 +183,4 @@ def _undecided(count: int, order: int, worst: float) -> Undecided:
     if worst >= 0:
         message += f"; at a corner an eigenvalue of the loop has real part {number_text(worst, '.3g')}"
     hint = "give smaller intervals, or ask for gains with a faster decay"
-    return Undecided(Problem(message=message, subject=(Part.UNCERTAIN,), hint=hint))
+    return Undecided(Problem(message=message, subject=(Part.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX)))

@@ -15,6 +15,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import (
@@ -28,7 +29,7 @@ from pwatrack.report.figures import (
 )
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
-from pwatrack.report.uncertain import box_figures, robust_content
+from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -48,6 +49,7 @@ def write_design(
     folder: str | Path,
     *,
     fronts: Sequence[Front] = (),
+    largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> Path:
@@ -79,6 +81,8 @@ def write_design(
         index["bounds"] = bound_content(spec, controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
+        if largest is not None:
+            index["largest_box"] = largest_content(largest)
         if broken is not None:
             said = "; ".join(problem.message for problem in broken.problems)
             index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}

@@ -12,13 +12,15 @@ from pwatrack import pipeline
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.task import Task
-from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
+from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
+from pwatrack.report.uncertain import largest_text
 from pwatrack.result import Result
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
@@ -33,6 +35,7 @@ def run(
     *,
     simulated: bool,
     fronts: bool = False,
+    scaled: bool = False,
     members: int | None = None,
     over: Over = "initial",
     seed: int = 1,
@@ -40,12 +43,11 @@ def run(
     """Design, simulate if asked, write the files, and print what came out.
 
     Args:
-        path: The spec file.
-        folder: Where the files go.
+        path, folder: The spec file, and where the files go.
         parameters: Replacements as NAME=VALUE.
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
-        fronts: Whether to find what other rates would cost; only without a simulation.
+        fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
         members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
 
     Raises:
@@ -55,7 +57,7 @@ def run(
     screen, made, many = console(), _Made(path=path, parameters=assignments(parameters)), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
-            spec, controller = made.design(status, solver, growing=simulated)
+            spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = None
             if simulated:
                 status.update("Simulating the closed loop")
@@ -76,11 +78,11 @@ def run(
         if result is not None:
             files.write_result(result, folder, many=many, seconds=made.seconds)
         else:
-            files.write_design(spec, controller, folder, fronts=found, seconds=made.seconds)
+            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
     if result is not None:
         summary.print_result(screen, result, checked)
     else:
-        summary.print_design(screen, spec, controller, checked)
+        summary.print_design(screen, spec, controller, checked, made.largest)
     if many:
         summary.print_ensemble(screen, many)
     summary.print_files(screen, folder)
@@ -96,15 +98,34 @@ class _Made:
     seconds: dict[str, float] = field(default_factory=dict)
     spec: Spec | None = None
     controller: Controller | None = None
+    largest: LargestBox | None = None
 
-    def design(self, status: Status, solver: Solver | None, *, growing: bool) -> tuple[Spec, Controller]:
+    def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
         with self.timed("load"):
             spec = load_spec(self.path, self.parameters)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
         status.update("Solving the matrix inequalities")
         with self.timed("design"):
-            self.controller = controller = pipeline.design(spec, growing=growing)
+            known = replace(spec, objectives=replace(spec.objectives, uncertain=())) if scaled else spec
+            controller = pipeline.design(known, growing=growing)
+        if scaled:
+            status.update("Scaling the box of uncertain parameters")
+            with self.timed("largest box"):
+                self.largest, controller = self._scaled(spec, controller)
+        self.controller = controller
         return spec, controller
+
+    def _scaled(self, spec: Spec, controller: Controller) -> tuple[LargestBox, Controller]:
+        """Return the largest box, and the design with the proof for the one of the spec."""
+        box, subject = spec.objectives.uncertain, ("design", "uncertain")
+        with spec.located():
+            if not box:
+                raise InvalidSpec(Problem(message="--robust: no parameter is uncertain", subject=("design",)))
+            largest = largest_box(spec, controller)
+            if largest.factor < 1:
+                message = f"the proof for the uncertain parameters is undecided; {largest_text(largest)}"
+                raise Undecided(Problem(message=message, subject=subject, hint="give these intervals"))
+        return largest, replace(controller, robust=pipeline.prove_for_box(spec, controller, box))
 
     @contextmanager
     def timed(self, step: str) -> Iterator[None]:

@@ -15,6 +15,7 @@ from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
+from pwatrack.largest_box import LargestBox
 from pwatrack.report.figures import (
     channel_text,
     declared,
@@ -34,7 +35,7 @@ from pwatrack.report.figures import (
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
-from pwatrack.report.uncertain import box_rows, run_rows
+from pwatrack.report.uncertain import box_rows, largest_text, run_rows
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
@@ -46,12 +47,20 @@ _CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all th
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 
 
-def print_design(console: Console, spec: Spec, controller: Controller, checked: Sequence[Checked] = ()) -> None:
+def print_design(
+    console: Console,
+    spec: Spec,
+    controller: Controller,
+    checked: Sequence[Checked] = (),
+    largest: LargestBox | None = None,
+) -> None:
     """Say what was proved and the gains; above all what was required and is not so."""
     table = titled(spec.name)
     _missed_rows(table, checked)
     _met_row(table, checked)
     _proved_rows(table, spec, controller)
+    if largest is not None:
+        table.add_row("largest box", largest_text(largest))
     remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller.form)))
     console.print(table)
 

@@ -8,6 +8,7 @@ import numpy as np
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
+from pwatrack.largest_box import LargestBox
 from pwatrack.report.figures import bounds_content, channel_text, down, limit_texts, signal_text, sized, up
 from pwatrack.result import Result
 from pwatrack.spec.box import inside
@@ -39,6 +40,19 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
             seen[kind, k] = max(size, seen.get((kind, k), 0.0))
     reached = robust.reached(largest)
     return {signal_text(result.spec, s)[0]: {"bound": size, "seen": seen[s]} for s, size in reached.items()}
+
+
+def largest_content(largest: LargestBox) -> dict[str, Any]:
+    """Return what run.json says of how far a box can be scaled."""
+    box = {interval.name: [float(interval.low), float(interval.high)] for interval in largest.box}
+    return {"factor": largest.factor, "beyond": largest.beyond, "parameters": box}
+
+
+def largest_text(largest: LargestBox) -> str:
+    """Say how far a box can be scaled."""
+    box = ", ".join(interval.text for interval in largest.box)
+    end = "" if largest.beyond is None else f"; scaled by {largest.beyond:g} no proof was found"
+    return f"proved for the box scaled by {largest.factor:g}: {box}{end}"
 
 
 def covered(result: Result) -> bool:

@@ -46,6 +46,7 @@ _WORDS: Mapping[Way, str] = {
     Way.GAIN_BOUND: "give a bound beside it, for example gain: 100, or the rate that is wanted",
     Way.DESIRED_STATE: "{hint}: give x_d as state or setpoint instead",
     Way.DESIRED_START: "{hint}: give x_d(0) as start instead",
+    Way.SMALLER_BOX: "{hint}: 'design --robust largest' finds how far the box can be scaled",
     Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s) or less: it is stable in all cells",
 }
 

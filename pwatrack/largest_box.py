@@ -1,0 +1,76 @@
+"""How far a box of uncertain parameters can be scaled about the values of the design."""
+
+from dataclasses import dataclass
+
+from pwatrack.control.controller import Controller
+from pwatrack.errors import OutsideTheory, Undecided
+from pwatrack.pipeline import prove_for_box
+from pwatrack.real import Real
+from pwatrack.spec.box import Box
+from pwatrack.spec.spec import Spec
+
+_NEAR = 0.01  # of the factor: where the search ends
+_MOST = 64.0  # times
+_TRIALS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestBox:
+    """The largest box that was proved.
+
+    Attributes:
+        factor: All ends are so many times as far from the values of the design as the spec has them.
+        beyond: The least factor for which no proof was found; None up to 64.
+        box: The box itself.
+    """
+
+    factor: float
+    beyond: float | None
+    box: Box
+
+
+def largest_box(spec: Spec, controller: Controller) -> LargestBox:
+    """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
+
+    Args:
+        spec: With uncertain parameters.
+        controller: A design for it, whether it is proved for the box or not.
+
+    Raises:
+        Undecided: If none was proved.
+
+    Example: the paper's example, for its spring.
+
+        >>> from dataclasses import replace
+        >>> from pwatrack import design, load_spec
+        >>> from pwatrack.spec.box import Uncertain
+        >>> spec = load_spec("specs/two_mass_backlash.yaml")
+        >>> k1 = Uncertain(name="k1", nominal=Real.of(1), low=Real.of("0.95"), high=Real.of("1.05"))
+        >>> wide = replace(spec, objectives=replace(spec.objectives, uncertain=(k1,)))
+        >>> largest_box(wide, design(spec)).factor > 1
+        True
+    """
+    low, high, factor, refusal = 0.0, _MOST, 1.0, Undecided()
+    failed = False
+    for _ in range(_TRIALS):
+        try:
+            prove_for_box(spec, controller, scaled(spec.objectives.uncertain, factor))
+            low = factor
+        except (Undecided, OutsideTheory) as error:
+            high, failed, refusal = factor, True, Undecided(*error.problems)
+        if high - low <= _NEAR * high:
+            break
+        factor = _short((low + high) / 2 if failed else min(2 * factor, _MOST))
+    if not low:
+        raise refusal
+    return LargestBox(factor=low, beyond=high if failed else None, box=scaled(spec.objectives.uncertain, low))
+
+
+def scaled(box: Box, factor: float) -> Box:
+    """Return a box with all ends so many times as far from the values of the design."""
+    return tuple(interval.scaled(Real.of(factor)) for interval in box)
+
+
+def _short(value: float) -> float:
+    """Return a number of four digits."""
+    return float(f"{value:.4g}")
