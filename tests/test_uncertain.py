@@ -193,7 +193,7 @@ def test_no_plant_of_the_box_has_a_peak_gain_above_its_bound(tmp_path: Path, see
                 worst[kind, k] = max(worst[kind, k], peak_gain(F, g, c))
         assert all(worst[signal] <= size for signal, size in bounds.sizes.items())
         ratios += [size / worst[signal] for signal, size in bounds.sizes.items()]
-    assert np.median(ratios) < 10  # a bound of any use
+    assert np.median(ratios) < 3
 
 
 @pytest.mark.parametrize("values", [(1, 1, 1, 1), (-1, -1, -1, -1), (1, -1, -1, 1), (0.3, 0.9, -0.7, -0.2)])
