@@ -59,7 +59,7 @@ lmi-bench: $(PEERS) ## time our solver of matrix inequalities against CVXPY, PIC
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lmi
 
 .PHONY: corpus
-corpus: $(READY) ## count the verdicts proved on 900 random systems (half an hour)
+corpus: $(READY) ## count the verdicts proved on 900 random systems (ten minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py
 
 .PHONY: false-accepts
