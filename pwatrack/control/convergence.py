@@ -52,8 +52,8 @@ def best_certificate(
     for step in range(_STEPS):
         margin, best = search.margin(trial), search.best
         if best is None:  # in better coordinates there may be one
-            if step == _RECENTRED:
-                return None
+            if step == _RECENTRED:  # sizes may differ by more than doubles can count with
+                return None if sizes is None else best_certificate(M, start=start, solver=solver)
             continue
         if margin is None:
             points, ceiling = [], min(ceiling, trial)

@@ -45,7 +45,7 @@ class Loads:
     Example: a constant on the first of two states, and a sinusoid of 3 rad/s on the second.
 
         >>> from pwatrack.model.reference import Exosystem, spectral_terms
-    from pwatrack.real import Real
+        >>> from pwatrack.real import Real
         >>> loads = Loads.of([Load(name="leak", into={0: Real.of(-1)}),
         ...     Load(name="hum", into={1: Real.of(2)}, frequency=Real.of(3))], states=2)
         >>> loads.E.floats.tolist(), loads.S.floats.tolist(), loads.where
