@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from scipy.linalg import solve_continuous_are
 
-from pwatrack import Spec, load_spec
+from pwatrack import Spec, design, load_spec
 from pwatrack.control.applicability import applicability
 from pwatrack.control.goal import AtLeast, Fastest
 from pwatrack.control.synthesis import Design, gain, synthesize
@@ -39,6 +39,15 @@ system:
 design: {tracking: TRACKING}
 reference: {REFERENCE}
 simulation: {duration: 10, sample_time: 0.1, MORE}
+"""
+
+
+TANK = """
+name: Tank
+system: {states: [h], inputs: [u], outputs: [y], sizes: {h: SIZE}, A: [[-0.5]], B: [[1]], C: [[1]]}
+DESIGN
+reference: {output: sin(t)}
+simulation: {duration: 1, sample_time: 0.1}
 """
 
 
@@ -208,3 +217,15 @@ def test_sizes_of_any_plant_are_those_of_the_plant_in_other_units(n: int) -> Non
     assert other.speed / one.speed / t == pytest.approx(1.0, rel=1e-9)
     for K in (np.ones((2, n)), random.normal(size=(2, n))):
         np.testing.assert_allclose(other.gain(K / u[:, None] * x), one.gain(K), rtol=1e-9)
+
+
+@pytest.mark.parametrize("estimate", ["", "design: {estimate: input}"])
+def test_a_bound_of_a_single_state_is_in_its_unit_whatever_its_size(tmp_path: Path, estimate: str) -> None:
+    bounds = []
+    for size in ("1", "100"):
+        path = tmp_path / "tank.yaml"
+        path.write_text(TANK.replace("SIZE", size).replace("DESIGN", estimate), encoding="utf-8")
+        spec = load_spec(path)
+        gains = design(spec)
+        bounds.append(gains.guarantees.observer_error(np.zeros(1), np.ones(1))[0])
+    assert min(bounds) >= 1.0
