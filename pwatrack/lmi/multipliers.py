@@ -7,7 +7,7 @@ is not 0 it need not be ⪰ 0, it is enough that it is not ⪯ 0: A + BK with Z 
 then not Hurwitz, since for a Hurwitz matrix Lyapunov's equation would make Z ⪯ 0.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from math import lcm
 from typing import Any
@@ -51,8 +51,13 @@ def rounded(X: Array) -> Rational:
 
 def whole(Z: Mapping[int, Rational]) -> dict[int, tuple[tuple[int, ...], ...]]:
     """Return the multipliers times one number that makes all entries whole."""
-    scale = lcm(*(int(v.q) for Z_i in Z.values() for v in Z_i.entries()))
+    scale = denominator(Z.values())
     return {i: tuple(tuple(int((v * scale).p) for v in row) for row in Z_i.tolist()) for i, Z_i in Z.items()}
+
+
+def denominator(matrices: Iterable[Rational]) -> int:
+    """Return the smallest number that makes all entries of some matrices whole."""
+    return lcm(*(int(v.q) for X in matrices for v in X.entries()))
 
 
 def symmetric(upper: Sequence[Any], n: int) -> Rational:

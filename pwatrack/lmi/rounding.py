@@ -1,14 +1,13 @@
 """Multipliers of floating point -> rational ones that fulfil the linear conditions exactly."""
 
 from collections.abc import Sequence
-from math import lcm
 from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.multipliers import column, rounded, total_of
+from pwatrack.lmi.multipliers import column, denominator, rounded, total_of
 from pwatrack.rational import Rational, floats
 
 _INDEPENDENT = 1e-10  # of the largest pivot: equations with smaller ones follow from the others
@@ -24,8 +23,8 @@ def exact_multipliers(
         V.append(rounded(T @ U_i @ T.T))
     if R.ncols() and not _mended(V, A, N, R):
         return None
-    whole = lcm(*(int(v.q) for V_i in V for v in V_i.entries()))  # whole numbers are multiplied much faster
-    return [N_i.transpose() * (V_i * whole) * N_i for N_i, V_i in zip(N, V, strict=True)]
+    scale = denominator(V)  # whole numbers are multiplied much faster
+    return [N_i.transpose() * (V_i * scale) * N_i for N_i, V_i in zip(N, V, strict=True)]
 
 
 def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational], R: Rational) -> bool:

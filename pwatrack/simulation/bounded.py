@@ -25,7 +25,6 @@ from pwatrack.simulation.visits import STEPS, blocks
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less
 _LOST = 0.01  # of the largest state: what differs by more from a periodic solution is not on it
-_HINT = "the plant does not stay bounded under these inputs by itself"
 _SOLVED = 1e-9  # of the terms of an equation: what is missed by less is rounding
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
@@ -97,12 +96,10 @@ def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = 
     lost = period * np.log(_LOST / max(found.residual, EPS)) / np.log(largest)
     if duration < lost:
         return None
-    return Problem(
-        message=f"x_d leaves its periodic solution by rounding: what differs from it is multiplied by {largest:.3g} in "
-        f"{period:.6g} s, one period, so that this is seen after about {lost:.3g} s; Theorem 2 is about a bounded x_d",
-        subject=subject,
-        hint=_HINT,
-        remedy=Remedy(Way.DESIRED_STATE),
+    return _unbounded(
+        f"x_d leaves its periodic solution by rounding: what differs from it is multiplied by {largest:.3g} in "
+        f"{period:.6g} s, one period, so that this is seen after about {lost:.3g} s",
+        subject,
     )
 
 
@@ -161,11 +158,18 @@ def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) ->
     last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), TINY)
     k = int(np.argmax(last / before))
     reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
+    return _unbounded(
+        f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
+        f"tenth of {horizon:g} s, {before[k]:.3g} before",
+        subject,
+    )
+
+
+def _unbounded(what: str, subject: Subject) -> Problem:
     return Problem(
-        message=f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
-        f"tenth of {horizon:g} s, {before[k]:.3g} before; Theorem 2 is about a bounded x_d",
+        message=f"{what}; Theorem 2 is about a bounded x_d",
         subject=subject,
-        hint=_HINT,
+        hint="the plant does not stay bounded under these inputs by itself",
         remedy=Remedy(Way.DESIRED_STATE),
     )
 

@@ -7,9 +7,9 @@ from pwatrack.arrays import number_text
 from pwatrack.causes import Subject
 from pwatrack.errors import Problem
 from pwatrack.real import Real
+from pwatrack.spec.design_section import DesignSection
 from pwatrack.spec.names import unknown_names
 from pwatrack.spec.paths import path_text
-from pwatrack.spec.schema import DesignSection
 from pwatrack.spec.wording import shown
 
 SUBJECT: Subject = ("design", "uncertain")

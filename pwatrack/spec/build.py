@@ -27,13 +27,9 @@ from pwatrack.model.reference import (
 from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 from pwatrack.spec.courses import build_courses
-from pwatrack.spec.schema import (
-    DeadZoneSection,
-    LoadSection,
-    ReferenceSection,
-    SpringSection,
-    SystemSection,
-)
+from pwatrack.spec.design_section import LoadSection
+from pwatrack.spec.plant_section import DeadZoneSection, SpringSection, SystemSection
+from pwatrack.spec.signal_section import ReferenceSection
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:

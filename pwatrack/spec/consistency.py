@@ -9,13 +9,9 @@ from pwatrack.causes import Subject
 from pwatrack.errors import Problem
 from pwatrack.spec.entries import Context
 from pwatrack.spec.names import unknown_names
-from pwatrack.spec.schema import (
-    CellSection,
-    HyperplaneSection,
-    SimulationSection,
-    SpecFile,
-    SystemSection,
-)
+from pwatrack.spec.plant_section import CellSection, HyperplaneSection, SystemSection
+from pwatrack.spec.schema import SpecFile
+from pwatrack.spec.simulation_section import SimulationSection
 from pwatrack.spec.wording import shown
 
 _MOST_SAMPLES = 10_000_000  # more are hours of a run, and gigabytes of its trace

@@ -12,7 +12,7 @@ from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.paths import path_text
-from pwatrack.spec.schema import CourseSection, PolylineSection, StepSection, TrapezoidSection
+from pwatrack.spec.signal_section import CourseSection, PolylineSection, StepSection, TrapezoidSection
 from pwatrack.spec.table import FINEST, read_table
 
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal

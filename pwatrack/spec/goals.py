@@ -4,8 +4,9 @@ import numpy as np
 
 from pwatrack.causes import Subject
 from pwatrack.errors import Problem
+from pwatrack.spec.design_section import CostSection, GoalSection
 from pwatrack.spec.paths import path_text
-from pwatrack.spec.schema import CostSection, GoalSection, SpecFile
+from pwatrack.spec.schema import SpecFile
 
 
 def goal_problems(file: SpecFile) -> list[Problem]:

@@ -22,8 +22,9 @@ from pwatrack.spec.expression import (
     real,
 )
 from pwatrack.spec.paths import path_text
+from pwatrack.spec.plant_section import HyperplaneSection, SystemSection
 from pwatrack.spec.problems import MOST
-from pwatrack.spec.schema import HyperplaneSection, Section, SystemSection
+from pwatrack.spec.section import Section
 
 Value = str | float | Expression | Real
 

@@ -12,7 +12,8 @@ from pwatrack.spec.entries import Context
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.paths import at_path, path_text
 from pwatrack.spec.requirement import QUANTITIES
-from pwatrack.spec.schema import Section, SpecFile
+from pwatrack.spec.schema import SpecFile
+from pwatrack.spec.section import Section
 from pwatrack.spec.wording import guess, shown
 
 MOST = 100  # for so many faults of a file it is guessed what was meant

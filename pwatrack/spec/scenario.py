@@ -14,13 +14,10 @@ from pwatrack.model.reference import exosystem, total_signal
 from pwatrack.real import Real
 from pwatrack.spec.box import build_box
 from pwatrack.spec.courses import build_courses
+from pwatrack.spec.design_section import DesignSection, GoalSection
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.schema import (
-    CourseSection,
-    DesignSection,
-    GoalSection,
-    SimulationSection,
-)
+from pwatrack.spec.signal_section import CourseSection
+from pwatrack.spec.simulation_section import SimulationSection
 from pwatrack.spec.spec import Objectives, Scenario
 from pwatrack.spec.starts import initial_states, regions
 

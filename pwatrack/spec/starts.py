@@ -6,7 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.simulation.region import Box, Ellipsoid, Region
-from pwatrack.spec.schema import EllipsoidSection, InitialSection, StartRegionsSection
+from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, StartRegionsSection
 from pwatrack.spec.spec import InitialStates, Measured, Steady
 
 

@@ -14,7 +14,7 @@ from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Table
 from pwatrack.model.lowpass import low_passed
 from pwatrack.model.signal import LARGEST
-from pwatrack.spec.schema import TableSection
+from pwatrack.spec.signal_section import TableSection
 from pwatrack.spec.wording import guess
 
 LARGEST_FILE = 50_000_000  # bytes

@@ -1,0 +1,103 @@
+"""Signals of time as pydantic models, and the section `reference`."""
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from pwatrack.spec.entries import (
+    NotNegative,
+    Number,
+    PeriodicOrVector,
+    Positive,
+    Scale,
+    Time,
+    as_course,
+    listed,
+)
+from pwatrack.spec.section import Section
+
+_MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
+
+
+class SineSection(Section):
+    """amplitude · sin(frequency · t + phase); frequency in rad/s, phase in rad."""
+
+    amplitude: Number
+    frequency: Positive
+    phase: Number = 0.0
+
+
+class StepSection(Section):
+    """A change by `size` at a time (s), rounded over `smooth` (s); added to everything else."""
+
+    size: Number
+    at: Number
+    smooth: Positive | None = None
+
+
+class TrapezoidSection(Section):
+    """Rise from low to high, hold, fall, rest, and again; times in s, corners rounded over `smooth`."""
+
+    low: Number = 0.0
+    high: Number
+    start: Number = 0.0
+    rise: Positive
+    hold: NotNegative = 0.0
+    fall: Positive
+    rest: NotNegative = 0.0
+    smooth: Positive | None = None
+
+
+class PolylineSection(Section):
+    """Straight lines through points (t in s, y), corners rounded over `smooth`; constant before and after."""
+
+    points: Annotated[list[list[Number]], Field(min_length=1)]
+    smooth: Positive | None = None
+
+
+class FilterSection(Section):
+    """What is left of a measured table: what is slower than the cutoff (Hz), without a phase."""
+
+    cutoff: Positive
+
+
+class TableSection(Section):
+    """A text file with a header, a column of times and the signal's column, joined by a spline.
+
+    `scale` is that of the times, in s, or of each column by its name.
+    """
+
+    file: str
+    column: str | None = None
+    time: str = "t"
+    scale: Scale = 1.0
+    delimiter: Literal[",", ";", "\t", " ", "|"] | None = None
+    decimal: Literal[".", ","] | None = None
+    filter: FilterSection | None = None
+
+
+class CourseSection(Section):
+    """A signal of time: the sum of everything that is given."""
+
+    constant: Number = 0.0
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
+    formula: Time | None = None
+    until: Positive | None = None
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
+    trapezoid: TrapezoidSection | None = None
+    polyline: PolylineSection | None = None
+    table: TableSection | None = None
+
+
+Signal = Annotated[CourseSection, BeforeValidator(as_course)]
+
+
+class ReferenceSection(Section):
+    """What to track: an output, or for state tracking one of state, input, setpoint."""
+
+    output: Signal | None = None
+    state: list[Signal] | None = None
+    input: list[Signal] | None = None
+    start: PeriodicOrVector | None = None
+    """x_d(0); an empty list where it is the periodic steady state."""
+    setpoint: dict[str, Number] | None = None
