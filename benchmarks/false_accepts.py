@@ -20,7 +20,11 @@ from rich.console import Console
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
-from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.audit import proofs
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.form import normal_form
+from pwatrack.lmi.audit.plant import Plant
+from pwatrack.lmi.audit.reading import matrix
 from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
@@ -60,9 +64,9 @@ def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, 
 
 def is_true(content: dict[str, Any]) -> bool:
     """Decide every matrix inequality of a certificate by leading minors in exact rational arithmetic."""
-    plant = auditor.Plant(content["plant"])
-    K, L = auditor.matrix(content["K"]), auditor.matrix(content["L"])
-    A_eta = plant.tracking_dynamics(content["generator"])
+    plant = Plant(content["plant"])
+    K, L = matrix(content["K"]), matrix(content["L"])
+    A_eta, _ = normal_form(plant, content["generator"])
     for proof in content["proofs"]:
         rate, margin, radius = (Fraction(proof[name]) for name in ("rate", "margin", "radius"))
         powers = [Fraction(2) ** int(e) for e in proof["P"]["exponents"]]
@@ -121,7 +125,7 @@ def main() -> None:
         random = np.random.default_rng(2026)
         for _ in range(options.tampered // len(NAMES)):
             changed = tampered(content, random)
-            if not auditor.audit(json.dumps(changed))[1]:
+            if not audit(json.dumps(changed))[1]:
                 true, false = (true + 1, false) if is_true(changed) else (true, false + 1)
     console.print(f"tampered certificates: {options.tampered}, accepted {true + false}, of these false: {false}")
     proved = refuted = wrong = 0
@@ -132,15 +136,15 @@ def main() -> None:
         certificate = prove(M, P)
         exact = [BallMatrix.of(M_i) for M_i in M]
         proof = None if certificate is None else prove_exactly(CONTROLLER, exact, certificate.P, certificate.rate)
-        balls = [(auditor.matrix(ball.texts), []) for ball in exact]
+        balls = [(matrix(ball.texts), []) for ball in exact]
         if proof is not None:
             proved += 1
-            wrong += not stable or bool(auditor.check(balls, [], claim_of(proof), None))
+            wrong += not stable or bool(proofs.check(balls, [], claim_of(proof), None))
         found = refute(M, np.zeros((n, 0))) if not stable else refute(M[:1], np.zeros((n, 0)))
         if found is not None:
             refuted += 1
             Z = {"rate": 0, "Z": {str(i): Z_i for i, Z_i in found.Z.items()}}
-            wrong += stable or bool(auditor.refuted(balls, [], Z, None))
+            wrong += stable or bool(proofs.refuted(balls, [], Z, None))
     console.print(
         f"nearly singular stacks: {options.singular}, proved stable {proved}, proved impossible {refuted}, "
         f"wrong or in disagreement: {wrong}"

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from pwatrack import load_spec
 from pwatrack.cli import app
 from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.audit.certificate import audit
 
 STATES = "  states: [z, v]\n  inputs: [u]\n  outputs: [y]\n  B: [[0], [1]]\n  C: [[1, 0]]\n"
 LINEAR = "  A: [[0, 1], [-1, -1]]\n"
@@ -287,12 +288,12 @@ def test_a_certificate_that_lacks_a_part_is_refused_in_words_by_both(
     assert code == 6, said
     assert f"error: {file}: " in said
     if key not in ("set", "spec_sha256", "bounds"):  # which only say whose it is, and what else is claimed
-        assert auditor.audit(file.read_text())[1] != []
+        assert audit(file.read_text())[1] != []
 
 
 def test_the_auditor_alone_says_what_is_proved_and_what_a_refusal_refuses(proved: Path, tmp_path: Path) -> None:
     def audited(path: Path) -> tuple[int, str]:
-        call_ = [sys.executable, "-I", "-S", auditor.__file__, str(path)]
+        call_ = [sys.executable, "-I", "-S", auditor.__path__[0], str(path)]
         done = subprocess.run(call_, capture_output=True, text=True, check=False, cwd=tmp_path)
         assert not done.stderr
         return done.returncode, done.stdout

@@ -20,11 +20,18 @@ from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.audit.cells import strictly_feasible
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.form import normal_form
+from pwatrack.lmi.audit.plant import Plant
+from pwatrack.lmi.audit.proofs import check
+from pwatrack.lmi.audit.reading import matrix, number
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.verify import verify
 
+AUDITOR = Path(auditor.__path__[0])
 seeds = st.integers(0, 10_000)
 
 
@@ -48,9 +55,8 @@ def test_a_design_is_verified_from_its_file(run: Path) -> None:
 
 
 def test_the_auditor_runs_alone_without_pwatrack_or_numpy(run: Path, tmp_path: Path) -> None:
-    script = tmp_path / "audit.py"
-    script.write_text(Path(auditor.__file__).read_text())
-    call = [sys.executable, "-I", "-S", str(script), str(run / "certificate.json")]
+    shutil.copytree(AUDITOR, tmp_path / "a copy")
+    call = [sys.executable, "-I", "-S", str(tmp_path / "a copy"), str(run / "certificate.json")]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 0
     assert "(17) generator: proved, rate 0.0578" in done.stdout
@@ -75,13 +81,13 @@ def test_what_was_tampered_with_is_refused_or_still_true(run: Path, seed: int, w
     random = np.random.default_rng(seed)
     content = json.loads((run / "certificate.json").read_text())
     tamper(content, where, random)
-    said, faults = auditor.audit(json.dumps(content))
+    said, faults = audit(json.dumps(content))
     assert bool(said) or bool(faults)
     if not faults:
         assert where not in ("A", "b", "C", "H", "A_eta", "T", "internal")  # without which nothing fits
-        plant = auditor.Plant(content["plant"])
-        K, L = auditor.matrix(content["K"]), auditor.matrix(content["L"])
-        A_eta = plant.tracking_dynamics(content["generator"])
+        plant = Plant(content["plant"])
+        K, L = matrix(content["K"]), matrix(content["L"])
+        A_eta, _ = normal_form(plant, content["generator"])
         for proof in content["proofs"]:
             e = np.array(proof["P"]["exponents"], dtype=float)
             P = np.array(proof["P"]["integers"], dtype=float) * 2.0 ** (e[:, None] + e)
@@ -107,13 +113,13 @@ def tamper(content: Any, where: str, random: np.random.Generator) -> None:
         entry[k] = {"signs": -entry[k] or 1, "internal": 1 - entry[k] % 2}[where]
     else:
         entry[k] = text(
-            auditor.number(entry[k]) + Fraction(repr(float(random.choice([-1, 1]) * 10.0 ** random.uniform(-2, 2))))
+            number(entry[k]) + Fraction(repr(float(random.choice([-1, 1]) * 10.0 ** random.uniform(-2, 2))))
         )
 
 
 def forged(run: Path, **changes: Any) -> list[str]:
     content = json.loads((run / "certificate.json").read_text())
-    return auditor.audit(json.dumps(content | changes))[1]
+    return audit(json.dumps(content | changes))[1]
 
 
 def test_no_forgery_passes(run: Path) -> None:
@@ -158,7 +164,7 @@ def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, w
     else:
         values = part["Q"]["exponents"] if where == "exponents" else part["Q"]["integers"][0]
         values[0] += int(random.choice([-1, 1]) * (2**37 if where == "integers" else 1))
-    assert (auditor.audit(json.dumps(content))[1] == []) == looser
+    assert (audit(json.dumps(content))[1] == []) == looser
 
 
 @pytest.mark.parametrize(
@@ -179,7 +185,7 @@ def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, w
 def test_a_malformed_proof_is_refused_at_once(run: Path, change: dict[str, Any]) -> None:
     content = json.loads((run / "certificate.json").read_text())
     content["proofs"][0] |= change
-    assert auditor.audit(json.dumps(content))[1] != []
+    assert audit(json.dumps(content))[1] != []
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b'{"format": "pwatrack certificate 6"}', None])
@@ -188,7 +194,7 @@ def test_the_auditor_alone_says_what_is_wrong_with_a_file_and_shows_no_traceback
 ) -> None:
     if content is not None:
         (tmp_path / "c.json").write_bytes(content)
-    call = [sys.executable, "-I", "-S", auditor.__file__, str(tmp_path / "c.json")]
+    call = [sys.executable, "-I", "-S", str(AUDITOR), str(tmp_path / "c.json")]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 6
     assert done.stdout.startswith("wrong: ")
@@ -198,7 +204,7 @@ def test_the_auditor_alone_says_what_is_wrong_with_a_file_and_shows_no_traceback
 @pytest.mark.parametrize("where", ["fifo", "/dev/zero"])
 def test_the_auditor_alone_waits_for_no_pipe_and_reads_no_device(tmp_path: Path, where: str) -> None:
     os.mkfifo(tmp_path / "fifo")
-    call = [sys.executable, "-I", "-S", auditor.__file__, str(tmp_path / where)]
+    call = [sys.executable, "-I", "-S", str(AUDITOR), str(tmp_path / where)]
     done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=20)
     assert done.returncode == 6
     assert "no regular file" in done.stdout
@@ -264,7 +270,7 @@ simulation: {duration: 1, sample_time: 0.1}
     content = json.loads((folder / "certificate.json").read_text())
     assert content["plant"]["radius"]["A"] is not None
     content["plant"]["radius"]["A"][0] = [["0", "0"], ["10", "0"]]
-    faults = auditor.audit(json.dumps(content))[1]
+    faults = audit(json.dumps(content))[1]
     assert {f"({k}) {of}: the inequality fails in cell 1" for k, of in ((8, "controller"), (9, "observer"))} <= set(
         faults
     )
@@ -285,9 +291,9 @@ def test_finder_and_auditor_never_disagree_and_never_err(seed: int, n: int, expo
     if proof is not None:
         P = {"integers": [list(r) for r in proof.integers], "exponents": list(proof.exponents)}
         claim = {name: repr(getattr(proof, name)) for name in ("rate", "margin", "radius")} | {"P": P}
-        assert auditor.check([(fractions(M), [])], [], claim, None) == []
+        assert check([(fractions(M), [])], [], claim, None) == []
         claim["rate"] = repr(-2 * float(np.diag(M).max()))
-        assert auditor.check([(fractions(M), [])], [], claim, None) != []
+        assert check([(fractions(M), [])], [], claim, None) != []
 
 
 @given(seeds, st.integers(1, 8))
@@ -339,13 +345,13 @@ def test_a_certificate_of_another_spec_is_refused(run: Path, specs: Path) -> Non
     "text", ["", "{}", "[]", '{"format": "x"}', '{"format": "pwatrack certificate 1", "proofs": []}']
 )
 def test_what_is_no_certificate_is_refused(text: str) -> None:
-    assert auditor.audit(text)[1] != []
+    assert audit(text)[1] != []
 
 
 def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequality_holds() -> None:
     """For M = 1 and P = −1 the inequality reads 2 + 2 rate − margin > 0: only P ≻ 0 stands against it."""
     claim = {"rate": 1, "margin": "0.5", "radius": 0, "P": {"integers": [[-1]], "exponents": [0]}}
-    assert auditor.check([([[Fraction(1)]], [])], [], claim, None) == [
+    assert check([([[Fraction(1)]], [])], [], claim, None) == [
         "P is not symmetric and positive definite, of the order of the matrices"
     ]
     assert prove_exactly(GENERATOR, [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None
@@ -448,13 +454,13 @@ def test_a_bound_below_0_and_one_of_nothing_are_refused(two: Path) -> None:
 def test_continuity_is_claimed_at_the_centres_where_entries_lie_in_balls(two: Path) -> None:
     """Entries that vary independently of each other would jump."""
     content = json.loads((two / "certificate.json").read_text())
-    assert auditor.audit(json.dumps(content))[0][0] == "plant: 2 cells cover the state space, the field is continuous"
+    assert audit(json.dumps(content))[0][0] == "plant: 2 cells cover the state space, the field is continuous"
     content["plant"]["radius"]["b"] = [[["1e-9"], ["1e-9"]]] * 2
-    said, faults = auditor.audit(json.dumps(content))
+    said, faults = audit(json.dumps(content))
     assert not faults
     assert said[0].endswith("the field is continuous, at the centres of the balls that its numbers lie in")
     content["plant"]["radius"]["b"] = [[["1e-9"], ["1e-9"]]] * 3
-    assert auditor.audit(json.dumps(content))[1] == ["the matrices of the plant do not fit together"]
+    assert audit(json.dumps(content))[1] == ["the matrices of the plant do not fit together"]
 
 
 def test_where_the_observer_has_no_gain_no_noise_enters_and_its_bounds_are_audited(tmp_path: Path) -> None:
@@ -584,9 +590,9 @@ def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, da
     rows = [[f * v for v in plane] for plane, f in planes.items()]
     signs = data.draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=len(rows), max_size=len(rows)))
     content |= {"H": [[str(v) for v in row[:2]] for row in rows], "h": [str(row[2]) for row in rows]}
-    plant = auditor.Plant(content | {"signs": [signs, [0] * len(rows)]})
+    plant = Plant(content | {"signs": [signs, [0] * len(rows)]})
     wanted = [[Fraction(s * v) for v in row] for s, row in zip(signs, rows, strict=True) if s]
-    assert plant.interior(plant.signs[0]) == auditor.strictly_feasible(wanted)
+    assert plant.cells.interior(plant.cells.signs[0]) == strictly_feasible(wanted)
     on = data.draw(st.integers(0, len(rows) - 1))
     a, b, h = (Fraction(v) for v in rows[on])
     line = [(-h / a if a else Fraction(0), Fraction(0) if a else -h / b), (b, -a)]  # a point and a direction
@@ -595,7 +601,7 @@ def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, da
         for k, row in enumerate([[Fraction(s * v) for v in r] for s, r in zip(signs, rows, strict=True)])
         if k != on and signs[k]
     ]
-    assert plant.interior(plant.signs[0], on=on) == auditor.strictly_feasible(along)
+    assert plant.cells.interior(plant.cells.signs[0], on=on) == strictly_feasible(along)
 
 
 def test_the_bound_of_a_cost_beside_the_gains_is_the_one_that_was_proved(tmp_path: Path) -> None:

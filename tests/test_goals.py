@@ -24,8 +24,10 @@ from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, gain, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, PwatrackError, Undecided
-from pwatrack.lmi import audit as auditor
 from pwatrack.lmi import picos_model, primal_dual
+from pwatrack.lmi.audit.balls import Ball
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.proofs import refuted
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -222,10 +224,10 @@ def test_a_rate_out_of_reach_is_proved_to_be(specs: Path, rate: float) -> None:
         evidence = refusal.value.evidence
         assert isinstance(evidence, Impossibility)
         text = json.dumps(refusal_certificate(spec, evidence))
-        assert auditor.audit(text)[1] == []
+        assert audit(text)[1] == []
         slower = json.loads(text)
         slower["proofs"][0]["rate"] = "0.1"  # which can be reached: the same multipliers must not prove otherwise
-        assert auditor.audit(json.dumps(slower))[1] != []
+        assert audit(json.dumps(slower))[1] != []
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
@@ -465,11 +467,11 @@ def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     assume(found is not None)
     assert found is not None
     proof = {"rate": 0, "Z": {str(i): Z for i, Z in found.Z.items()}}
-    exact: list[auditor.Ball] = [(fractions(A_i), []) for A_i in A]
+    exact: list[Ball] = [(fractions(A_i), []) for A_i in A]
     exact_B = fractions(B) if B.shape[1] else []
-    assert auditor.refuted(exact, exact_B, proof, None) == []
-    damped: list[auditor.Ball] = [(fractions(A_i - 100 * np.eye(n)), []) for A_i in A]  # of which it is false
-    assert auditor.refuted(damped, exact_B, proof, None) != []
+    assert refuted(exact, exact_B, proof, None) == []
+    damped: list[Ball] = [(fractions(A_i - 100 * np.eye(n)), []) for A_i in A]  # of which it is false
+    assert refuted(damped, exact_B, proof, None) != []
 
 
 def fractions(X: Array) -> list[list[Fraction]]:

@@ -14,7 +14,7 @@ from pwatrack import PWASystem, design, load_spec, simulate, write_result
 from pwatrack.arrays import Array
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
-from pwatrack.lmi.audit import audit
+from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.loads import Load, Loads

@@ -17,7 +17,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Form
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible
-from pwatrack.lmi.audit import added, definite, product, transposed
+from pwatrack.lmi.audit.matrices import added, definite, product, transposed
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.ellipsoid import Inner, ellipsoid
 from pwatrack.real import Real

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.errors import InvalidSpec, OutsideTheory
-from pwatrack.lmi.audit import audit
+from pwatrack.lmi.audit.certificate import audit
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
 from pwatrack.spec.spec import Spec

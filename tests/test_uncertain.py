@@ -16,7 +16,7 @@ from pwatrack import design, load_spec, simulate, write_result
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
-from pwatrack.lmi.audit import audit
+from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
 from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures, covered

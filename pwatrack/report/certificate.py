@@ -14,7 +14,7 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
 from pwatrack.control.robust import Robust
-from pwatrack.lmi.audit import FORMAT
+from pwatrack.lmi.audit.certificate import FORMAT
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -35,8 +35,8 @@ CLAIM = (
     "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
     "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
     "without a bound are 0. Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
-    "gain, or for the one that is given. The file can be checked with pwatrack verify, or with audit.py of pwatrack "
-    "alone."
+    "gain, or for the one that is given. The file can be checked with pwatrack verify, or with the folder audit of "
+    "pwatrack alone."
 )
 
 

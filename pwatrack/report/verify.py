@@ -12,7 +12,9 @@ import numpy as np
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.lmi.audit import Fault, audit, number
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.matrices import Fault
+from pwatrack.lmi.audit.reading import number
 from pwatrack.model.normal_form import normal_form
 from pwatrack.report.certificate import CLAIM, corner_content, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL

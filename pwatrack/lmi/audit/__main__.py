@@ -1,0 +1,42 @@
+"""Check a pwatrack certificate with fractions only: python audit certificate.json .
+
+This folder runs alone, on Python's standard library, wherever it is copied to. Read it from certificate.py on.
+
+Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again.
+
+- The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
+  opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
+  fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
+- The normal form (11): c_0 is the tracked row, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j -
+  B_j / delta c_r-1 for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
+- A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
+  > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
+  as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
+  balls, this and all that follows but the last holds for everything in them.
+- A bound has Q > 0 and -(M Q + Q M^T) - a Q - g g^T / a > 0 for M = [A_i + B K, B K; 0, A_j + L C] and all i, j, or for
+  one of its diagonal blocks: so from z = 0 on, z' = M z + g d stays where z^T Q^-1 z <= sup |d|^2, and |c z| is at
+  most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
+- Loads E s with s' = S s are estimated: then [A_i, E; 0, S] and [C, 0] stand for A_i and C in (9), Delta has the errors
+  of the estimates below x_hat - x, and [B K - X L_s C, -E] stands for B K beside A_i + B K, by which noise reaches e
+  too: L_s is the part of L that is below, and X = -T^-1 G, G = [g; 0], g_0 = 0, g_k+1 = c_k E + g_k S, the shift of x_d
+  by the estimates; for state tracking X = 0, and every load enters where an input does.
+- Uncertain parameters have corners: other A_c, b_c and B_c for the same cells, whose fields are continuous too. Their
+  bounds are such bounds for M = [A_ci + B_c K, B_c K; A_i - A_ci - (B_c - B) K, A_j + L C - (B_c - B) K], all corners
+  and all i, j; M is affine in A_c and B_c, so they hold for all means of the corners. g = (w, -w) with one entry of w;
+  each entry in which a corner differs from the plant has its bounds.
+- A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
+- An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
+  all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P
+  < 0 for all i. It is about the centres of balls.
+"""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+if __name__ == "__main__":
+    package = sys.modules["audit"] = ModuleType("audit")  # whatever the folder is called, and wherever it is
+    package.__path__ = [str(Path(__file__).parent)]
+    main = import_module("audit.certificate").main
+    sys.exit(main(sys.argv[1]) if len(sys.argv) == 2 else "usage: python audit certificate.json")

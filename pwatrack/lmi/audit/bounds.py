@@ -1,0 +1,125 @@
+"""What disturbances and noises can do to each signal: ellipsoids that the errors do not leave."""
+
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, stacked, times, unlike
+from .matrices import Fault, Matrix, added, definite, identity, product, sizes, transposed
+from .plant import Plant
+from .reading import number, packed, place
+
+
+class Loop:
+    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any."""
+
+    def __init__(self, plant: Plant, K: Matrix, L: Matrix, X: Ball | None) -> None:
+        self.plant, self.K, self.L, self.X = plant, K, L, X
+
+    def faults(self, entry: Any) -> list[str]:
+        """Return what is wrong with the bounds of what one disturbance or noise can do to each signal."""
+        found: dict[Any, Fraction] = {}
+        faults = [] if entry["signals"] else ["it bounds nothing"]
+        for proof in entry["parts"]:
+            loop, channel = proof["loop"], proof["channel"]
+            M, g = self.matrices(loop), self.drive(loop, channel)
+            Q, powers = packed(proof["Q"])
+            rate = number(proof["a"])
+            if not definite(Q) or rate <= 0:
+                raise Fault("Q or a is not positive")
+            square, open_ = times(g, flipped(g))
+            for X, R in M:
+                half = product(added(X, identity(len(Q), rate / 2)), Q)
+                left = added(added(half, transposed(half)), [[v / rate for v in row] for row in square])
+                enlarge(left, product(R, sizes(Q)) if R else [], powers)
+                enlarge(left, [[v / rate / 2 for v in row] for row in open_], powers)
+                if not definite(left, sign=-1):
+                    faults.append("an ellipsoid can be left")
+            for kind, k, size in proof["signals"]:
+                c = self.row(loop, kind, k)
+                value, radius = times(times(c, (Q, [])), flipped(c))
+                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
+                    faults.append(f"{kind} {k} is not bounded by {size}")
+                found[loop, *channel, kind, k] = number(size)
+        for kind, k, size in entry["signals"]:
+            self.row("joint", kind, k)
+            if self.bound(found, entry["channel"], kind, k) > number(size):
+                faults.append(f"{kind} {k} is not bounded by {size}")
+        return faults
+
+    def bound(self, found: Any, channel: Any, kind: str, k: int) -> Fraction:
+        """Return the bound of a signal that the ellipsoids prove: at once, or that of K Delta first, which drives e."""
+        name, where = channel
+        if kind == "estimate":
+            return self.known(found, "observer", channel, kind, k)
+        if ("joint", name, where, kind, k) in found:
+            return Fraction(found["joint", name, where, kind, k])
+        total = self.known(found, "controller", channel, kind, k)
+        within, acts, drivers = "input", "input", list(range(len(self.K)))
+        if self.plant.loads is not None:  # each entry of what drives e acts as a disturbance of that equation
+            X, R = self.coupling
+            within, acts = "coupling", "disturbance"
+            drivers = [j for j, row in enumerate(X) if any(row) or (R and any(R[j]))]
+        for j in drivers:
+            drive = self.known(found, "observer", channel, within, j)
+            total += drive * self.known(found, "controller", [acts, j], kind, k) if drive else 0
+        return total + (self.known(found, "observer", channel, kind, k) if kind == "input" else 0)
+
+    def known(self, found: Any, loop: str, channel: Any, kind: str, k: int) -> Fraction:
+        """Return the size in one loop; 0 where nothing enters it."""
+        if not any(any(map(any, X)) for X in self.drive(loop, channel)):
+            return Fraction(0)
+        return Fraction(found[loop, *channel, kind, k])
+
+    @cached_property
+    def coupling(self) -> Ball:
+        """Return the matrix by which errors of the observer drive e: B K, with loads [B K - X L_s C, -E]."""
+        BK = times(self.plant.B, (self.K, []))
+        if self.plant.loads is None:
+            return BK
+        if self.X is not None:
+            BK = less(BK, times(times(self.X, (self.L[len(self.K[0]) :], [])), self.plant.C))
+        return sides(BK, negative(self.plant.loads[0]))
+
+    def matrices(self, name: str) -> list[Ball]:
+        """Return the matrices of e' = (A_i + B K) e + ..., of Delta' = (A_j + L C) Delta + ..., or of both together."""
+        controller, _ = self.plant.problem("controller", self.K, self.L, None)
+        observer = [flipped(M) for M in self.plant.problem("observer", self.K, self.L, None)[0]]
+        if name != "joint":
+            return {"controller": controller, "observer": observer}[name]
+        nothing: Ball = [[Fraction(0)] * len(self.K[0]) for _ in self.L], []
+        pairs = [stacked(sides(X, self.coupling), sides(nothing, Y)) for X in controller for Y in observer]
+        return [pair for _, pair in unlike(pairs)]
+
+    def drive(self, loop: str, channel: Any) -> Ball:
+        """Return the column by which a disturbance, a noise or an input enters a loop."""
+        kind, n = channel[0], len(self.plant.B[0])
+        counts = {"disturbance": n, "noise": len(self.plant.C[0]), "input": len(self.plant.B[0][0])}
+        k = place(channel[1], counts[kind])
+        e: Ball = [[Fraction(int(j == k))] for j in range(n)], []
+        Delta: Ball = [[Fraction(-int(j == k))] for j in range(len(self.L))], []
+        if kind == "noise":
+            gain = column((self.L, []), k)
+            e, Delta = ([[Fraction(0)]] * n, []), negative(gain)
+            if self.X is not None:
+                e = times(self.X, (gain[0][n:], []))
+        if kind == "input":
+            if loop != "controller":
+                raise Fault("an input drives the controller's loop only")
+            e = column(self.plant.B, k)
+        return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
+
+    def row(self, loop: str, kind: str, k: int) -> Ball:
+        """Return the row that reads a signal off (e, Delta), or off one of both."""
+        plant, K = self.plant, self.K
+        n, N = len(plant.B[0]), len(plant.seen_A[0][0])
+        place(k, {"output": len(plant.tracked[0]), "input": len(K), "state": n, "estimate": N, "coupling": n}[kind])
+        if kind == "coupling":
+            if loop != "observer" or plant.loads is None:
+                raise Fault("what drives e is a signal of the observer's loop, where loads are estimated")
+            return part(self.coupling, k)
+        e: Ball = [[Fraction(int(j == k and kind == "state")) for j in range(n)]], []
+        e = part(plant.tracked, k) if kind == "output" else ([K[k]], []) if kind == "input" else e
+        Delta: Ball = [[Fraction(int(j == k and kind == "estimate")) for j in range(N)]], []
+        Delta = ([K[k] + [Fraction(0)] * (N - n)], []) if kind == "input" else Delta
+        return {"joint": sides(e, Delta), "controller": e, "observer": Delta}[loop]

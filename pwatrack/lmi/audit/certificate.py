@@ -1,0 +1,123 @@
+"""Every claim of a certificate, decided."""
+
+import json
+import os
+import stat
+from typing import Any
+
+from .bounds import Loop
+from .corners import uncertain
+from .form import normal_form
+from .matrices import Fault, transposed
+from .plant import Plant
+from .proofs import check, cost, refuted
+from .reading import matrix, number
+
+FORMAT = "pwatrack certificate 6"
+NAMES = {
+    "plant": "(7) plant",
+    "controller": "(8) controller",
+    "observer": "(9) observer",
+    "generator": "(17) generator",
+}
+_MOST_BYTES = 2**28  # of the file
+
+
+def audit(text: str) -> tuple[list[str], list[str]]:
+    """Return what a certificate proves, and what is wrong with it, both in sentences."""
+    try:
+        content = json.loads(text, parse_float=str, parse_constant=str)
+        if content["format"] != FORMAT:
+            return [], [f"the format is not '{FORMAT}'"]
+        return judged(content)
+    except Fault as fault:
+        return [], [str(fault)]
+    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
+        missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        return [], [f"not a certificate: {missing}"[:200]]
+
+
+def judged(content: Any) -> tuple[list[str], list[str]]:
+    """Decide every claim of a certificate."""
+    plant = Plant(content["plant"])
+    open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
+    inexact = any(any(part["radius"].values()) for part in open_)
+    centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
+    said = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous{centres}"]
+    faults = plant.faults()
+    if content["tracking"] == "state" and plant.unmatched():
+        faults.append("a load enters where no input does, and x_d is given")
+    K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
+    generator = content["generator"]
+    A_eta, X = (None, None) if generator is None else normal_form(plant, generator)
+    refusal = any("Z" in proof for proof in content["proofs"])
+    faults += misplaced(content) if refusal else []
+    decided = set()
+    for proof in content["proofs"]:
+        of = proof["of"]
+        if "X" in proof and of not in ("controller", "observer"):
+            raise Fault(f"no cost is that of {NAMES[of]}")
+        M, B = plant.problem(of, K, L, A_eta)
+        kind = refuted if "Z" in proof else cost if "X" in proof else check
+        wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
+        faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
+        about = centres if "Z" in proof else ""
+        said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}{about}")
+        decided.add("" if "X" in proof else of)
+    loop = Loop(plant, K or [], L or [], X)
+    for entry in content.get("bounds", []):
+        faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
+    if content.get("bounds"):
+        said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
+    if (box := content.get("uncertain")) is not None:
+        wrong, sentence = uncertain(content["plant"], box, K or [], L or [])
+        faults += [f"uncertain parameters: {fault}" for fault in wrong]
+        said.append(sentence)
+    if not refusal:
+        wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
+        absent = sorted(NAMES[of] for of in wanted - decided)
+        if content["tracking"] not in ("output", "state") or (content["tracking"] == "output") != (A_eta is not None):
+            faults.append("a generator goes with output tracking, and only with that")
+        theorem = "Theorem 3, output tracking" if A_eta is not None else "Theorem 2, state tracking"
+        faults += [f"{name} is absent, which {theorem} needs" for name in absent]
+        said.append(f"{theorem}: none of its inequalities is absent")
+    return said, faults
+
+
+def misplaced(content: Any) -> list[str]:
+    """Return what does not belong into the proof of a refusal."""
+    proof, *more = content["proofs"]
+    of = proof["of"]
+    extra = more or content.get("bounds") or content.get("uncertain")
+    faults = ["a refusal has one proof, and no bounds"] if extra else []
+    if of == "plant" or (of == "generator" and number(proof["rate"])):
+        faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
+    if (of != "controller" and content["K"] is not None) or (of != "observer" and content["L"] is not None):
+        faults.append("a refusal has no gain but the one that it is about")
+    return faults
+
+
+def claim(proof: Any, cells: list[str]) -> str:
+    """Say what one entry claims."""
+    if "X" in proof:
+        return "the bound of the cost is proved"
+    rate = f"{float(number(proof['rate'])):g} 1/s"
+    if "Z" in proof:
+        beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
+        return f"proved impossible{beyond}, by multipliers for " + ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
+    return f"proved, rate {rate}"
+
+
+def main(path: str) -> int:
+    """Print what the file proves and what is wrong with it; return the exit code."""
+    try:
+        found = os.stat(path)  # noqa: PTH116
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+            raise OSError(f"it is no regular file of at most {_MOST_BYTES:,} bytes")
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123
+            said, faults = audit(file.read())
+    except (OSError, UnicodeDecodeError) as error:
+        said, faults = [], [f"cannot read {path}: {error}"]
+    lines = [f"wrong: {fault}" for fault in faults] or [*said, "every number was read as it is written; fractions only"]
+    print("\n".join(lines))  # noqa: T201
+    return 6 if faults else 0

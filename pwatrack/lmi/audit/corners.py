@@ -1,0 +1,66 @@
+"""The same bounds for every plant of a box: those at its corners, and all means of them."""
+
+from typing import Any
+
+from .balls import Ball, flipped, less, plus, sides, stacked, times, unlike
+from .bounds import Loop
+from .matrices import Fault, Matrix
+from .plant import Plant
+
+
+class Box(Loop):
+    """The same loop, where another plant runs that is a mean of some corners."""
+
+    def __init__(self, content: Any, corners: Any, K: Matrix, L: Matrix) -> None:
+        plant = Plant(content)
+        super().__init__(plant, K, L, None)
+        if plant.loads is not None:
+            raise Fault("uncertain parameters go without estimated loads")
+        self.corners = [
+            Plant(content | {name: X[name] for name in ("A", "b", "B")} | {"radius": content["radius"] | X["radius"]})
+            for X in corners
+        ]
+        if not corners or any(len(corner.B[0][0]) != len(plant.B[0][0]) for corner in self.corners):
+            raise Fault("the matrices of the corners do not fit those of the plant")
+
+    def varying(self) -> set[int]:
+        """Return the state equations in which a corner differs from the plant."""
+        plant = self.plant
+        return {
+            k
+            for corner in self.corners
+            for own, other in zip((*plant.A, *plant.b, plant.B), (*corner.A, *corner.b, corner.B), strict=True)
+            for k, row in enumerate(own[0])
+            if row != other[0][k]
+        }
+
+    def matrices(self, name: str) -> list[Ball]:
+        """Return the matrices of (e, Delta) for all corners and pairs of cells."""
+        if name != "joint":
+            raise Fault("the bounds of uncertain parameters are those of the joint loop")
+        gain: Ball = self.K, []
+        observer, pairs = self.plant.problem("observer", self.K, self.L, None)[0], list[Ball]()
+        for corner in self.corners:
+            BK, off = times(corner.B, gain), times(less(self.plant.B, corner.B), gain)
+            for A_c, A in zip(corner.A, self.plant.A, strict=True):
+                lower = plus(less(A, A_c), off)
+                pairs += [stacked(sides(plus(A_c, BK), BK), sides(lower, plus(flipped(M), off))) for M in observer]
+        return [pair for _, pair in unlike(pairs)]
+
+
+def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str], str]:
+    """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
+    box = Box(plant, content["corners"], K, L)
+    faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
+    bounded, signals = set[int](), [{(kind, k) for kind, k, _ in entry["signals"]} for entry in content["bounds"]]
+    for entry in content["bounds"]:
+        kind, k = entry["channel"]
+        if kind != "disturbance":
+            raise Fault("a bound of uncertain parameters is one of an entry of w")
+        bounded.add(k)
+        faults += [f"entry {k + 1}: {fault}" for fault in box.faults(entry)]
+    if bounded < box.varying() or any(one != signals[0] for one in signals):
+        faults.append("an entry of w, or a signal of one, has no bound")
+    names = ", ".join(str(name) for name, _, _ in content["parameters"])
+    count = len(box.matrices("joint"))
+    return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {len(box.corners)} corners"

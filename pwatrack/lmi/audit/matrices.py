@@ -1,0 +1,85 @@
+"""Matrices of fractions."""
+
+from fractions import Fraction
+from math import lcm
+from typing import Any
+
+Matrix = list[list[Fraction]]
+
+
+class Fault(Exception):
+    """Something in the file is wrong, or does not hold."""
+
+
+def identity(n: int, factor: Any) -> Matrix:
+    """Return factor I."""
+    return [[Fraction(factor) * (j == k) for k in range(n)] for j in range(n)]
+
+
+def product(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X Y."""
+    columns = transposed(Y)
+    if any(len(row) != len(Y) for row in X):
+        raise Fault("matrices do not fit together")
+    return [[sum((a * b for a, b in zip(row, c, strict=True) if a and b), Fraction(0)) for c in columns] for row in X]
+
+
+def added(X: Matrix, Y: Matrix, factor: int = 1) -> Matrix:
+    """Return X + factor Y."""
+    return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
+
+
+def transposed(X: Matrix) -> Matrix:
+    """Return the transpose."""
+    return [list(column) for column in zip(*X, strict=True)]
+
+
+def sizes(X: Matrix) -> Matrix:
+    """Return the sizes of all entries."""
+    return [[abs(v) for v in row] for row in X]
+
+
+def inverted(X: Matrix) -> Matrix:
+    """Return the inverse, by Gauss and Jordan's elimination."""
+    n = len(X)
+    rows = [[*row, *unit] for row, unit in zip(X, identity(n, 1), strict=True)]
+    for k in range(n):
+        found = next((j for j in range(k, n) if rows[j][k]), None)
+        if found is None:
+            raise Fault("a change of state is singular")
+        rows[k], rows[found] = rows[found], rows[k]
+        rows[k] = [v / rows[k][k] for v in rows[k]]
+        for j in range(n):
+            if j != k and rows[j][k]:
+                rows[j] = [v - rows[j][k] * p for v, p in zip(rows[j], rows[k], strict=True)]
+    return [row[n:] for row in rows]
+
+
+def rank(X: Matrix) -> int:
+    """Return the rank, by Gauss' elimination."""
+    rows, found = [list(row) for row in X], 0
+    for k in range(len(rows[0])):
+        pivot = next((j for j in range(found, len(rows)) if rows[j][k]), None)
+        if pivot is None:
+            continue
+        rows[found], rows[pivot] = rows[pivot], rows[found]
+        for row in rows[found + 1 :]:
+            factor = row[k] / rows[found][k]
+            row[:] = [v - factor * p for v, p in zip(row, rows[found], strict=True)]
+        found += 1
+    return found
+
+
+def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
+    """Decide whether sign X, symmetric, is positive (semi)definite, by Bareiss' elimination in integers."""
+    scale = sign * lcm(*(v.denominator for row in X for v in row))
+    rows, previous = [[int(v * scale) for v in row] for row in X], 1
+    for k, pivot_row in enumerate(rows):
+        pivot = pivot_row[k]
+        if pivot < 0 or (pivot == 0 and (not semi or any(pivot_row[k + 1 :]))):
+            return False
+        for row in rows[k + 1 :] if pivot else []:
+            factor, pairs = row[k], zip(row[k + 1 :], pivot_row[k + 1 :], strict=True)
+            row[k + 1 :] = [(v * pivot - factor * p) // previous for v, p in pairs]
+        previous = pivot or previous
+    return True

@@ -1,0 +1,80 @@
+"""The plant of a certificate, and the matrices that proofs speak of."""
+
+from fractions import Fraction
+from typing import Any
+
+from .balls import Ball, flipped, plus, sides, stacked, times
+from .cells import Cells
+from .matrices import Fault, Matrix, rank, transposed
+from .reading import ball
+
+
+class Plant:
+    """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference."""
+
+    def __init__(self, content: Any) -> None:
+        radius = content["radius"]
+        self.A, self.b = (
+            [ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b")
+        )
+        self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
+        self.loads: tuple[Ball, Ball] | None = None
+        self.seen_A, self.seen_C = self.A, self.C
+        if content["loads"] is not None:
+            self.estimate(content["loads"])
+        self.cells = Cells(content)
+        planes, signs = self.cells.planes, self.cells.signs
+        n, k, cells = len(self.B[0]), len(planes), len(self.A)
+        if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
+            raise Fault("the matrices of the plant do not fit together")
+        shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in signs}
+        rows = {len(row) for row in (*self.C[0], *self.tracked[0], *(plane[1:] for plane in planes))}
+        if not n or not cells or len(signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
+            raise Fault("the matrices of the plant do not fit together")
+        if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
+            raise Fault("the matrices of the plant do not fit together")
+        if len({plane[:2] for plane in self.cells.parallel}) != k:
+            raise Fault("two hyperplanes are one")
+
+    def estimate(self, content: Any) -> None:
+        """Take in the loads E s, s' = S s, that the observer estimates: it runs plant and loads as one system."""
+        E, S = (ball(content[name], content["radius"][name]) for name in ("E", "S"))
+        n, p = len(self.B[0]), len(S[0])
+        if not p or len(E[0]) != n or {len(row) for row in (*E[0], *S[0])} != {p}:
+            raise Fault("the loads do not fit to the plant")
+        below: Ball = [[Fraction(0)] * n for _ in range(p)], []
+        beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
+        self.loads = E, S
+        self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
+        self.seen_C = sides(self.C, beside)
+
+    def unmatched(self) -> bool:
+        """Say whether some load enters where no input does: nothing makes up for it while all of x_d is given."""
+        return self.loads is not None and rank(sides((self.B[0], []), (self.loads[0][0], []))[0]) != rank(self.B[0])
+
+    def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
+        """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
+        if of == "plant":
+            return [flipped(A) for A in self.A], []
+        if of == "generator":
+            return [flipped(A) for A in A_eta], []
+        A, B, gain = (self.A, self.B, K)
+        if of != "controller":
+            A, B, gain = [flipped(A) for A in self.seen_A], flipped(self.seen_C), L
+        if gain is None:
+            return A, B[0]
+        BK = times(B, (gain if of == "controller" else transposed(gain), []))
+        return [plus(A_i, BK) for A_i in A], []
+
+    def faults(self) -> list[str]:
+        """Return where cells overlap, where none is, and where the field jumps."""
+        return self.cells.faults(self.jumps)
+
+    def jumps(self, i: int, j: int, plane: list[Fraction]) -> bool:
+        """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
+        pivot = next(p for p, v in enumerate(plane) if v)
+        for a, b, c, d in zip(self.A[i][0], self.A[j][0], self.b[i][0], self.b[j][0], strict=True):
+            row = [v - w for v, w in zip((*a, *c), (*b, *d), strict=True)]
+            if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
+                return True
+        return False

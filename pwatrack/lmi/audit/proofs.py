@@ -1,0 +1,62 @@
+"""The matrix inequalities: of a design, of a cost, and multipliers that no gain can stand against."""
+
+from fractions import Fraction
+from typing import Any
+
+from .balls import Ball, enlarge, unlike
+from .matrices import Matrix, added, definite, identity, product, sizes, transposed
+from .reading import matrix, number, packed
+
+
+def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
+    """Return what is wrong with one proof of a design."""
+    rate, margin, radius = (number(proof[name]) for name in ("rate", "margin", "radius"))
+    P, powers = packed(proof["P"])
+    if not P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
+        return ["P is not symmetric and positive definite, of the order of the matrices"]
+    faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
+    for i, (M, R) in unlike(matrices):
+        half = product(added(M, identity(len(P), rate)), P)
+        left = added(added(half, transposed(half)), identity(len(P), margin))
+        enlarge(left, product(R, sizes(P)) if R else [], powers)
+        if not definite(left, sign=-1):
+            faults.append(f"the inequality fails in cell {i + 1}")
+    if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
+        faults.append("the radius is larger than margin / (2 |P|)")
+    return faults
+
+
+def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
+    """Return what is wrong with one bound of a cost."""
+    X, Q, R = (matrix(proof[name]) for name in ("X", "Q", "R"))
+    if transposed(X) != X or not definite(X) or not definite(R) or not definite(Q, semi=True):
+        return ["X, Q or R is not positive definite"]
+    weight, faults = added(Q, product(transposed(K), product(R, K))), []
+    powers = [
+        Fraction(2) ** ((row[j].numerator.bit_length() - row[j].denominator.bit_length()) // 2)
+        for j, row in enumerate(X)
+    ]
+    for i, (M, radius) in unlike(matrices):
+        half = product(X, M)
+        left = added(added(half, transposed(half)), weight)
+        enlarge(left, product(sizes(X), radius) if radius else [], powers)
+        if not definite(left, sign=-1):
+            faults.append(f"the bound of the cost fails in cell {i + 1}")
+    return faults
+
+
+def refuted(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
+    """Return what is wrong with one proof of impossibility."""
+    n, Z = len(matrices[0][0]), {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
+    total = S = identity(n, 0)
+    for i, Z_i in Z.items():
+        if len(Z_i) != n or transposed(Z_i) != Z_i or i < 0:
+            return ["Z is not symmetric of the order of the matrices"]
+        half = product(Z_i, added(matrices[i][0], identity(n, number(proof["rate"]))))
+        total, S = added(total, Z_i), added(S, added(half, transposed(half)))
+    alone = len(Z) == 1 and not definite(total, semi=True, sign=-1)
+    right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z.values()))
+    faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
+    if B and any(map(any, product(total, B))):
+        faults.append("the sum of Z B is not 0")
+    return faults if definite(S, semi=True) else [*faults, "the sum of Z M + M^T Z is not positive semidefinite"]
