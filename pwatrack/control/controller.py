@@ -11,6 +11,7 @@ from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
+from pwatrack.control.limits import Limited
 from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -36,6 +37,7 @@ class Controller:
         sizes: Of all signals of the plant: what the gains were weighed with.
         costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
         robust: What is proved for uncertain parameters, where some are.
+        limited: What is known of inputs that have limits, where some have.
     """
 
     plant: PWASystem
@@ -46,6 +48,7 @@ class Controller:
     sizes: Sizes
     costs: Mapping[str, Array] = field(default_factory=dict)
     robust: Robust | None = None
+    limited: Limited | None = None
 
     @property
     def form(self) -> NormalForm | None:

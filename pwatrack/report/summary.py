@@ -32,6 +32,7 @@ from pwatrack.report.figures import (
     states_unit,
     up,
 )
+from pwatrack.report.limits import limit_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
@@ -94,6 +95,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     else:
         _generator_rows(table, generator, promised.generator)
     _promise_rows(table, controller)
+    for k, text in enumerate(limit_rows(spec, controller)):
+        table.add_row("" if k else "limits", text)
     _bound_rows(table, spec, controller)
     for k, text in enumerate(box_rows(spec, controller)):
         table.add_row("" if k else "uncertain", text)

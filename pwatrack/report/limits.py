@@ -1,0 +1,67 @@
+"""What is said of inputs that have limits: what the feedforward takes of them."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pwatrack.arrays import number_text
+from pwatrack.control.controller import Controller
+from pwatrack.control.limits import Limited, Peak
+from pwatrack.report.figures import down
+from pwatrack.spec.spec import Spec
+
+
+def limit_content(spec: Spec, controller: Controller) -> dict[str, Any]:
+    """Return what run.json says of limits: by input; nothing where there are none."""
+    limited = controller.limited
+    if limited is None:
+        return {}
+    left = limited.left
+    inputs = {
+        spec.problem.plant.inputs[k]: {
+            "limits": [float(v) if np.isfinite(v) else None for v in limited.limits[k]],
+            "feedforward": None if limited.peak is None else _peak(limited.peak, k),
+            "lasting": None if limited.lasting is None else _peak(limited.lasting, k),
+            "left": None if left is None else float(left[k]),
+        }
+        for k in _finite(limited)
+    }
+    return {"limits": {"inputs": inputs}}
+
+
+def _peak(peak: Peak, k: int) -> dict[str, list[float]]:
+    return {"range": [float(peak.low[k]), float(peak.high[k])], "times": peak.times[k].tolist()}
+
+
+def limit_rows(spec: Spec, controller: Controller) -> Iterator[str]:
+    """Yield what the limits leave beside the feedforward."""
+    limited = controller.limited
+    if limited is None:
+        return
+    for k in _finite(limited):
+        name, unit = spec.problem.plant.inputs[k], spec.problem.units.get(spec.problem.plant.inputs[k], "")
+        low, high = (number_text(float(v), "g") for v in limited.limits[k])
+        said = f"{name} from {low} to {high} {unit}".rstrip()
+        if limited.peak is None:
+            yield f"{said}: x_d takes too long to follow, so what its feedforward takes is not known"
+            continue
+        takes = f"its feedforward takes {_range(limited.peak, k, unit)}"
+        if any(input_ == k for input_, _ in limited.peak.beyond(limited.limits)):
+            after = (
+                "" if limited.lasting is None else f"; once that start is forgotten {_range(limited.lasting, k, unit)}"
+            )
+            yield f"{said}: {takes}, more than that, from where the generator starts{after}"
+        else:
+            left = f"{down(float(limited.peak.left(limited.limits)[k]))} {unit}".rstrip()
+            yield f"{said}: {takes}, which leaves {left} for what is off"
+
+
+def _range(peak: Peak, k: int, unit: str) -> str:
+    (first, last), low, high = peak.times[k].tolist(), float(peak.low[k]), float(peak.high[k])
+    ends = f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
+    return f"{ends} (t = {first:.4g} s, {last:.4g} s)"
+
+
+def _finite(limited: Limited) -> list[int]:
+    return [int(k) for k in np.flatnonzero(np.isfinite(limited.limits).any(axis=1))]
