@@ -149,7 +149,7 @@ def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_
     assert controller.limited is not None
     assert controller.limited.left is None
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
-    assert "more than that, from where the generator starts; once that is forgotten -0.674" in said
+    assert "more than that, from where the generator starts; once that start is forgotten -0.674" in said
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert index["limits"]["inputs"]["u"]["left"] is None
     assert index["limits"]["inputs"]["u"]["lasting"]["range"] == pytest.approx([-0.6, 0.6], abs=0.1)
