@@ -4,17 +4,18 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import Limited, Peak
+from pwatrack.control.limits import Limited, Peak, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
-from pwatrack.starting import generator_start
+from pwatrack.starting import generator_start, starts_of
 
 
 def room_within_limits(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
 ) -> Limited | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
@@ -22,6 +23,7 @@ def room_within_limits(
         spec: What is asked.
         trajectory: What makes u_ff.
         generator: That of output tracking.
+        sizes: Those of its signals.
 
     Raises:
         OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
@@ -29,9 +31,10 @@ def room_within_limits(
 
     Example:
         >>> from pwatrack import load_spec
+        >>> from pwatrack.sizing import spec_sizes
         >>> from pwatrack.tracking import desired_trajectory
         >>> spec = load_spec("specs/two_mass_machine.yaml")
-        >>> room = room_within_limits(spec, *desired_trajectory(spec, False))
+        >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
         >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()
         ([5.926], [0.571])
     """
@@ -49,7 +52,8 @@ def room_within_limits(
     if lasting is not None:
         _check(spec, limits, lasting)
         peak = None if peak is None else peak.with_also(lasting)
-    return Limited(limits=limits, lasting=lasting, peak=peak)
+    starts = (*Starts.within(sizes.state), *starts_of(spec, trajectory, given, sizes))
+    return Limited(limits=limits, lasting=lasting, peak=peak, starts=starts)
 
 
 def _steady(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array | None:

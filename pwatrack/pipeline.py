@@ -64,7 +64,8 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, solver = spec.objectives, spec.objectives.solver
-        sizes, limited = spec_sizes(spec), room_within_limits(spec, trajectory, generator)
+        sizes = spec_sizes(spec)
+        limited = room_within_limits(spec, trajectory, generator, sizes)
         gains = synthesize(  # (8), (9)
             plant, controller=goals.controller, observer=goals.observer, sizes=sizes, solver=solver
         )
@@ -78,7 +79,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
-            limited=limited,
+            limited=None if limited is None else limited.promising(plant, gains, proofs),
         )
     box = goals.uncertain
     return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller

@@ -11,7 +11,7 @@ from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.limits import Limited
+from pwatrack.control.limits import Limited, Promise
 from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -72,6 +72,11 @@ class Controller:
         if self.generator is not None:
             return np.ones(1)
         return np.ones(1) if len(self.sizes.state) == 1 else self.sizes.state
+
+    @property
+    def promises(self) -> tuple[Promise, ...]:
+        """From which starts inputs that have limits stay near their feedforward."""
+        return () if self.limited is None else self.limited.promises
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:

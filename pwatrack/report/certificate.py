@@ -13,6 +13,7 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
+from pwatrack.control.limits import Promise
 from pwatrack.control.robust import Robust
 from pwatrack.lmi.audit.certificate import FORMAT
 from pwatrack.lmi.exact import Proof
@@ -34,7 +35,9 @@ CLAIM = (
     "equation or one measured output, can make of each signal. Under uncertain: for every plant whose A, b and B are "
     "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
     "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
-    "without a bound are 0. Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
+    "without a bound are 0. Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d "
+    "= starts v with x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time. Multipliers "
+    "Z_i prove, for the numbers as they are written, that no such P exists for any "
     "gain, or for the one that is given. The file can be checked with pwatrack verify, or with the folder audit of "
     "pwatrack alone."
 )
@@ -49,7 +52,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
     uncertain = None if controller.robust is None else _uncertain(spec, controller.robust)
     content = _content(spec, controller.design.K, controller.design.L, proofs)
-    return content | {"bounds": bounds, "uncertain": uncertain}
+    limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
+    return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain}
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -232,6 +236,18 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
         for part in bounds.parts
     ]
     return {"channel": list(bounds.channel), "signals": _sizes(bounds.sizes.items()), "parts": parts}
+
+
+def _limit(promise: Promise) -> dict[str, Any]:
+    held = promise.held
+    assert held is not None
+    return {
+        "loop": promise.loop,
+        "starts": decimals(promise.G),
+        "weights": [_decimal(w) for w in held.weights],
+        "Q": {"integers": [list(row) for row in held.integers], "exponents": list(held.exponents)},
+        "signals": _sizes((("input", k), size) for k, size in zip(promise.inputs, held.sizes, strict=True)),
+    }
 
 
 def _sizes(signals: Iterable[tuple[Form, float]]) -> list[list[Any]]:

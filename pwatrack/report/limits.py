@@ -1,4 +1,4 @@
-"""What is said of inputs that have limits: what the feedforward takes of them."""
+"""What is said of limits of inputs: what the feedforward takes of them, and which starts never lead to them."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import number_text
 from pwatrack.control.controller import Controller
-from pwatrack.control.limits import Limited, Peak
+from pwatrack.control.limits import Limited, Peak, Promise
 from pwatrack.report.figures import down
 from pwatrack.spec.spec import Spec
 
@@ -27,7 +27,21 @@ def limit_content(spec: Spec, controller: Controller) -> dict[str, Any]:
         }
         for k in _finite(limited)
     }
-    return {"limits": {"inputs": inputs}}
+    said = [
+        {
+            "starts": p.starts.kind,
+            "scale": float(p.scale(left)) if np.isfinite(p.scale(left)) else None,
+            "inputs": _sizes(spec, p),
+        }
+        for p in limited.promises
+        if left is not None
+    ]
+    return {"limits": {"inputs": inputs, "starts": said}}
+
+
+def _sizes(spec: Spec, promise: Promise) -> dict[str, float]:
+    names = [spec.problem.plant.inputs[k] for k in promise.inputs]
+    return dict(zip(names, promise.held.sizes if promise.held else [0.0] * len(names), strict=True))
 
 
 def _peak(peak: Peak, k: int) -> dict[str, list[float]]:
@@ -55,6 +69,26 @@ def limit_rows(spec: Spec, controller: Controller) -> Iterator[str]:
         else:
             left = f"{down(float(limited.peak.left(limited.limits)[k]))} {unit}".rstrip()
             yield f"{said}: {takes}, which leaves {left} for what is off"
+    yield from _promise_rows(controller, limited)
+
+
+def _promise_rows(controller: Controller, limited: Limited) -> Iterator[str]:
+    """Yield from which starts no limit is ever reached."""
+    for promise in limited.promises:
+        assert limited.left is not None
+        scale, kind = promise.scale(limited.left), promise.starts.kind
+        much = f"up to {down(scale)} times its size" if np.isfinite(scale) else "whatever it is"
+        if kind == "exact":
+            idle = "" if controller.plant.loads is None else ", while no load acts"
+            starts = f"each |x_k − x_dk| {much} and x̂ = x{idle}"
+        elif kind == "sizes":
+            starts = f"each |x_k − x_dk| and |x̂_k − x_k| {much}"
+        else:
+            starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
+            starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
+        yield f"in the loop as designed no limit is ever reached from {starts}"
+    if limited.left is not None and not limited.promises:
+        yield "from which starts no limit is ever reached could not be proved"
 
 
 def _range(peak: Peak, k: int, unit: str) -> str:

@@ -7,6 +7,7 @@ from pwatrack.causes import Part, Subject
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
 from pwatrack.simulation.visits import desired_flow
@@ -28,9 +29,13 @@ def measured_start(loop: ClosedLoop, x: Array) -> Array:
         y = y + drawn
     if loop.conditions.quanta is not None:
         y = loop.conditions.quanta.measured(y)
-    states, outputs = loop.controller.sizes.state, loop.controller.sizes.output
-    x_hat: Array = states * (np.linalg.pinv(C * states / outputs[:, None]) @ (y / outputs))
-    return x_hat
+    return np.asarray(from_measured(loop.controller.sizes, C) @ y)
+
+
+def from_measured(sizes: Sizes, C: Array) -> Array:
+    """Return the matrix (n, q) of x̂ = X y: in sizes the smallest x̂ with C x̂ nearest to y."""
+    inverse = np.linalg.pinv(C * sizes.state / sizes.output[:, None])
+    return np.asarray(sizes.state[:, None] * inverse / sizes.output)
 
 
 def steady_start(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:

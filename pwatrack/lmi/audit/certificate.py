@@ -12,8 +12,9 @@ from .matrices import Fault, transposed
 from .plant import Plant
 from .proofs import check, cost, refuted
 from .reading import matrix, number
+from .starts import near
 
-FORMAT = "pwatrack certificate 6"
+FORMAT = "pwatrack certificate 7"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -69,6 +70,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
     if content.get("bounds"):
         said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
+    for number_, entry in enumerate(content.get("limits", []), 1):
+        faults += [f"starts {number_}: {fault}" for fault in near(loop, entry)]
+    if content.get("limits"):
+        said.append(f"the bounds of inputs from {len(content['limits'])} boxes of starts are proved")
     if (box := content.get("uncertain")) is not None:
         wrong, sentence = uncertain(content["plant"], box, K or [], L or [])
         faults += [f"uncertain parameters: {fault}" for fault in wrong]
@@ -88,7 +93,7 @@ def misplaced(content: Any) -> list[str]:
     """Return what does not belong into the proof of a refusal."""
     proof, *more = content["proofs"]
     of = proof["of"]
-    extra = more or content.get("bounds") or content.get("uncertain")
+    extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain"))
     faults = ["a refusal has one proof, and no bounds"] if extra else []
     if of == "plant" or (of == "generator" and number(proof["rate"])):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
