@@ -41,6 +41,16 @@ class Proof:
     margin: float
     radius: float
 
+    @property
+    def order(self) -> int:
+        """That of the matrices it speaks of."""
+        return len(self.exponents)
+
+    @property
+    def degree(self) -> int:
+        """That of the quadratic form."""
+        return 2
+
     @cached_property
     def P(self) -> Rational:
         """The matrix, exactly."""

@@ -12,7 +12,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact import BITS, GIVEN, Proof, exponents_of, left_side, prove_exactly, rounded_down, unpacked, whole
 from pwatrack.lmi.monomials import Exponents, Monomials
-from pwatrack.lmi.polynomial import Candidate
+from pwatrack.lmi.polynomial import Polynomial
 from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, is_positive_definite, scalar
 
@@ -45,6 +45,11 @@ class PolynomialProof:
     N_exponents: tuple[int, ...]
     rate: float
 
+    @property
+    def order(self) -> int:
+        """That of the matrices it speaks of."""
+        return len(self.T)
+
     @cached_property
     def P(self) -> Rational:
         """The matrix, exactly."""
@@ -57,9 +62,10 @@ class PolynomialProof:
 
 
 AnyProof = Proof | PolynomialProof
+Found = Certificate | Polynomial
 
 
-def exactly(role: Role, M: Sequence[BallMatrix], found: Certificate | Candidate) -> AnyProof | None:
+def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | None:
     """Prove for rounded numbers what was found in floating point, or return None.
 
     Args:
@@ -67,12 +73,12 @@ def exactly(role: Role, M: Sequence[BallMatrix], found: Certificate | Candidate)
         M: The matrices M_i of it, each different.
         found: A common P, or a polynomial.
     """
-    if isinstance(found, Candidate):
+    if isinstance(found, Polynomial):
         return prove_polynomial(role, M, found)
     return prove_exactly(role, M, found.P, found.rate)
 
 
-def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Candidate) -> PolynomialProof | None:
+def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> PolynomialProof | None:
     """Round P, N_i and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
@@ -82,10 +88,10 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Candidate) -> P
 
     Example:
         >>> from pwatrack.lmi.coordinates import Coordinates
-        >>> from pwatrack.lmi.polynomial import polynomial
+        >>> from pwatrack.lmi.polynomial import best_polynomial
         >>> from pwatrack.lmi.role import CONTROLLER
         >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
-        >>> found = polynomial(A, 4, Coordinates.balanced(A.swapaxes(1, 2)))
+        >>> found = best_polynomial(A, 4, Coordinates.balanced(A.swapaxes(1, 2)))
         >>> proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
         >>> proof.degree, 0 < proof.rate <= found.rate
         (4, True)
@@ -122,7 +128,7 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Candidate) -> P
     return None
 
 
-def _numbers(found: Candidate, A: Sequence[Array]) -> Array | None:
+def _numbers(found: Polynomial, A: Sequence[Array]) -> Array | None:
     """Return the N_i of these matrices, (l, N, N); None where one has none."""
     at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
     places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]

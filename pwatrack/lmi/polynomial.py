@@ -39,7 +39,7 @@ _DIGITS = 12  # binary, of the coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
+class Polynomial:
     """P and N_i in floating point, for the monomials in weights of z = T e.
 
     Attributes:
@@ -74,7 +74,7 @@ def degrees(n: int, cells: int) -> tuple[int, ...]:
     return tuple(degree for degree in DEGREES if n > 1 and _rows(n, degree, cells) <= _MOST_ROWS)
 
 
-def polynomial(A: Array, degree: int, near: Coordinates) -> Candidate | None:
+def best_polynomial(A: Array, degree: int, near: Coordinates) -> Polynomial | None:
     """Look for a polynomial of one degree with the largest rate.
 
     Args:
@@ -86,7 +86,7 @@ def polynomial(A: Array, degree: int, near: Coordinates) -> Candidate | None:
 
         >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
         >>> near = Coordinates.balanced(A.swapaxes(1, 2))
-        >>> polynomial(A, 2, near) is None, polynomial(A, 4, near).rate > 0
+        >>> best_polynomial(A, 2, near) is None, best_polynomial(A, 4, near).rate > 0
         (True, True)
     """
     T = short(near.T.T)
@@ -109,7 +109,7 @@ def polynomial(A: Array, degree: int, near: Coordinates) -> Candidate | None:
             break
     assert best is not None
     P, N, rate = best
-    return Candidate(A=A, degree=degree, T=T, P=P, N=N * speed, rate=rate * speed)
+    return Polynomial(A=A, degree=degree, T=T, P=P, N=N * speed, rate=rate * speed)
 
 
 def short(X: Array) -> Array:
