@@ -112,7 +112,7 @@ def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
     search = Search(task)
     match goal:
         case Given(gain=known):
-            return _given(task, task.role.oriented(known))
+            return given(task, task.role.oriented(known))
         case LeastCost(Q=Q, R=R):
             found = search.first(search.candidates.least_cost(Q, R), 0.0)
         case Fastest(bound=bound):
@@ -131,7 +131,12 @@ def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
     return found
 
 
-def _given(task: Task, K: Array) -> tuple[Array, Found]:
+def given(task: Task, K: Array) -> tuple[Array, Found]:
+    """Return a gain K (m, n), or Lᵀ, that is given, with what shows its best rate.
+
+    Raises:
+        Infeasible, Undecided: As for `prove_convergence`.
+    """
     letter = task.role.letter
     certificate = prove_convergence(
         task.closed(K),
