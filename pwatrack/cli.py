@@ -57,6 +57,7 @@ def check(
     """Say what the plant is, which theorems apply, and whether the reference is one that they are about."""
     with refusals():
         from pwatrack.control.applicability import applicability
+        from pwatrack.control.modes import check_modes
         from pwatrack.errors import PwatrackError
         from pwatrack.report.plant import check_json, print_plant
         from pwatrack.sizing import spec_sizes
@@ -70,6 +71,8 @@ def check(
             name, report = spec.name, applicability(spec.problem.plant)
             reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
             sizes = spec_sizes(spec)
+            with spec.located():
+                check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

@@ -15,7 +15,7 @@ from pwatrack.control.limits import Limited, Promise
 from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -44,7 +44,7 @@ class Controller:
     design: Design
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
-    proofs: tuple[Proof, ...]
+    proofs: tuple[AnyProof, ...]
     sizes: Sizes
     costs: Mapping[str, Array] = field(default_factory=dict)
     robust: Robust | None = None

@@ -10,6 +10,7 @@ from .corners import uncertain
 from .form import normal_form
 from .matrices import Fault, transposed
 from .plant import Plant
+from .polynomials import polynomial
 from .proofs import check, cost, refuted
 from .reading import matrix, number
 from .starts import near
@@ -21,6 +22,7 @@ NAMES = {
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
+KINDS = {"Z": refuted, "X": cost, "degree": polynomial}  # of proofs, by what they have
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -59,7 +61,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         if "X" in proof and of not in ("controller", "observer"):
             raise Fault(f"no cost is that of {NAMES[of]}")
         M, B = plant.problem(of, K, L, A_eta)
-        kind = refuted if "Z" in proof else cost if "X" in proof else check
+        kind = next((decide for name, decide in KINDS.items() if name in proof), check)
         wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
         about = centres if "Z" in proof else ""
@@ -110,7 +112,8 @@ def claim(proof: Any, cells: list[str]) -> str:
     if "Z" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
         return f"proved impossible{beyond}, by multipliers for " + ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
-    return f"proved, rate {rate}"
+    by = f" by a polynomial of degree {number(proof['degree'])}" if "degree" in proof else ""
+    return f"proved{by}, rate {rate}"
 
 
 def main(path: str) -> int:
