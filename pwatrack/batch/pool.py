@@ -6,6 +6,7 @@ that has imported everything before: that takes milliseconds.
 
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections import deque
@@ -30,14 +31,14 @@ class Lost(Exception):
 
     Attributes:
         reason: Why, in words.
-        signal: What ended the process, if it was a signal that nobody here sent; 0 otherwise.
+        killer: The signal that ended the process, if it was one that nobody here sent; 0 otherwise.
         said: The last that it said on stderr.
         seconds: How long it was at the task.
     """
 
-    def __init__(self, reason: str, *, signal: int = 0, said: str = "", seconds: float = 0.0) -> None:
+    def __init__(self, reason: str, *, killer: int = 0, said: str = "", seconds: float = 0.0) -> None:
         super().__init__(reason)
-        self.reason, self.signal, self.said, self.seconds = reason, signal, said, seconds
+        self.reason, self.killer, self.said, self.seconds = reason, killer, said, seconds
 
 
 @dataclass(kw_only=True)
@@ -132,9 +133,9 @@ class Pool(Executor):
         self.shutdown()
 
     def _dispatch(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # what is started here is not for Ctrl-C to end
         try:
-            while self._go_on():
-                self._assign()
+            while self._assigned():
                 self._look()
         except BaseException as error:  # whoever waits for a future has to learn of it
             for task in [*self._waiting, *(w.task for w in self._workers if w.task)]:
@@ -152,7 +153,9 @@ class Pool(Executor):
                     worker.process.kill()
                 self._bury(worker)
 
-    def _go_on(self) -> bool:
+    def _assigned(self) -> bool:
+        """Give tasks to processes that have none; return whether there is anything left to wait for."""
+        self._assign()
         with self._lock:
             return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
@@ -250,7 +253,7 @@ class Pool(Executor):
             reason = worker.reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
             said = worker.said.decode("utf-8", "replace").strip()
             seconds = time.monotonic() - worker.begun
-            worker.task.future.set_exception(Lost(reason, signal=killer, said=said, seconds=seconds))
+            worker.task.future.set_exception(Lost(reason, killer=killer, said=said, seconds=seconds))
 
     def _bury(self, worker: _Worker) -> None:
         worker.process.join()

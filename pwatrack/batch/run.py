@@ -131,7 +131,7 @@ def _outcome(job: Job, future: Future[tuple[Ended, float]]) -> Outcome:
         return Outcome(
             spec=job.spec,
             folder=job.out,
-            exit=-lost.signal if lost.signal else None,
+            exit=-lost.killer if lost.killer else None,
             expected=expected_exit(job.spec),
             reason=lost.reason,
             messages=lost.said or lost.reason,

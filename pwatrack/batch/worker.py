@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
@@ -30,7 +31,6 @@ def serve(tasks: Connection, errors: Connection, memory: float | None) -> None:
         memory: Megabytes that a task may take beyond the program itself.
     """
     _follow_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the parent decides
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that nothing half-written is left
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 0)
@@ -81,9 +81,15 @@ def _limited(memory: float | None) -> Iterator[None]:
 
 
 def _follow_parent() -> None:
-    """End with the parent, however it ends: it ends the fork server, and that ends us."""
+    """End with the parent, however it ends, at once if Python runs, and soon while compiled code does."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def follow() -> None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGKILL)
+
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
-    parent = multiprocessing.parent_process()
-    if parent is not None and not parent.is_alive():
-        sys.exit()
+    threading.Thread(target=follow, daemon=True).start()
