@@ -15,7 +15,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.synthesis import Design
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.starts import Held, held
 from pwatrack.model.pwa import PWASystem
 
@@ -123,7 +123,7 @@ class Promise:
 
 
 def promises(
-    plant: PWASystem, design: Design, proofs: Sequence[Proof], left: Array, starts: Sequence[Starts]
+    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], left: Array, starts: Sequence[Starts]
 ) -> tuple[Promise, ...]:
     """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
 
@@ -181,7 +181,7 @@ class Limited:
         left = None if self.peak is None else self.peak.left(self.limits)
         return None if left is None or not (left > 0).all() else left
 
-    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[Proof]) -> "Limited":
+    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof]) -> "Limited":
         """Return the same with what is proved of a design."""
         left = self.left
         return self if left is None else replace(self, promises=promises(plant, design, proofs, left, self.starts))
