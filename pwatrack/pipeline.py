@@ -67,7 +67,12 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         sizes = spec_sizes(spec)
         limited = room_within_limits(spec, trajectory, generator, sizes)
         gains = synthesize(  # (8), (9)
-            plant, controller=goals.controller, observer=goals.observer, sizes=sizes, solver=solver
+            plant,
+            controller=goals.controller,
+            observer=goals.observer,
+            sizes=sizes,
+            within=None if limited is None else limited.within(sizes.state),
+            solver=solver,
         )
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes, solver=solver)

@@ -1,6 +1,7 @@
 """Limits of the inputs: what the feedforward takes of them is known before a run; from which starts none is reached."""
 
 import json
+import re
 from itertools import product
 from pathlib import Path
 
@@ -9,14 +10,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack import Controller, Spec, design, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.control.goal import AtLeast, Fastest
 from pwatrack.control.limits import Limited, Peak, Promise, Starts, promises
+from pwatrack.control.synthesis import gain
+from pwatrack.control.task import Task
+from pwatrack.control.within import Within
 from pwatrack.errors import CheckFailed
 from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.conditions import Conditions
+from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
@@ -27,6 +35,7 @@ from tests.plants import random_plant
 from tests.promises import track
 from tests.scenarios import in_scenario
 from tests.test_cli import call, refused
+from tests.units import Units, apart, in_units
 
 STAGE = """
 name: Stage
@@ -323,3 +332,127 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
         x = np.array([0.3, 1.0]) + np.array([0.2, 2.0]) * corner
         assert members.e @ np.array([1, *corner]) == pytest.approx(x - [0, 0.5])
         assert members.delta @ np.array([1, *corner]) == pytest.approx([0, -x[1]])
+
+
+def tank(a: float, b: float, s: float, most: float) -> tuple[Task, Within]:
+    sizes = Sizes(state=np.array([s]), input=np.array([1.0]), output=np.ones(1), speed=1.0)
+    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=sizes)
+    return task, Within(starts=np.array([[s]]), left=np.array([most]))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(-30, 30).map(lambda k: k / 10), st.floats(0.2, 5), st.floats(0.1, 10), st.floats(0.05, 5))
+def test_one_state_has_the_gain_that_its_limits_leave(a: float, b: float, s: float, most: float) -> None:
+    """|K| s <= u: the cost falls as |K| grows to that of the regulator, and the rate grows with |K|."""
+    task, within = tank(a, b, s, most)
+    room, regulator = most / s, (a + np.sqrt(a**2 + (b / s) ** 2)) / b
+    if abs(b * room - a) < 0.02 * (1 + abs(a)):
+        return  # hardly stable
+    cheapest = gain(task, AtLeast(), within)[0]
+    if b * room <= a:  # nothing keeps the limits
+        assert cheapest == pytest.approx(-regulator, rel=2e-3)
+        return
+    assert -cheapest[0, 0] == pytest.approx(min(room, regulator), rel=0.03)
+    assert -cheapest[0, 0] * s <= most
+    K, proof = gain(task, Fastest(), within)
+    assert -K[0, 0] * s <= most
+    assert proof.rate == pytest.approx(b * room - a, rel=5e-3, abs=5e-3 * b * room)
+    if b * room / 2 > a + 0.1:
+        _, proof = gain(task, Fastest(bound=most / 2), within)
+        assert proof.rate == pytest.approx(b * room / 2 - a, rel=5e-3, abs=5e-3 * b * room)
+
+
+def largest(M: Array, K: Array, s: Array) -> float:
+    """The largest |K e(t)| of e' = M e from all corners of |e_k| <= s_k: one cell, so it is known."""
+    step, X, found = expm(M * 0.02 / float(np.abs(np.linalg.eigvals(M)).max())), np.eye(len(M)), 0.0
+    for _ in range(2000):
+        found = max(found, float(np.abs(K @ X @ np.diag(s)).sum()))
+        X = step @ X
+    return found
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_gains_within_limits_keep_them_and_no_regulator_of_heavier_inputs_is_much_cheaper(seed: int) -> None:
+    """Of one cell: regulators with dearer and dearer inputs, until the limits are kept, are what one would try."""
+    random = np.random.default_rng(seed)
+    n, s = int(random.integers(2, 5)), random.uniform(0.5, 2.0, size=4)
+    A, B, s = random.normal(size=(n, n)) - np.eye(n), random.normal(size=(n, 1)), s[:n]
+    Q, most = np.diag(1 / s**2), float(random.uniform(0.3, 0.8))
+    sizes = Sizes(state=s, input=np.ones(1), output=np.ones(1), speed=1.0)
+    task = Task(A=A[None], B=B, cells=["all"], sizes=sizes)
+
+    def cost(K: Array) -> float:
+        X = solve_continuous_lyapunov((A + B @ K).T, -Q - K.T @ K)
+        return max(float(v @ X @ v) for v in (s * np.array(c) for c in product((-1.0, 1.0), repeat=n)))
+
+    tried = []
+    for weight in np.geomspace(1, 1e4, 60):
+        K = -B.T @ solve_continuous_are(A, B, Q, weight * np.eye(1)) / weight
+        if largest(A + B @ K, K, s) <= most:
+            tried.append((cost(K), -float(np.linalg.eigvals(A + B @ K).real.max())))
+    within = Within(starts=np.diag(s), left=np.array([most]))
+    K, proof = gain(task, AtLeast(), within)
+    assert isinstance(proof, Certificate)
+    if within.share(task, K, proof) < 1:
+        assert not tried or np.linalg.eigvals(A).real.max() > 0  # nothing was found
+        return
+    assert largest(A + B @ K, K, s) <= most
+    assert cost(K) <= 1.5 * min(value for value, _ in tried)
+    fast, faster = gain(task, Fastest(), within)
+    assert largest(A + B @ fast, fast, s) <= most
+    assert faster.rate >= proof.rate * (1 - 1e-3)
+
+
+def test_a_gain_that_keeps_its_limits_anyway_is_the_regulator(tmp_path: Path) -> None:
+    texts = (STAGE.replace("\n  actuator: {limits: {u: LIMITS}}", ""), STAGE)
+    sized = [t.replace("  units:", "  sizes: {z: 0.1, v: 0.2, u: 5}\n  units:") for t in texts]
+    free, limited = (
+        design(load_spec(written(tmp_path, t, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]"))).design.K for t in sized
+    )
+    assert np.array_equal(free, limited)
+
+
+@pytest.mark.parametrize("asked", ["{}", "{rate: 0.5}", "{rate: largest}", "{rate: largest, gain: 0.5}"])
+def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) -> None:
+    sizes = "  sizes: {z: 0.5, v: 1}\n  units:"
+    text = STAGE.replace("  units:", sizes).replace("slope: 50", "slope: 2")
+    text = text.replace("reference:", f"design: {{controller: {asked}}}\nreference:")
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
+    controller = design(load_spec(path))
+    found = controller.limited
+    assert found is not None
+    assert found.left is not None
+    assert found.promises[0].scale(found.left) >= 1
+    assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.left[0]
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert " within the limits" in said.partition("(9)")[0]
+    if asked == "{rate: 0.5}":
+        assert controller.design.controller.rate >= 0.5
+
+
+def test_where_no_gain_keeps_the_limits_it_is_said_from_where_they_are_kept(tmp_path: Path) -> None:
+    """z'' = z + u cannot be held from 2 with |u| <= 1."""
+    text = STAGE.replace("[0, -d/m]]", "[1, 0]]").replace("  units:", "  sizes: {z: 2, v: 2}\n  units:")
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]")
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "designed within the limits" not in said
+    share = re.search(r"from each \|x_k − x_dk\| up to (\S+) times its size and x̂ = x", said)
+    assert share
+    assert 0 < float(share[1]) < 0.5
+
+
+@pytest.mark.parametrize("name", ["two_mass_machine", "gallery/stage_with_bumpers"])
+def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Path) -> None:
+    path, other = SPECS / f"{name}.yaml", tmp_path / "other.yaml"
+    units = Units.random(path, 3)
+    plain = Units(dict.fromkeys(units.of, "1"), "1")
+    found = []
+    for chosen in (plain, units):
+        other.write_text(in_units(path, chosen), encoding="utf-8")
+        found.append(design(load_spec(other)))
+    assert found[0].limited is not None
+    assert found[0].promises
+    assert found[1].design.K.shape == found[0].design.K.shape
+    assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-6
+    scales = [[p.scale(c.limited.left) for p in c.promises] for c in found if c.limited and c.limited.left is not None]
+    assert scales[0] == pytest.approx(scales[1], rel=2e-3)

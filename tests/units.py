@@ -49,6 +49,11 @@ def in_units(path: Path, units: Units) -> str:
     system, design, reference, simulation = (spec.get(k, {}) for k in ("system", "design", "reference", "simulation"))
     x, u, y = ([units.of[name] for name in system[kind]] for kind in ("states", "inputs", "outputs"))
     flow = [f"({units.time})/({d})" for d in x]
+    if design.get("estimate") == "input":  # one for each input, which keeps its unit
+        pairs = zip(system["inputs"], zip(*system["B"], strict=True), strict=True)
+        design["estimate"] = {
+            f"load_{name}": {"into": dict(zip(system["states"], column, strict=True))} for name, column in pairs
+        }
     spec["system"] |= {
         "B": matrix(system["B"], flow, u),
         "C": matrix(system["C"], [f"1/({g})" for g in y], x),

@@ -1,7 +1,7 @@
 """Gains that may do, in the order in which they are tried. None of them is believed before it is proved."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,16 @@ from scipy.linalg import solve_continuous_lyapunov
 from pwatrack.arrays import EPS, Array
 from pwatrack.control.task import Task
 from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
+from pwatrack.lmi.inequality import Inequality, bounded_cost, quadratic_cost, state_feedback
+from pwatrack.lmi.limited import gain_from_starts, least_worst_cost
 from pwatrack.lmi.presolve import extreme
-from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
+from pwatrack.lmi.program import (
+    Solution,
+    largest_margin,
+    least_cost,
+    smaller_gain,
+    smallest_gain,
+)
 from pwatrack.lmi.solve import solve
 
 _FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
@@ -22,6 +29,9 @@ _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / �
 _RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
 _CLOSER = 3  # times that the bound of the norm is drawn closer
 _NEAR = 1e-3  # gap of each of them: a part of that is lost of the norm, and the next one can begin where it ended
+_WEIGHINGS = 3  # times that an ellipsoid around a box is chosen
+_LEAST_WEIGHT = 1e-4  # of a direction of that box
+_SPARED = 1e-3  # of the bounds of inputs, for the exact proof
 _WORTH_IT = 0.95  # of the norm: while a closer bound makes it smaller than that share, another one follows
 
 
@@ -79,6 +89,46 @@ class Candidates:
         """
         rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
         yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
+
+    def least_worst_cost(self, starts: Array, left: Array, rate: float) -> Iterator[Candidate]:
+        """Yield gains with |K e| within bounds for errors that start in a box, of the least worst cost from there.
+
+        The weights of the cost are those of `regulator`. Around the box is an ellipsoid, at first the smallest, then
+        one that is narrower where the last answer has little room to spare.
+
+        Args:
+            starts: G (n, k) with e(0) = G ζ, |ζ_k| ≤ 1.
+            left: The bounds (m,); infinite for none.
+            rate: In 1/s.
+        """
+        shift, rows, R = self._shift(rate, _FASTER), self.at.inverse, np.eye(len(left))
+        A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
+        root = self.at.rows(rows)
+        at = self.at.of_regulator(A, B, root.T @ root, R)
+        box = _Box.of(at, starts, left)
+        inequality = bounded_cost(at.system(self.A) + shift, at.input(self.task.B), at.rows(rows), R)
+        found, least = list[Candidate](), np.inf
+        for _ in range(_WEIGHINGS):
+            solution = solve(least_worst_cost(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
+            if solution is None or solution.impossible or not _definite(solution.P) or not solution.t < least:
+                break
+            found, least = [self._candidate(at, solution), *found], solution.t
+            box = box.weighed(solution.P)
+        yield from found
+
+    def farthest(self, starts: Array, left: Array, rate: float) -> tuple[Candidate, float] | None:
+        """Return the gain of a rate (1/s) that keeps bounds from the largest multiple of a box, and that multiple."""
+        shift = self._shift(rate, _HARDLY_FASTER)
+        at = self._regulated(shift)
+        inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
+        box, best, most = _Box.of(at, starts, left), None, 0.0
+        for _ in range(_WEIGHINGS):
+            solution = solve(gain_from_starts(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
+            if solution is None or not _definite(solution.P) or not solution.t > most:
+                break
+            best, most = self._candidate(at, solution), solution.t
+            box = box.weighed(solution.P)
+        return None if best is None else (best, float(np.sqrt(most)))
 
     def largest_margins(self, rate: float) -> Iterator[Candidate]:
         """Yield gains of the largest margin, while it is positive each in better coordinates than the last one."""
@@ -168,6 +218,35 @@ def short(K: Array) -> Array:
         [[-0.333333333, 0.0]]
     """
     return np.array([[float(f"{v:.8e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Box:
+    """Starts G ζ, |ζ_k| ≤ 1, with the weights of an ellipsoid around them, see `lmi.starts`; bounds of inputs."""
+
+    G: Array
+    weights: Array
+    limits: Sequence[tuple[Array, float]]
+
+    @classmethod
+    def of(cls, at: Coordinates, starts: Array, left: Array) -> "_Box":
+        """Return them in coordinates in which the box has size 1; P and Y are in proportion."""
+        G = at.inverse @ starts
+        size = float(np.linalg.norm(G, 2))
+        bounds = (1 - _SPARED) * left / at.e / size
+        rows = [(row, bound) for row, bound in zip(np.eye(len(left)), bounds.tolist(), strict=True) if bound < np.inf]
+        return cls(G=G / size, weights=np.full(G.shape[1], 1 / G.shape[1]), limits=rows)
+
+    @property
+    def around(self) -> Array:
+        """The ellipsoid: Σ ⪰ z zᵀ for every start z."""
+        return np.asarray(self.G / self.weights @ self.G.T)
+
+    def weighed(self, P: Array) -> "_Box":
+        """Return the same with an ellipsoid that is more like that of P."""
+        shares = np.abs(self.G.T @ np.linalg.solve(P, self.G)).sum(axis=1)
+        weights = np.maximum(shares / shares.sum(), _LEAST_WEIGHT)
+        return replace(self, weights=weights / weights.sum())
 
 
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:

@@ -15,10 +15,12 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.synthesis import Design
+from pwatrack.control.within import Within
 from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.starts import Held, held
 from pwatrack.model.pwa import PWASystem
 
+_LITTLE = 1e-3  # of a size: what any error may be at least
 _OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
 
 
@@ -180,6 +182,18 @@ class Limited:
         """How far each input may be from its feedforward at any time, (m,); None where nothing is left or known."""
         left = None if self.peak is None else self.peak.left(self.limits)
         return None if left is None or not (left > 0).all() else left
+
+    def within(self, sizes: Array) -> Within | None:
+        """Return what a gain is to keep: from the starts of an ensemble where there is one, else within sizes (n,).
+
+        Of an ensemble each error is at least a little, so that the starts have all directions.
+        """
+        left = self.left
+        if left is None:
+            return None
+        members = [one.e for one in self.starts if one.kind == "ensemble"]
+        e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
+        return Within(starts=e[:, e.any(axis=0)], left=left)
 
     def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof]) -> "Limited":
         """Return the same with what is proved of a design."""

@@ -13,6 +13,7 @@ from pwatrack.control.candidates import Candidate, Candidates
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.task import Task, reaches
+from pwatrack.control.within import Within
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
@@ -24,6 +25,9 @@ from pwatrack.model.sizes import Sizes
 _RATES = 16  # at most so many rates are tried for the fastest one
 _SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
 _ENDED = 2e-3  # relative distance of the rates that are known to be in and out of reach at which that search ends
+_LOOSER = 4  # times at most that bounds of inputs are loosened
+_WORTH_IT = 1.02  # what they are loosened by at least
+_SLOW = 1e-3  # of the speed of the plant: from here on a fastest rate is sought where no gain of least cost will do
 _FAST = 8.0  # times the speed of the plant: a rate that only a plant without a largest one reaches
 
 Proved = tuple[Array, Certificate]  # K and the proof of its best rate
@@ -52,6 +56,7 @@ def synthesize(
     controller: Goal = DEFAULT,
     observer: Goal = DEFAULT,
     sizes: Sizes | None = None,
+    within: Within | None = None,
     solver: Solver = "clarabel",
 ) -> Design:
     """Find K and L by Theorem 2, or prove the ones that are given.
@@ -61,6 +66,7 @@ def synthesize(
         controller: What K is to achieve, in the sign convention of (10).
         observer: What L is to achieve.
         sizes: Those of the plant's signals; those that balance it by default.
+        within: What the inputs may do and from which errors, see `gain`.
         solver: Which interior-point solver to ask.
 
     Raises:
@@ -75,13 +81,13 @@ def synthesize(
         (True, True)
     """
     sizes = sizes or Sizes.of(plant)
-    K, P_c = gain(Task.of(plant, CONTROLLER, solver, sizes=sizes), controller)
+    K, P_c = gain(Task.of(plant, CONTROLLER, solver, sizes=sizes), controller, within)
     L_transposed, P_o = gain(Task.of(plant, OBSERVER, solver, sizes=sizes), observer)
     return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
-def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
+def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tuple[Array, Found]:
     """Return a gain K for (8) that meets a goal, found or given, with the proof of its best rate.
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
@@ -90,9 +96,15 @@ def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
     is 0 only where the input does nothing. Where the solver finds no proof for it, the gain of the largest margin is
     taken, and where there is none lighter weights are tried.
 
+    Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
+    from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
+    one without bounds: from which errors it keeps them is said by `control.limits`. Other goals say themselves what the
+    gain is to be.
+
     Args:
         task: The inequality.
         goal: What is asked.
+        within: Bounds of the inputs, and the errors from which they are to be kept; None for none.
 
     Returns:
         K (m, n), or Lᵀ, and its certificate.
@@ -116,13 +128,16 @@ def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
         case LeastCost(Q=Q, R=R):
             found = search.first(search.candidates.least_cost(Q, R), 0.0)
         case Fastest(bound=bound):
-            found = search.fastest(bound)
+            kept = None if within is None else search.fastest_within(within, bound)
+            found = kept or search.fastest(bound)
         case Smallest(rate=rate):
             found = search.gentlest(rate)
         case AtLeast(rate=rate, bound=bound):
             found = search.regulator(rate)
             if found is not None and task.norm(found[0]) > bound:
                 found = search.gentlest(rate)
+            if within is not None and found is not None:
+                found = search.cheapest_within(within, found, rate, bound) or found
     least, most = demands(goal)
     if found is None:
         raise refusal.no_gain(task, least, search.refuted(least), search.best_margin)
@@ -252,6 +267,67 @@ class Search:
         small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
         K, certificate = small or best
         return self.proved(Candidate(K=K, P=certificate.P), 0.0)
+
+    def cheapest_within(self, within: Within, found: Proved, rate: float, bound: float = np.inf) -> Proved | None:
+        """Return a gain of least cost if it keeps bounds of the inputs, else one of least worst cost that does.
+
+        The ellipsoid by which it is found is more careful than the proof for the gain: so bounds are loosened by what
+        that leaves, as long as they are kept.
+        """
+        if within.share(self.task, *found) >= 1:
+            return found
+        best, factor, good = None, 1.0, 1.0
+        for _ in range(_LOOSER):
+            left = within.left * factor
+            ways = (self.proved(c, rate) for c in self.candidates.least_worst_cost(within.starts, left, rate))
+            fitting = ((way, within.share(self.task, *way)) for way in ways if way and self.task.norm(way[0]) <= bound)
+            kept, share = next((found for found in fitting if found[1] >= 1), (None, 0.0))
+            if best is None and kept is None:
+                break
+            if kept is not None:
+                best, good, factor = kept, factor, factor * share
+            else:
+                factor = (good + factor) / 2
+            if factor < good * _WORTH_IT:
+                break
+        return best
+
+    def fastest_within(self, within: Within, bound: float = np.inf) -> Proved | None:
+        """Bisect the rate for the fastest decay of a gain that keeps bounds of the inputs; None if none is found.
+
+        With P ⪰ Σ and K_j P K_jᵀ ≤ ū_j² the trace of B K, see `fastest`, is at most Σ ū_j √(B_jᵀ Σ⁻¹ B_j).
+        """
+        best = self.regulator(0.0)
+        best = None if best is None else self.cheapest_within(within, best, 0.0, bound)
+        if best is None or self.task.norm(best[0]) > bound:
+            best = self._kept(within, _SLOW * self.candidates.at.speed, bound)
+        if best is None:
+            return None
+        B, n = self.task.B, self.task.A.shape[1]
+        around = within.starts @ within.starts.T * within.starts.shape[1]
+        act = np.sqrt(np.maximum(np.einsum("nm,nm->m", B, np.linalg.solve(around, B)), 0.0))
+        fast = float(within.left[act > 0] @ act[act > 0] - np.trace(self.task.A, axis1=1, axis2=2).max()) / n
+        slow = best[1].rate
+        if not np.isfinite(fast):
+            fast = _FAST * max(self.candidates.at.speed, slow)
+        for _ in range(_RATES):
+            if not fast > slow * (1 + _ENDED):
+                break
+            trial = float(np.sqrt(slow) * np.sqrt(fast))
+            found = self._kept(within, trial, bound)
+            if found is None:
+                fast = trial
+            else:
+                best, slow = found, max(found[1].rate, trial)
+        return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
+
+    def _kept(self, within: Within, rate: float, bound: float) -> Proved | None:
+        """Return a gain that keeps bounds of the inputs at a rate, if one is found whose own P proves it."""
+        found = self.candidates.farthest(within.starts, within.left, rate)
+        if found is None or not found[1] >= 1 or found[0].P is None or self.task.norm(found[0].K) > bound:
+            return None
+        certificate = self.task.reached(found[0].K, found[0].P, rate)
+        return None if certificate is None else (found[0].K, certificate)
 
     def _slowly(self, rate: float, bound: float) -> Proved | None:
         """Return a gain within a bound at a rate below this one; the smallest that is found where none is.

@@ -23,8 +23,8 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Inner, change, rounded, squares
 from pwatrack.lmi.exact import unpacked
 from pwatrack.lmi.inequality import lyapunov
+from pwatrack.lmi.limited import farthest_starts
 from pwatrack.lmi.norm import root_above
-from pwatrack.lmi.program import farthest_starts
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite
 

@@ -77,6 +77,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells{_rate(proved)}")
         acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
+        origin += " within the limits" * (letter == "K" and acts and _within_limits(goal, controller))
         size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
         if claim.split()[1] in controller.costs:
@@ -118,6 +119,15 @@ def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
         f"E[Δᵀ X⁻¹ W X⁻¹ Δ] ≤ {up(level)} 1/s under the white noise given, averaged over a long time, for any "
         "switching; Δ = x̂ − x, W = Q + L R Lᵀ, X in gains.json"
     )
+
+
+def _within_limits(goal: Goal, controller: Controller) -> bool:
+    """Say whether a gain was to keep limits, and is proved to from all starts that it was designed for."""
+    limited = controller.limited
+    if limited is None or limited.left is None or not isinstance(goal, AtLeast | Fastest):
+        return False
+    kinds = ("ensemble",) if any(one.kind == "ensemble" for one in limited.starts) else ("exact",)
+    return any(p.starts.kind in kinds and p.scale(limited.left) >= 1 for p in limited.promises)
 
 
 def _origin(goal: Goal) -> str:
