@@ -36,7 +36,7 @@ def room_within_limits(
         >>> spec = load_spec("specs/two_mass_machine.yaml")
         >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
         >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()
-        ([5.926], [0.571])
+        ([5.926], [2.071])
     """
     limits, plant = spec.scenario.conditions.limits, spec.problem.plant
     if limits is None:
