@@ -24,8 +24,9 @@ _FROM_ZERO = tuple(1e-4 * 8.0**k for k in range(8))  # the same of a parameter t
 _DIGITS = 5  # of a value that is tried
 _CLOSE = 3e-5  # relative, of a value that is proved and one that is not: where the bisection ends
 _ROOM = 1.003  # times the rate asked: so that a design, in other sizes, finds a gain too
-_MOST_PROOFS = 250  # that are tried, for all parameters
-_MOST_WORK = 40_000  # different cells · order³: one trial takes about half a second then
+_MOST_PROOFS, _LEAST_PROOFS = 250, 40  # that are tried, for all parameters; with fewer it is not looked for
+_EACH = 30  # that a parameter, or the rate, may take, or more where there are few parameters
+_MOST_WORK = 400_000  # different cells · order³, of all proofs together: some seconds
 _MOST_ROWS = 250  # of the programs for a polynomial
 
 
@@ -55,12 +56,14 @@ class HowFar:
         parameters: The values at which it is proved, the relatively nearest first; then those for polynomials.
         rate: The largest rate in 1/s that is proved, where one was refused; None where none was found.
         asked: The rate that was refused; 0 if none was.
+        ended: Whether the number of proofs that may be tried ended the search for some parameter.
     """
 
     claim: str
     parameters: tuple[Proved, ...]
     rate: float | None
     asked: float
+    ended: bool = False
 
 
 def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], object] = lambda _: None) -> HowFar | None:
@@ -89,16 +92,17 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
         ('k2', 0.69)
     """
-    inequality = _Inequality(spec, evidence)
-    if not inequality.small:
+    inequality, rate = _Inequality(spec, evidence), None
+    if inequality.proofs < _LEAST_PROOFS:
         return None
-    rate = None
     if evidence.rate:
         progress("a slower rate")
         rate = inequality.largest_rate()
     quadratic, higher = list[Proved](), list[Proved]()
-    for name, now in inequality.parameters():
+    entering = list(inequality.parameters())
+    for name, now in entering:
         progress(f"parameter {name}")
+        inequality.allow(max(_EACH, inequality.proofs // len(entering)))
         found = inequality.nearest(name, now)
         if found is None:
             continue
@@ -106,7 +110,9 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         nearer = inequality.polynomial_between(name, now, found)
         higher += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
     parameters = (*sorted(quadratic, key=_distance), *sorted(higher, key=_distance))
-    return HowFar(claim=evidence.role.claim, parameters=parameters, rate=rate, asked=evidence.rate)
+    return HowFar(
+        claim=evidence.role.claim, parameters=parameters, rate=rate, asked=evidence.rate, ended=inequality.ended
+    )
 
 
 def _distance(found: Proved) -> float:
@@ -122,15 +128,19 @@ class _Inequality:
         goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
         goal = goals.get(evidence.role)
         self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
-        self._left = _MOST_PROOFS
+        self._left, self._spent, self.ended = _EACH, 0, False
 
-    @property
-    def small(self) -> bool:
-        """Whether it is small enough, and made from the parameters alone."""
-        plant = self._spec.problem.plant
-        if self._role not in (CONTROLLER, OBSERVER, GENERATOR) or (self._role is OBSERVER and plant.loads is not None):
-            return False
-        return bool(len(different(plant.exact.A)) * plant.A.shape[1] ** 3 <= _MOST_WORK)
+    @cached_property
+    def proofs(self) -> int:
+        """How many proofs may be tried: 0 where it is not made from the parameters alone."""
+        loads = self._spec.problem.plant.loads is not None
+        if self._role not in (CONTROLLER, OBSERVER, GENERATOR) or (self._role is OBSERVER and loads) or not self._now:
+            return 0
+        return min(_MOST_PROOFS, _MOST_WORK // (len(different(self._now)) * self._now[0].shape[0] ** 3 or 1))
+
+    def allow(self, proofs: int) -> None:
+        """Let so many proofs be tried from now on."""
+        self._left = min(proofs, self.proofs - self._spent)
 
     def parameters(self) -> Iterator[tuple[str, float]]:
         """Yield the parameters that are given as numbers and enter the inequality, with their values."""
@@ -207,7 +217,8 @@ class _Inequality:
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
-        self._left -= 1
+        self._left, self._spent = self._left - 1, self._spent + 1
+        self.ended |= self._left < 0
         return self._left >= 0
 
     def _plant(self, name: str, value: float) -> PWASystem | None:

@@ -25,6 +25,8 @@ def texts(found: HowFar) -> list[str]:
         said.append(f"{found.claim} is proved with {_listed(quadratic)}")
     else:
         said.append(f"{found.claim}: no value of a single parameter was found with which it is proved")
+    if found.ended:
+        said.append("the search ended before all values were tried: there may be nearer ones, and other parameters")
     for degree in sorted({p.degree for p in found.parameters} - {2}):
         nearer = [p for p in found.parameters if p.degree == degree]
         said.append(f"by a polynomial of degree {degree} in place of a common P with {_listed(nearer)}")
@@ -43,5 +45,6 @@ def content(found: HowFar) -> dict[str, Any]:
         "parameters": [
             {"name": p.parameter, "now": p.now, "proved": p.value, "degree": p.degree} for p in found.parameters
         ],
+        "complete": not found.ended,
         "rate": {"asked": found.asked, "proved": found.rate} if found.asked else None,
     }
