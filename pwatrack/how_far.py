@@ -26,7 +26,7 @@ _CLOSE = 3e-5  # relative, of a value that is proved and one that is not: where 
 _ROOM = 1.003  # times the rate asked: so that a design, in other sizes, finds a gain too
 _MOST_PROOFS, _LEAST_PROOFS = 250, 40  # that are tried, for all parameters; with fewer it is not looked for
 _EACH = 30  # that a parameter, or the rate, may take, or more where there are few parameters
-_MOST_WORK = 400_000  # different cells · order³, of all proofs together: some seconds
+_MOST_WORK = 200_000  # different cells · order³, of all proofs together: some seconds
 _MOST_ROWS = 250  # of the programs for a polynomial
 
 
@@ -97,6 +97,7 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         return None
     if evidence.rate:
         progress("a slower rate")
+        inequality.allow(min(_EACH, inequality.proofs // 3))
         rate = inequality.largest_rate()
     quadratic, higher = list[Proved](), list[Proved]()
     entering = list(inequality.parameters())
@@ -128,7 +129,7 @@ class _Inequality:
         goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
         goal = goals.get(evidence.role)
         self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
-        self._left, self._spent, self.ended = _EACH, 0, False
+        self._left, self._spent, self.ended = 0, 0, False
 
     @cached_property
     def proofs(self) -> int:
