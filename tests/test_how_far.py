@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pwatrack import Partition, PWASystem
+from pwatrack import Partition, PWASystem, design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.cli import app
+from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, AtLeast
 from pwatrack.control.modes import check_modes
+from pwatrack.control.synthesis import gain
+from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible
+from pwatrack.how_far import HowFar, how_far
+from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.polynomial import Polynomial
+from pwatrack.lmi.role import CONTROLLER
+from pwatrack.model.normal_form import normal_form
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.verify import verify
+from pwatrack.sizing import spec_sizes
+from pwatrack.spec.spec import Spec
 
 HIDDEN = """\
 name: hidden
@@ -96,6 +107,86 @@ def test_a_hidden_mode_is_found_in_any_coordinates_and_what_is_named_reaches_it(
     for k in map(int, re.findall(r"x(\d)\b", refused.value.problems[0].hint)):
         wider = linear(A.T, np.eye(n), np.vstack([(T @ B).T, np.eye(n)[[k]]]))
         check_modes(wider, DEFAULT, DEFAULT, Sizes.of(wider))
+
+
+@pytest.fixture(scope="module")
+def stiff(specs: Path) -> tuple[Spec, HowFar]:
+    """The example with k2 = k3 = 1.2, moved together."""
+    spec = load_spec(specs / "refused" / "stiff_springs.yaml", {"k3": "k2"})
+    with pytest.raises(Infeasible) as refusal:
+        design(spec)
+    evidence = refusal.value.evidence
+    assert isinstance(evidence, Impossibility)
+    found = how_far(spec, evidence)
+    assert found is not None
+    return spec, found
+
+
+def test_the_springs_and_dampers_at_which_seventeen_begins_to_hold_are_found_to_four_digits(
+    stiff: tuple[Spec, HowFar],
+) -> None:
+    spec, found = stiff
+    at = {p.parameter: p.value for p in found.parameters if p.degree == 2}
+    k1, k2, d1, d2 = (spec.parameters[name] for name in ("k1", "k2", "d1", "d2"))
+    assert set(at) == {"k1", "k2", "d1", "d2", "m2"}  # c1, c2 and what is on the other mass do not enter
+    least = np.sqrt(k1 + k2) - np.sqrt(k1)
+    assert at["k2"] == pytest.approx(0.69, rel=1e-4)
+    assert at["d1"] + d2 == pytest.approx(least, rel=1e-4)
+    assert d1 + at["d2"] == pytest.approx(least, rel=1e-4)
+    assert np.sqrt(at["k1"] + k2) - np.sqrt(at["k1"]) == pytest.approx(d1 + d2, rel=1e-4)
+    assert found.parameters[0].parameter == "k2"
+    higher = {p.parameter: p for p in found.parameters if p.degree > 2}
+    assert higher["k2"].value == pytest.approx(1.1129, rel=1e-4)
+    assert {p.degree for p in higher.values()} == {10}
+    for name, p in higher.items():
+        assert abs(p.value - p.now) < abs(at[name] - p.now)
+
+
+def test_each_value_is_one_with_which_it_is_designed(specs: Path, stiff: tuple[Spec, HowFar]) -> None:
+    path = specs / "refused" / "stiff_springs.yaml"
+    wanted = [p for p in stiff[1].parameters if p.parameter in ("k2", "d1")]
+    assert [p.degree for p in wanted] == [2, 2, 10, 10]
+    for p in wanted:
+        spec = load_spec(path, {"k3": "k2", p.parameter: p.value})
+        form = trajectory_generator(normal_form(spec.problem.plant))
+        degree = form.certificate.degree if isinstance(form.certificate, Polynomial) else 2
+        assert degree == p.degree
+        beyond = p.value * (1 + 2e-4 * np.sign(p.now - p.value))
+        nearer = load_spec(path, {"k3": "k2", p.parameter: beyond})
+        try:
+            found = trajectory_generator(normal_form(nearer.problem.plant)).certificate
+            assert p.degree == 2
+            assert isinstance(found, Polynomial)
+        except Infeasible:
+            assert p.degree == 10
+
+
+def test_a_refused_rate_is_told_the_largest_one_that_is_proved(specs: Path, tmp_path: Path) -> None:
+    path = specs / "refused" / "rate_out_of_reach.yaml"
+    run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path)])
+    said = " ".join(run.stderr.split())
+    assert run.exit_code == 4
+    (rate,) = re.findall(r"how far: \(8\) is proved at a rate of ([0-9.]+) 1/s \(asked: 0\.3 1/s\)", said)
+    assert 0.248 < float(rate) < 0.25
+    told = json.loads((tmp_path / "run.json").read_text())["how_far"]
+    assert told["inequality"] == "(8)"
+    assert told["rate"] == {"asked": 0.3, "proved": float(rate)}
+    at = {p["name"]: p for p in told["parameters"]}
+    assert all(f"{name} = {p['proved']:g} (now {p['now']:g})" in said for name, p in at.items())
+    assert "c1" not in at
+    for name, p in at.items():
+        spec = load_spec(path, {name: p["proved"]})
+        task = Task.of(spec.problem.plant, CONTROLLER, sizes=spec_sizes(spec))
+        assert gain(task, spec.objectives.controller)[1].rate >= 0.3, name
+    assert verify(tmp_path, path)
+
+
+def test_what_no_parameter_mends_is_said_so(specs: Path, tmp_path: Path) -> None:
+    path = specs / "refused" / "printed_gains.yaml"
+    run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path)])
+    assert run.exit_code == 4
+    assert "how far: (8): no value of a single parameter was found with which it is proved" in run.stderr
+    assert json.loads((tmp_path / "run.json").read_text())["how_far"]["parameters"] == []
 
 
 def test_a_mode_that_decays_too_slowly_for_the_rate_asked_is_refused() -> None:

@@ -71,6 +71,26 @@ def best_certificate(
     return search.best
 
 
+def first_certificate(M: Array, *, sizes: Array | None = None, solver: Solver = "clarabel") -> Certificate | None:
+    """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None.
+
+    Args:
+        M, sizes, solver: As for `best_certificate`.
+    """
+    if not (np.isfinite(M).all() and np.linalg.eigvals(M).real.max(initial=-1.0) < 0):
+        return None
+    corners, at = extreme(M), _near(M, None, sizes)
+    for _ in range(_RECENTRED + 1):
+        found = solve(largest_margin(lyapunov(at.system(corners))), solver, gap=_NEAR, against=0.0)
+        if found is None or not found.objective < 0:  # the sign of the largest margin is the same in all coordinates
+            return None
+        proof = prove(M, at.matrix(found.P))
+        if proof is not None:
+            return proof
+        at = at.centred(found.P)
+    return None
+
+
 class _Rates:
     """Rates that are tried one after the other; `best` is the best proof so far."""
 
@@ -213,13 +233,23 @@ def _polynomial(
     if not np.linalg.eigvals(A).real.max() < 0:
         return None, ()
     numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
-    near, tried = _near(A.swapaxes(1, 2), None, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
+    near, tried = near_polynomial(A, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
     for degree in degrees(A.shape[1], len(A)):
         found = best_polynomial(A, degree, near)
         tried.append(degree)
         if found is not None and prove_polynomial(role, numbers, found) is not None:
             return found, tuple(tried)
     return None, tuple(tried)
+
+
+def near_polynomial(A: Array, sizes: Array | None = None) -> Coordinates:
+    """Return the coordinates in which `best_polynomial` looks.
+
+    Args:
+        A: The matrices by which errors change, (l, n, n).
+        sizes: Of the states of M_i = A_iᵀ, (n,); those that balance it by default.
+    """
+    return _near(A.swapaxes(1, 2), None, sizes)
 
 
 def _undecided(

@@ -13,6 +13,7 @@ from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.norm import Norm
 from pwatrack.rational import Rational, floats, is_positive_definite, rational
 
+_LEAST = 1e-15  # of the largest eigenvalue of P: below that the least one is rounding
 _ABOVE = Fraction(1) + Fraction(1, 10**9)  # more than the rounding of a power
 
 
@@ -63,14 +64,16 @@ def _limits(proof: PolynomialProof) -> tuple[float, float]:
     scale = 1 / monomials.weights
     values = np.linalg.eigvalsh(floats(P) * scale[:, None] * scale)
     length = [Fraction(square) for square in monomials.squares]
-    low = _proved(values[0], 0.5, lambda value: is_positive_definite(P - _diagonal(length, value)))
+    low = _proved(
+        max(values[0], _LEAST * values[-1]), 0.5, lambda value: is_positive_definite(P - _diagonal(length, value))
+    )
     high = _proved(values[-1], 2.0, lambda value: is_positive_definite(_diagonal(length, value) - P))
     return low, high
 
 
 def _proved(estimate: float, factor: float, holds: Callable[[float], bool]) -> float:
     """Return a number near an estimate for which something is proved, further and further away by a factor."""
-    value = max(estimate, np.finfo(float).tiny) * (1 - 1e-6 if factor < 1 else 1 + 1e-6)
+    value = estimate * (1 - 1e-6 if factor < 1 else 1 + 1e-6)
     while not holds(value):
         value *= factor
     return float(value)

@@ -32,8 +32,8 @@ from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.monomials import Monomials, symmetric_of, upper
 
 DEGREES = (4, 6, 8, 10)  # that are tried
-_MOST_ROWS = 1200  # of a program: one takes half a second then, its time grows as their cube
-_TRIALS = 8  # rates that are tried
+MOST_ROWS = 1200  # of a program: one takes half a second then, its time grows as their cube
+TRIALS = 8  # rates that are tried
 _ENCLOSED = 1e-2  # of a rate that is out of reach: where the best one is that near, the search ends
 _DIGITS = 12  # binary, of the coordinates
 
@@ -64,23 +64,28 @@ class Polynomial:
         return Monomials.of(len(self.T), self.degree // 2)
 
 
-def degrees(n: int, cells: int) -> tuple[int, ...]:
+def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
     """Return the degrees that are tried for so many different matrices of order n: those of programs small enough.
+
+    Args:
+        n, cells: Order and number of the matrices.
+        most_rows: Of a program.
 
     Example:
         >>> degrees(2, 2), degrees(4, 3), degrees(12, 3)
         ((4, 6, 8, 10), (4, 6), ())
     """
-    return tuple(degree for degree in DEGREES if n > 1 and _rows(n, degree, cells) <= _MOST_ROWS)
+    return tuple(degree for degree in DEGREES if n > 1 and _rows(n, degree, cells) <= most_rows)
 
 
-def best_polynomial(A: Array, degree: int, near: Coordinates) -> Polynomial | None:
+def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> Polynomial | None:
     """Look for a polynomial of one degree with the largest rate.
 
     Args:
         A: The matrices by which errors change, (l, n, n), each different and each stable by itself.
         degree: 2 d.
         near: Coordinates in which the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I.
+        trials: So many rates are tried; the first of them is 0.
 
     Example: a pair that no quadratic form serves, the example's zero dynamics with k2 = 1.
 
@@ -97,7 +102,7 @@ def best_polynomial(A: Array, degree: int, near: Coordinates) -> Polynomial | No
         return None
     sought = _Sought(G / speed, Monomials.of(A.shape[1], degree // 2))
     slow, fast, best = 0.0, -float(np.linalg.eigvals(A).real.max()) / speed, None
-    for trial in range(_TRIALS):
+    for trial in range(trials):
         found = sought.at((slow + fast) / 2 if trial else 0.0)
         if found is None and best is None:
             return None
@@ -130,7 +135,7 @@ class _Sought:
     def __init__(self, A: Array, monomials: Monomials) -> None:
         self.d, self.order = monomials.d, len(monomials)
         self.lifts = monomials.lift(A)
-        self.nothing = monomials.nothing
+        self.nothing = monomials.nothing.toarray()
         self.size = self.order * (self.order + 1) // 2
         self.one = upper(np.eye(self.order)[None])[0]
         basis = symmetric_of(np.eye(self.size), self.order)
@@ -140,19 +145,22 @@ class _Sought:
     def at(self, rate: float) -> tuple[Array, Array, float] | None:
         """Return P, N_i and the rate that they show, at least this one; None if none is found."""
         cells, free = len(self.lifts), self.nothing.shape[1]
-        unit, eye = sparse.csc_array(self.one[:, None]), sparse.eye_array(self.size, format="csc")
-        rows = [[unit, -eye] + [None] * cells, [0 * unit, eye] + [None] * cells]
-        for k, of_P in enumerate(self.maps):
-            own = [self.nothing if j == k else None for j in range(cells)] if free else [None] * cells
-            rows.append([unit, sparse.csc_array(of_P + self.d * rate * self.of_P), *own])
-        if not free:
-            rows = [row[:2] for row in rows]
-        G = sparse.block_array(rows, format="csc")
+        G = np.zeros((cells + 2, self.size, 1 + self.size + cells * free))
+        G[:, :, 0] = self.one
+        G[1, :, 0] = 0.0
+        G[:, :, 1 : 1 + self.size] = [
+            -np.eye(self.size),
+            np.eye(self.size),
+            *(of_P + self.d * rate * self.of_P for of_P in self.maps),
+        ]
+        for k in range(cells):
+            G[2 + k, :, 1 + self.size + k * free : 1 + self.size + (k + 1) * free] = self.nothing
         h = np.concatenate([np.zeros(self.size), self.one, np.zeros(cells * self.size)])
-        cost = np.zeros(G.shape[1])
+        cost = np.zeros(G.shape[2])
         cost[0] = -1.0
+        rows = sparse.csc_matrix(G.reshape(-1, len(cost)))
         try:
-            answer = minimise(cost, G, h, [clarabel.PSDTriangleConeT(self.order)] * (cells + 2))
+            answer = minimise(cost, rows, h, [clarabel.PSDTriangleConeT(self.order)] * (cells + 2))
         except ArithmeticError:
             return None
         x = np.array(answer.x)
@@ -164,7 +172,10 @@ class _Sought:
     def _shown(self, P: Array, N: Array, rate: float) -> tuple[Array, Array, float] | None:
         """Return them with the largest rate for which all slacks are definite, if it is above the one given."""
         left = symmetric_part(P @ self.lifts) + N
-        if not (np.isfinite(left).all() and np.linalg.eigvalsh(P)[0] > 0):
+        if not np.isfinite(left).all():
             return None
-        shown = min(-float(eigh(side, P, eigvals_only=True)[-1]) for side in left) / (2 * self.d)
+        try:
+            shown = min(-float(eigh(side, P, eigvals_only=True)[-1]) for side in left) / (2 * self.d)
+        except np.linalg.LinAlgError:  # P is not positive definite to working precision
+            return None
         return (P, N, shown) if shown > rate else None

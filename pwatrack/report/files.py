@@ -15,6 +15,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.how_far import HowFar
 from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
@@ -27,6 +28,7 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
 )
+from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.limits import limit_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
@@ -181,6 +183,7 @@ def write_refusal(
     parameters: Mapping[str, float | str],
     spec: Spec | None = None,
     seconds: Mapping[str, float] | None = None,
+    far: HowFar | None = None,
 ) -> bool:
     """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
 
@@ -191,6 +194,7 @@ def write_refusal(
         parameters: What was set from outside the file.
         spec: Its content, if it could be read.
         seconds: As for `write_design`.
+        far: How far away it is, if that was looked for.
 
     Returns:
         Whether there is a proof.
@@ -209,7 +213,10 @@ def write_refusal(
         {"message": p.message, "hint": p.hint, "place": None if p.place is None else str(p.place)}
         for p in refusal.problems
     ]
-    ending = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code), "reasons": reasons}
+    ending: dict[str, Any] = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code)}
+    ending["reasons"] = reasons
+    if far is not None:
+        ending["how_far"] = how_far_content(far)
     with run_folder(folder) as run:
         if proof is not None:
             run.json(REFUSAL, proof)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,11 +13,14 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
+from pwatrack.how_far import HowFar, how_far
 from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
 from pwatrack.report.files import Plots
+from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
@@ -77,7 +80,7 @@ def run(
                     found = _fronts(spec, controller) if fronts else []
             checked = required(spec, controller, result, many)
         except PwatrackError as refusal:
-            made.keep(refusal, folder)
+            made.keep(refusal, folder, status, printed=printed)
             raise
         status.update("Writing the files")
         if result is not None:
@@ -148,7 +151,7 @@ class _Made:
             summary.print_ensemble(screen, many)
         summary.print_files(screen, folder)
 
-    def keep(self, refusal: PwatrackError, folder: Path) -> None:
+    def keep(self, refusal: PwatrackError, folder: Path, status: Status, *, printed: bool) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
         spec, controller, seconds = self.spec, self.controller, self.seconds
         if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
@@ -159,12 +162,27 @@ class _Made:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
                 files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
-            elif files.write_refusal(
-                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, seconds=seconds
+                return
+            expected = spec is not None and refusal.code == spec.expected_exit
+            found = self._how_far(refusal, status) if printed or not expected else None
+            for text in () if found is None else texts(found):
+                refusal.add_note(f"  how far: {text}")
+            if files.write_refusal(
+                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, seconds=seconds, far=found
             ):
                 refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
         except InvalidSpec as unwritable:
             refusal.add_note(f"  {unwritable}")
+
+    def _how_far(self, refusal: PwatrackError, status: Status) -> HowFar | None:
+        """Return how far away an inequality is that is proved to have no solution, where that can be looked for."""
+        if self.spec is None or not isinstance(refusal.evidence, Impossibility):
+            return None
+        with self.timed("how far"), suppress(PwatrackError):
+            return how_far(
+                self.spec, refusal.evidence, lambda what: status.update(f"Looking how far away it is: {what}")
+            )
+        return None
 
 
 def _check(spec: Spec, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:

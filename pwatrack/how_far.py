@@ -1,0 +1,271 @@
+"""How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.control.feasible import common_P, polynomial, some_gain
+from pwatrack.control.goal import Given
+from pwatrack.control.task import Task
+from pwatrack.errors import PwatrackError
+from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
+from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
+from pwatrack.sizing import spec_sizes
+from pwatrack.spec.expression import Expression
+from pwatrack.spec.spec import Spec
+
+_STEPS = tuple(0.02 * 3.0**k for k in range(8))  # relative distances from the present value that are tried: up to 44
+_FROM_ZERO = tuple(1e-4 * 8.0**k for k in range(8))  # the same of a parameter that is 0, in its unit: up to 210
+_DIGITS = 5  # of a value that is tried
+_CLOSE = 3e-5  # relative, of a value that is proved and one that is not: where the bisection ends
+_ROOM = 1.003  # times the rate asked: so that a design, in other sizes, finds a gain too
+_MOST_PROOFS, _LEAST_PROOFS = 250, 40  # that are tried, for all parameters; with fewer it is not looked for
+_EACH = 30  # that a parameter, or the rate, may take, or more where there are few parameters
+_MOST_WORK = 200_000  # different cells · order³, of all proofs together: some seconds
+_MOST_ROWS = 250  # of the programs for a polynomial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proved:
+    """A value of one parameter, the others as they are, at which the refused inequality is proved.
+
+    Attributes:
+        parameter: Its name.
+        now: Its present value.
+        value: The one at which there is a proof; of one that is nearer by a few parts in 1e5 none was found.
+        degree: 2 for a common P; that of a polynomial that takes its place.
+    """
+
+    parameter: str
+    now: float
+    value: float
+    degree: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class HowFar:
+    """What was found.
+
+    Attributes:
+        claim: The inequality.
+        parameters: The values at which it is proved, the relatively nearest first; then those for polynomials.
+        rate: The largest rate in 1/s that is proved, where one was refused; None where none was found.
+        asked: The rate that was refused; 0 if none was.
+        ended: Whether the number of proofs that may be tried ended the search for some parameter.
+    """
+
+    claim: str
+    parameters: tuple[Proved, ...]
+    rate: float | None
+    asked: float
+    ended: bool = False
+
+
+def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], object] = lambda _: None) -> HowFar | None:
+    """Look how far away a refused inequality is; each step is an exact proof.
+
+    Each independent parameter of the file that enters it is moved by itself: outwards in growing steps, then by
+    bisection between the last value without a proof and the first with one.
+
+    Args:
+        spec: What was asked, and
+        evidence: what the refusal of it proves.
+        progress: Is told what is being looked at.
+
+    Returns:
+        What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
+
+    Example: the springs of the example made stiffer, both at once: (17) ends at k2 = k3 = 0.69 N/m.
+
+        >>> from pwatrack import design, load_spec
+        >>> from pwatrack.errors import Infeasible
+        >>> spec = load_spec("specs/refused/stiff_springs.yaml", {"k3": "k2"})
+        >>> try:
+        ...     design(spec)
+        ... except Infeasible as refusal:
+        ...     found = how_far(spec, refusal.evidence)
+        >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
+        ('k2', 0.69)
+    """
+    inequality, rate = _Inequality(spec, evidence), None
+    if inequality.proofs < _LEAST_PROOFS:
+        return None
+    if evidence.rate:
+        progress("a slower rate")
+        inequality.allow(min(_EACH, inequality.proofs // 3))
+        rate = inequality.largest_rate()
+    quadratic, higher = list[Proved](), list[Proved]()
+    entering = list(inequality.parameters())
+    for name, now in entering:
+        progress(f"parameter {name}")
+        inequality.allow(max(_EACH, inequality.proofs // len(entering)))
+        found = inequality.nearest(name, now)
+        if found is None:
+            continue
+        quadratic.append(Proved(parameter=name, now=now, value=found, degree=2))
+        nearer = inequality.polynomial_between(name, now, found)
+        higher += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
+    parameters = (*sorted(quadratic, key=_distance), *sorted(higher, key=_distance))
+    return HowFar(
+        claim=evidence.role.claim, parameters=parameters, rate=rate, asked=evidence.rate, ended=inequality.ended
+    )
+
+
+def _distance(found: Proved) -> float:
+    return abs(found.value - found.now) / (abs(found.now) or 1.0)
+
+
+class _Inequality:
+    """The refused inequality at other values of a parameter."""
+
+    def __init__(self, spec: Spec, evidence: Impossibility) -> None:
+        self._spec, self._role, self._rate = spec, evidence.role, evidence.rate
+        self._sizes, self._solver = spec_sizes(spec), spec.objectives.solver
+        goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
+        goal = goals.get(evidence.role)
+        self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
+        self._left, self._spent, self.ended = 0, 0, False
+
+    @cached_property
+    def proofs(self) -> int:
+        """How many proofs may be tried: 0 where it is not made from the parameters alone."""
+        loads = self._spec.problem.plant.loads is not None
+        if self._role not in (CONTROLLER, OBSERVER, GENERATOR) or (self._role is OBSERVER and loads) or not self._now:
+            return 0
+        return min(_MOST_PROOFS, _MOST_WORK // (len(different(self._now)) * self._now[0].shape[0] ** 3 or 1))
+
+    def allow(self, proofs: int) -> None:
+        """Let so many proofs be tried from now on."""
+        self._left = min(proofs, self.proofs - self._spent)
+
+    def parameters(self) -> Iterator[tuple[str, float]]:
+        """Yield the parameters that are given as numbers and enter the inequality, with their values."""
+        parametric = self._spec.problem.parametric
+        for name, written in parametric.parameters.items():
+            value = parametric.names.parameters[name]
+            own = not (isinstance(written, Expression) and written.names & set(parametric.parameters))
+            if value is not None and own and self._enters(name, float(value)):
+                yield name, float(value)
+
+    def nearest(self, name: str, now: float) -> float | None:
+        """Return the nearest value that is found at which there is a common P, or a gain with one."""
+        ends, last = list[float](), {1: now, -1: now}
+        for step in _STEPS if now else _FROM_ZERO:
+            for side in last:
+                value = (now * (1 + step) if side > 0 else now / (1 + step)) if now else side * step
+                if self._proved(name, value):
+                    ends.append(self._bisected(lambda v: self._proved(name, v), last[side], value))
+                last[side] = value
+            if ends:
+                return min(ends, key=lambda value: abs(value - now))
+        return None
+
+    def polynomial_between(self, name: str, now: float, found: float) -> tuple[float, int] | None:
+        """Return a nearer value at which a polynomial is proved, with its degree, if there is one."""
+        if not self._for_polynomials:
+            return None
+        seen = dict[float, int]()
+
+        def proved(value: float) -> bool:
+            M = self._matrices(name, value) if self._paid() else None
+            proof = None if M is None else polynomial(self._role, M, most_rows=_MOST_ROWS)
+            if proof is not None:
+                seen[value] = proof.degree
+            return proof is not None
+
+        value = self._bisected(proved, now, found)
+        return (value, seen[value]) if value in seen else None
+
+    def largest_rate(self) -> float | None:
+        """Return the largest rate that is proved, with as many digits as `nearest` gives."""
+        task = self._task(self._spec.problem.plant)
+
+        def proved(rate: float) -> bool:
+            return self._paid() and some_gain(task, _ROOM * rate) is not None
+
+        slow = _short(self._rate / 2)
+        while not proved(slow):
+            slow = _short(slow / 4)
+            if slow < self._rate / 1000:
+                return None
+        return self._bisected(proved, self._rate, slow)
+
+    def _bisected(self, proved: Callable[[float], bool], without: float, value: float) -> float:
+        """Return the value nearest to one without a proof that has one, by bisection."""
+        while abs(value - without) > _CLOSE * abs(value):
+            middle = _short((value + without) / 2)
+            if middle in (value, without):
+                break
+            if proved(middle):
+                value = middle
+            else:
+                without = middle
+        return value
+
+    def _proved(self, name: str, value: float) -> bool:
+        if not self._paid():
+            return False
+        if self._role is GENERATOR or self._gain is not None:
+            M = self._matrices(name, value)
+            return M is not None and common_P(self._role, M, solver=self._solver) is not None
+        plant = self._plant(name, value)
+        return plant is not None and some_gain(self._task(plant), _ROOM * self._rate) is not None
+
+    def _paid(self) -> bool:
+        """Count one more trial; say whether it may be made."""
+        self._left, self._spent = self._left - 1, self._spent + 1
+        self.ended |= self._left < 0
+        return self._left >= 0
+
+    def _plant(self, name: str, value: float) -> PWASystem | None:
+        try:
+            return self._spec.problem.parametric.at({name: _short(value)}, ())[0]
+        except PwatrackError:  # no plant of class (1)
+            return None
+
+    def _task(self, plant: PWASystem) -> Task:
+        return Task.of(plant, self._role, self._solver, sizes=self._sizes)
+
+    def _matrices(self, name: str, value: float) -> list[BallMatrix] | None:
+        """Return the M_i of (17), or of (8) or (9) with the gain that is given; None where there are none."""
+        plant = self._plant(name, value)
+        return None if plant is None else self._of(plant)
+
+    def _of(self, plant: PWASystem) -> list[BallMatrix] | None:
+        if self._role is not GENERATOR:
+            task = self._task(plant)
+            if self._gain is not None:
+                return task.exactly_closed(self._gain)
+            assert task.exact is not None
+            return [*task.exact[0], task.exact[1]]
+        try:
+            return [GENERATOR.exact(A_i) for A_i in normal_form(plant).exact.A_eta]
+        except PwatrackError:  # no form (11)
+            return None
+
+    @cached_property
+    def _now(self) -> list[BallMatrix] | None:
+        return self._of(self._spec.problem.plant)
+
+    @cached_property
+    def _for_polynomials(self) -> bool:
+        return self._role is GENERATOR or self._gain is not None
+
+    def _enters(self, name: str, now: float) -> bool:
+        """Say whether a parameter changes the inequality."""
+        for value in (now * 1.01, now * 0.99) if now else (1e-3, -1e-3):
+            M = self._matrices(name, value)
+            if M is not None and self._now is not None:
+                pairs = zip(M, self._now, strict=False)
+                return len(M) != len(self._now) or not all(bool(X.centre == Y.centre) for X, Y in pairs)
+        return False
+
+
+def _short(value: float) -> float:
+    """Return a number of few digits."""
+    return float(np.format_float_scientific(value, precision=_DIGITS - 1))
