@@ -179,7 +179,7 @@ def test_where_there_are_too_many_cells_nothing_is_claimed(
     controller = design(paper_spec)
     assert all(not bounds.sizes and not bounds.parts for bounds in controller.bounds)
     print_design(Console(width=200), paper_spec, controller)
-    assert capsys.readouterr().out.count("no bound proved") == 5
+    assert capsys.readouterr().out.count("no bound proved") == 6
 
 
 def test_a_gain_of_zero_lets_no_noise_through() -> None:

@@ -16,13 +16,11 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.largest_box import LargestBox
+from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import (
-    channel_text,
-    declared,
     down,
     ensemble_measures,
     error_unit,
-    limit_texts,
     load_content,
     load_kind,
     measures,
@@ -42,7 +40,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 
-_CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
+_SIGNALS = 6  # that are printed of all that are tracked
 
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
@@ -97,7 +95,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     _promise_rows(table, controller)
     for k, text in enumerate(limit_rows(spec, controller)):
         table.add_row("" if k else "limits", text)
-    _bound_rows(table, spec, controller)
+    for k, text in enumerate(bound_rows(spec, controller)):
+        table.add_row("" if k else "bounds", text)
     for k, text in enumerate(box_rows(spec, controller)):
         table.add_row("" if k else "uncertain", text)
 
@@ -176,23 +175,6 @@ def _promise_rows(table: Table, controller: Controller) -> None:
     )
 
 
-def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
-    """Say what disturbances and noise can do to what is tracked and to the inputs; declared ones come first."""
-    found = sorted(controller.bounds, key=lambda bounds: not declared(spec, bounds.channel))
-    table.add_row(
-        "disturbances",
-        "in the loop as designed, each below the size named: the errors that are left in the end, in proportion to it; "
-        "what acts together adds up; from error 0 they hold at all times",
-    )
-    for bounds in found[:_CHANNELS]:
-        on, unit = channel_text(spec, bounds.channel)
-        sizes = [(signal, size) for signal, size in bounds.sizes.items() if signal[0] != "estimate"][:_SIGNALS]
-        said = ", ".join(limit_texts(spec, sizes))
-        table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound proved'}")
-    if len(found) > _CHANNELS:
-        table.add_row("", f"{len(found) - _CHANNELS} more in run.json")
-
-
 def _missed_rows(table: Table, checked: Sequence[Checked]) -> None:
     for each in checked:
         if not each.met:
@@ -263,7 +245,7 @@ def _repair_rows(table: Table, result: Result) -> None:
         return
     response, bounds = result.response, result.controller.bounds
     acting = repair.disturbance(np.abs(response.x).max(axis=0), np.abs(response.u).max(axis=0))
-    on = [(k, *channel_text(spec, ("disturbance", k))) for k in np.flatnonzero(acting).tolist()]
+    on = [(k, *cause(spec, ("disturbance", k))[1:]) for k in np.flatnonzero(acting).tolist()]
     table.add_row(
         "repair",
         "with states and inputs no larger than here, the plant as it was given differs by at most "

@@ -9,17 +9,17 @@ from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
 from pwatrack.largest_box import LargestBox
-from pwatrack.report.figures import bounds_content, channel_text, down, limit_texts, signal_text, sized, up
+from pwatrack.report.bounds import cause, limit_texts
+from pwatrack.report.figures import down, signal_text, sized, up
 from pwatrack.result import Result
 from pwatrack.spec.box import inside
 from pwatrack.spec.spec import Spec
 
 
 def robust_content(spec: Spec, robust: Robust) -> dict[str, Any]:
-    """Return what run.json says of uncertain parameters: their intervals, and the bounds per 1 of each entry of w."""
+    """Return what run.json says of uncertain parameters: their intervals; bounds.json has those of signals."""
     box = {interval.name: [float(interval.low), float(interval.high)] for interval in spec.objectives.uncertain}
-    found = {"inequalities": robust.count, "rate": robust.rate, "bounds": bounds_content(spec, robust.bounds)}
-    return {"parameters": box, **found}
+    return {"parameters": box, "inequalities": robust.count, "rate": robust.rate}
 
 
 def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
@@ -75,8 +75,8 @@ def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     )
     yield "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end adds up"
     for bounds in robust.bounds:
-        on, unit = channel_text(spec, bounds.channel)
-        yield f"{f'1 {unit}'.rstrip()} of w in {on}: {', '.join(limit_texts(spec, bounds.sizes.items()))}"
+        _, on, unit = cause(spec, bounds.channel, uncertain=True)
+        yield f"{', '.join(limit_texts(spec, bounds.sizes.items()))} per {unit or '1'} of {on}"
 
 
 def run_rows(result: Result) -> Iterator[str]:

@@ -16,6 +16,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
 from pwatrack.model.normal_form import normal_form
+from pwatrack.report.bounds import BOUNDS
 from pwatrack.report.certificate import CLAIM, corner_content, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.sizing import spec_sizes
@@ -169,6 +170,8 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
             A_eta, B_eta, _ = tracking_dynamics(form)
             same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, :-1]))
         yield "generator.json", "" if same else "generator.json is not that of this plant"
+    if (bounds := _json(folder / BOUNDS)) is not None:
+        yield BOUNDS, "" if _bounded(bounds, content) else f"a bound in {BOUNDS} is not the one that was proved"
     if index is not None:
         figures, proved = index.get("figures", {}), dict[str, list[float]]()
         for proof in content["proofs"]:
@@ -176,14 +179,6 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
                 proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
         wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
         wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
-        box, told = content.get("uncertain"), index.get("uncertain")
-        for name, entries, proofs in (
-            ("bounds", index.get("bounds", []), content["bounds"]),
-            ("uncertain", told["bounds"] if told else [], box["bounds"] if box else []),
-        ):
-            shown = [signal["bound"] for entry in entries for signal in entry["signals"].values()]
-            bounds = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
-            wrong += [name] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
         wrong += ["limits"] * (not _kept(index.get("limits"), content.get("limits", [])))
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
 
@@ -200,6 +195,25 @@ def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:
         == [float(number(size)) for *_, size in entry_proved["signals"]]
         and all(entry["scale"] * size <= left[name] for name, size in entry["inputs"].items())
         for entry, entry_proved in zip(moved, proved, strict=True)
+    )
+
+
+def _bounded(told: Any, content: dict[str, Any]) -> bool:
+    """Say whether bounds.json has the bounds of a certificate, and their sum for a start within the sizes."""
+    box, shown = content["uncertain"], [signal for entry in told["table"] for signal in entry["signals"].values()]
+    proofs = [*content["bounds"], *(box["bounds"] if box else [])]
+    proved = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
+    if [float(np.nextafter(signal["at_worst"], np.inf)) for signal in shown] != proved:
+        return False
+    starts = [entry for entry in told["table"] if entry["kind"] in ("load", "start")]
+    known, within = told["start_within_sizes"]["sizes"], told["start_within_sizes"]["signals"]
+    n = len(content["plant"]["states"])
+    sizes = [*list(known.values())[:n], *known.values()]
+    return all(
+        sum(size * entry["signals"][name]["at_worst"] for size, entry in zip(sizes, starts, strict=True))
+        <= signal["at_worst"]
+        <= 1e300
+        for name, signal in within.items()
     )
 
 
