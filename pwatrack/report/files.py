@@ -145,7 +145,8 @@ def _result_content(result: Result) -> dict[str, Any]:
 
 
 def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:
-    from pwatrack.report.plots import draw, fan
+    from pwatrack.report.plots.pictures import draw
+    from pwatrack.report.plots.spread import fan
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
@@ -229,7 +230,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
-    from pwatrack.report.plots import pareto_fronts
+    from pwatrack.report.plots.spread import pareto_fronts
 
     with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.bands import covered
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
@@ -12,7 +13,6 @@ from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import cause, limit_texts
 from pwatrack.report.figures import down, signal_text, sized, up
 from pwatrack.result import Result
-from pwatrack.spec.box import inside
 from pwatrack.spec.spec import Spec
 
 
@@ -32,7 +32,7 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
     seen, largest = dict[Form, float](), np.zeros(len(result.controller.plant.B))
     late = 0.9 * result.end
     for block in result.blocks():
-        largest = np.maximum(largest, robust.deviation(block.x_d, block.u_ff))
+        largest = np.maximum(largest, robust.deviations(block.x_d, block.u_ff).max(axis=0))
         last, errors = block.t >= late, {"output": block.tracking_error, "state": block.x - block.x_d}
         errors["input"] = block.u - block.u_ff
         for kind, k in robust.bounds[0].sizes:
@@ -53,13 +53,6 @@ def largest_text(largest: LargestBox) -> str:
     box = ", ".join(interval.text for interval in largest.box)
     end = "" if largest.beyond is None else f"; scaled by {largest.beyond:g} no proof was found"
     return f"proved for the box scaled by {largest.factor:g}: {box}{end}"
-
-
-def covered(result: Result) -> bool:
-    """Say whether the plant of a run is one of those that are proved, and nothing else differs from the theorems."""
-    conditions, box = result.loop.conditions, result.spec.objectives.uncertain
-    others = {name: value for name, value in vars(conditions).items() if name not in ("plant", "parameters")}
-    return bool(box) and all(v is None for v in others.values()) and inside(box, conditions.parameters or {})
 
 
 def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
@@ -88,7 +81,7 @@ def run_rows(result: Result) -> Iterator[str]:
     units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
     while_small = "in the end, as long as w is no larger than along this x_d"
-    if covered(result):
+    if covered(result.spec.objectives.uncertain, result.loop.conditions):
         texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}" for name, unit, f in shown]
         yield f"the plant of this run is one of them; {while_small}, and in the last tenth here: {'; '.join(texts)}"
     else:
