@@ -58,10 +58,10 @@ def _with_norms(most: dict[Form, Array], loop: ClosedLoop, response: Response, s
     observer, counted = promised.observer_error(response.t, start[n : 2 * n]), sizes if n > 1 else np.ones(1)
     for form in list(most):
         kind, k = form
-        if kind == "output":
-            most[form] = np.minimum(most[form], tracking)
-        elif kind in ("state", "estimate") and k < n:
-            most[form] = np.minimum(most[form], (tracking if kind == "state" else observer) * counted[k] * (1 + 1e-12))
+        if kind in ("output", "state"):
+            most[form] = np.minimum(most[form], tracking * loop.controller.error_sizes[k] * (1 + 1e-12))
+        elif kind == "estimate" and k < n:
+            most[form] = np.minimum(most[form], observer * counted[k] * (1 + 1e-12))
 
 
 def _limited(loop: ClosedLoop, response: Response) -> bool:

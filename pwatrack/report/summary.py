@@ -145,7 +145,8 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
         else:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
-    table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
+    desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
+    table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0")
 
 
 def _rate(proved: Sequence[Contraction]) -> str:
@@ -158,7 +159,8 @@ def _rate(proved: Sequence[Contraction]) -> str:
 def _promise_rows(table: Table, controller: Controller) -> None:
     """Say how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
-    error = "y − y_d and x − x_d go" if controller.generator is not None else "x − x_d goes"
+    errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
+    error = f"{errors} and x − x_d go" if controller.generator is not None else "x − x_d goes"
     text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))

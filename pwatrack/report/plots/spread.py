@@ -23,7 +23,8 @@ def fan(many: EnsembleResult) -> Figure:
     last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
     figure, (linear, logarithmic) = canvas(result, title, [[0], [1]], height=6.2)
     floor = ROUNDING * np.abs(result.response.x).max()
-    size = "|y − y_d|" if result.controller.generator else "‖x − x_d‖"
+    names = result.controller.plant.tracked_names if result.controller.generator else ("x",)
+    size = f"|{names[0]} − {names[0]}_d|" if result.controller.generator and len(names) == 1 else "‖e‖"
     slowest = int(np.lexsort((kept.final, kept.small_from))[-1])
     falling = kept.t[kept.error.max(axis=0) > floor][-1:]  # until the last error is rounding
     ends = (np.quantile(kept.small_from, 0.95, method="higher"), 1.2 * falling[0] if len(falling) else 0.0)
