@@ -12,6 +12,8 @@ K (e + Δ) = u − u_ff, Δ.
 
 From a start with one entry of (e, Δ) at 1 and the others at 0 an ellipsoid that holds it bounds every signal for good.
 
+Where all cells have one matrix, the exact peak gain is enclosed too (see `lmi.peak`).
+
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
 0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
 The part from the start is at most the sum of bound · |entry| over all entries of the start.
@@ -27,7 +29,7 @@ each entry of the coupling, which acts like a disturbance of that state equation
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import product
 from typing import Literal
@@ -42,6 +44,7 @@ from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.peak import peak_gains
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity
@@ -93,11 +96,19 @@ class Bounds:
             tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
+        peaks: Where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound.
     """
 
     channel: Channel
     sizes: dict[Form, float]
     parts: tuple[Part, ...]
+    peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def certified(self) -> dict[Form, float]:
+        """What the ellipsoids alone prove: a peak gain may be smaller."""
+        by_peak = {form: part.size(form) for part in self.parts for form in part.signals if form in self.peaks}
+        return self.sizes | by_peak
 
 
 def signal_bounds(
@@ -206,7 +217,21 @@ class Loops:
         if not found[0]:
             found = self.in_two_steps(channel)
         estimates = self.sizes("observer", channel, self.estimates)
-        return Bounds(channel=channel, sizes=found[0] | estimates[0], parts=found[1] + estimates[1])
+        certified, parts, peaks = found[0] | estimates[0], found[1] + estimates[1], self.peaks(channel)
+        peaks = {form: gain for form, gain in peaks.items() if form in certified}
+        sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in certified.items()}
+        return Bounds(channel=channel, sizes=sizes, parts=parts, peaks=peaks)
+
+    def peaks(self, channel: Channel) -> dict[Form, tuple[float, float]]:
+        """Return the peak gains of a disturbance or noise where there is one matrix, each between two bounds."""
+        found = dict[Form, tuple[float, float]]()
+        signals: dict[Loop, list[Form]] = {"joint": self.tracked + self.inputs, "observer": self.estimates}
+        for loop, forms in signals.items():
+            M, g = self.M.get(loop, []), self.drive(loop, channel)
+            if len(M) == 1 and channel[0] != "start" and (g.radius is not None or any(g.centre.entries())):
+                gains = peak_gains(M[0], g, reduce(above, (self.row(loop, form) for form in forms)))
+                found |= dict(zip(forms, gains or (), strict=gains is not None))
+        return found
 
     def in_two_steps(self, channel: Channel) -> Sized:
         """Bound K Δ and what drives e, then e driven by d and by that: K (e + Δ) is at most K e and K Δ together."""

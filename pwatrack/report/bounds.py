@@ -119,10 +119,12 @@ def _limits(spec: Spec, sizes: Mapping[Form, float]) -> str:
 def _entry(spec: Spec, bounds: Bounds, *, uncertain: bool = False) -> dict[str, Any]:
     kind, of, unit = cause(spec, bounds.channel, uncertain=uncertain)
     passes = kind in ("load", "start")
-    signals = {}
+    signals = dict[str, dict[str, Any]]()
     for signal, size in bounds.sizes.items():
         name, its = signal_text(spec, signal)
         signals[name] = {"in_the_end": 0.0 if passes else size, "at_worst": size, "unit": its}
+        if signal in bounds.peaks:
+            signals[name] |= {"certified": bounds.certified[signal], "peak_gain": list(bounds.peaks[signal])}
     return {"kind": kind, "of": of, "per": f"1 {unit}".rstrip(), "signals": signals}
 
 

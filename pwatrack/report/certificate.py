@@ -248,7 +248,7 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
         }
         for part in bounds.parts
     ]
-    return {"channel": list(bounds.channel), "signals": _sizes(bounds.sizes.items()), "parts": parts}
+    return {"channel": list(bounds.channel), "signals": _sizes(bounds.certified.items()), "parts": parts}
 
 
 def _limit(promise: Promise) -> dict[str, Any]:
