@@ -1,20 +1,26 @@
-"""What a disturbance or a sensor's noise can do to each signal: the proved bound against the worst that is found.
+"""What acts on a loop can do to each signal: the proved bounds against the worst that is found.
 
     .venv/bin/python -m benchmarks.bounds [spec …]
+    .venv/bin/python -m benchmarks.bounds 200
 
-The worst is sought over the switching between all pairs of cells and over the input, which the proof allows for: see
-`worst` in tests/promises.py. A ratio below 1 would be a false proof.
+With specs, a line for each of their disturbances and noises and each signal. With a number, so many random designs with
+one cell, two cells and four in turn: for a disturbance, a noise, a start of x, a start of x̂, and a box of parameters
+that change with time, the ratios of bound to worst. The worst is sought over what acts and over the switching that the
+proof allows for, see `worst` and `worst_from` in tests/promises.py. A ratio below 1 would be a false proof.
 """
 
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from pwatrack import design, load_spec
-from pwatrack.report.figures import channel_text, signal_text
-from tests.promises import joint_system, worst
+from pwatrack.report.bounds import cause
+from pwatrack.report.figures import signal_text
+from tests.promises import box_system, joint_system, random_box, random_design, worst, worst_from
 
 
 def main(paths: list[Path]) -> None:
@@ -29,7 +35,7 @@ def main(paths: list[Path]) -> None:
         console.print(f"{path}: {time.perf_counter() - begin:.2f} s")
         for bounds in found:
             M, g, rows = joint_system(controller, bounds)
-            on, _ = channel_text(spec, bounds.channel)
+            _, on, _ = cause(spec, bounds.channel)
             for signal, size in bounds.sizes.items():
                 if signal[0] == "estimate":
                     continue
@@ -38,8 +44,56 @@ def main(paths: list[Path]) -> None:
                 console.print(f"    {on} → {name}: bound {size:.4g}, found {seen:.4g}, ratio {size / seen:.2f}")
 
 
+def ratios(seed: int) -> Iterator[tuple[str, float]]:
+    """Yield, for one random design, what acts on what and the ratio of its bound to the worst that is found."""
+    random, loop = np.random.default_rng(seed), random_design(seed)
+    controller = loop.controller
+    n, duration = len(controller.plant.B), 6 / controller.guarantees.rate
+    driven = controller.bounds[int(random.integers(n))], controller.bounds[-1]
+    starts = controller.starts[int(random.integers(n))], controller.starts[n + int(random.integers(n))]
+    for bounds in (*driven, *starts):
+        M, g, rows = joint_system(controller, bounds)
+        for kind, k in bounds.sizes:
+            size, row = bounds.sizes[kind, k], rows[kind, k]
+            if kind == "estimate" and k != seed % n:
+                continue
+            if bounds.channel[0] == "start":
+                found = worst_from(M, g, row, duration=duration)
+            else:
+                found = worst(M, g, row, duration=duration, steps=150, rounds=4)
+            if size or found:
+                yield f"{bounds.channel[0]} → {kind}", size / found
+    if (robust := random_box(loop, seed)) is not None:
+        M = box_system(loop, robust)
+        for bounds in robust.bounds[:1]:
+            _, g, rows = joint_system(controller, bounds)
+            for kind, k in bounds.sizes:
+                found = worst(M, g, rows[kind, k], duration=8 / robust.rate, steps=150, rounds=4)
+                yield f"uncertain → {kind}", bounds.sizes[kind, k] / found
+
+
+def random_designs(count: int) -> None:
+    """Print the ratios of so many random designs."""
+    console, found = Console(width=140), dict[str, list[float]]()
+    cells: dict[int, list[float]] = {1: [], 2: [], 4: []}
+    for seed in range(count):
+        for name, ratio in ratios(seed):
+            found.setdefault(name, []).append(ratio)
+            cells[2 ** (seed % 3)].append(ratio)
+    console.print(f"{count} random designs with one, two and four cells: bound over the worst that was found")
+    everything = {f"all with {k} cell{'s' * (k > 1)}": values for k, values in cells.items()}
+    everything["all"] = [ratio for values in found.values() for ratio in values]
+    for name, values in (found | everything).items():
+        below = sum(value < 1 for value in values)
+        figures = f"median {np.median(values):.2f}, least {min(values):.4f}, largest {max(values):.3g}"
+        console.print(f"    {name}: {len(values)} bounds, {below} exceeded; {figures}")
+
+
 if __name__ == "__main__":
-    main(
-        [Path(name) for name in sys.argv[1:]]
-        or sorted(Path("specs").glob("*.yaml")) + sorted(Path("specs/gallery").glob("*.yaml"))
-    )
+    if sys.argv[1:] and sys.argv[1].isdigit():
+        random_designs(int(sys.argv[1]))
+    else:
+        main(
+            [Path(name) for name in sys.argv[1:]]
+            or sorted(Path("specs").glob("*.yaml")) + sorted(Path("specs/gallery").glob("*.yaml"))
+        )

@@ -235,7 +235,8 @@ class Watch:
 
     @property
     def _norm_name(self) -> str:
-        return "|y − y_d|" if self._output else "‖x − x_d‖"
+        letter = "y" if self._output else "x"
+        return f"|{self._names[0]} − {self._names[0]}_d|" if len(self._names) == 1 else f"‖{letter} − {letter}_d‖"
 
     def _rounding_of_x(self, t: float) -> Array:
         """What the simulation is uncertain by in each state after a time (s), (n,)."""

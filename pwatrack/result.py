@@ -2,10 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.bands import bands
+from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.outcome import Outcome
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -86,6 +89,13 @@ class Result:
             return None
         r = self.response
         return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
+
+    @cached_property
+    def bands(self) -> dict[Form, Array]:
+        """What is proved of each signal at the samples that were kept, from this start and for what acts, (K,) each."""
+        if self.spool is not None and self.loop.conditions.limits is not None:
+            return {}  # whether an input came to its limit, what was kept does not tell
+        return bands(self.loop, self.response, self.spec.objectives.uncertain)
 
     @property
     def end(self) -> float:

@@ -15,6 +15,7 @@ from pwatrack.spec.spec import Spec
 _SPAN = 20.0  # time constants in a run, for a plant that has no speed of its own: what decays so is over long before
 _TIMES = 4096  # at which a reference is looked at, beside its breaks
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are even over [0, 1] and in step with no period
+_BRIEF = 0.05  # of the time of a run: a signal that moves no longer does so in spikes
 _STILL = 1e-9  # of the largest value: what moves less is a constant, but for rounding
 
 Known = tuple[str, float, Origin]
@@ -24,7 +25,7 @@ def spec_sizes(spec: Spec) -> Sizes:
     """Return the sizes of all signals of a spec.
 
     Each is the first of these that there is: what the file gives under `sizes`; of an input, half the width of its
-    limits; how far the reference moves the signal, half of its range, or where it rests; for a state half the width of
+    limits; how far the reference moves the signal for more than a moment, half of its range, or where it rests; for a state half the width of
     the region that members of an ensemble start in. The rest, and the speed, is what balances the plant. An output that
     the file gives no size is at least as large as its noise: what is below that cannot be seen.
 
@@ -90,20 +91,33 @@ def _reference(spec: Spec) -> Iterator[Known]:
 
 
 def _through_xi(spec: Spec, reference: OutputReference) -> Iterator[tuple[str, float]]:
-    """Yield how far y_d moves the output, and each state that is a function of ξ = (y, ẏ, …) alone."""
+    """Yield how far y_d moves the output, and each state that is a function of ξ = (y, ẏ, …) alone.
+
+    A state that is moved in short spikes only, as the speed is by a step that is hardly rounded, has no size from them:
+    they say how sharp the corner is, and nothing of what matters.
+    """
     plant = spec.problem.plant
     try:
         form = normal_form(plant)
     except OutsideTheory:  # nothing can be said; the design says why
         return
     system = exosystem([reference.signal(form.r)])
-    w = system.states(_times(system, spec.scenario.duration))
+    t = _times(system, spec.scenario.duration)
+    w = system.states(t)
     xi = w @ system.derivative_rows(form.r - 1)[:, 0].T
     yield plant.tracked_names[0], float(_moves(xi)[0])
     alone = np.flatnonzero(~form.T_inverse[:, form.r :].any(axis=1))
     x = (xi - form.offset[: form.r]) @ form.T_inverse[alone, : form.r].T
-    for j, size in zip(alone.tolist(), _moves(x).tolist(), strict=True):
-        yield plant.states[j], size
+    for j, size, lasts in zip(alone.tolist(), _moves(x).tolist(), _lasting(t, x).tolist(), strict=True):
+        if lasts > _BRIEF:
+            yield plant.states[j], size
+
+
+def _lasting(t: Array, values: Array) -> Array:
+    """Return the share of time that signals (T, k) spend away from where they are most, by a tenth of their range."""
+    middle, reach = np.median(values, axis=0), np.ptp(values, axis=0) / 10
+    away = np.abs(values - middle) >= np.where(reach > 0, reach, 0.0)
+    return np.asarray(np.gradient(t) @ away / np.gradient(t).sum())
 
 
 def _times(system: Exosystem, duration: float) -> Array:

@@ -1,18 +1,23 @@
 """Closed loops of random plants, and what their proofs promise, worked out a second time in plain floating point."""
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg import expm, sqrtm
 
 from pwatrack import Controller, PWASystem
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Bounds, Form
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.control.proof import prove_design
+from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
+from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.reference import exosystem
@@ -154,7 +159,7 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
 
 
 def joint_system(controller: Controller, bounds: Bounds) -> tuple[Array, Array, dict[Form, Array]]:
-    """M_ij of (e, Δ) for all pairs of cells, g of a channel, and the row of each signal that is bounded."""
+    """M_ij of (e, Δ) for all pairs of cells, g of a channel or z(0), and the row of each signal that is bounded."""
     plant, K, L = controller.plant, controller.design.K, controller.design.L
     n = len(plant.B)
     M = np.array(
@@ -166,7 +171,8 @@ def joint_system(controller: Controller, bounds: Bounds) -> tuple[Array, Array, 
     )
     kind, k = bounds.channel
     eye, nothing = np.eye(n), np.zeros(n)
-    g = np.concatenate([eye[k], -eye[k]] if kind == "disturbance" else [nothing, -L[:, k]])
+    g = np.concatenate([eye[k], -eye[k]] if kind == "disturbance" else [nothing, -L[:, k % L.shape[1]]])
+    g = np.eye(2 * n)[k] if kind == "start" else g
     halves = {"output": (plant.C, 0 * plant.C), "state": (eye, 0 * eye), "input": (K, K), "estimate": (0 * eye, eye)}
     return M, g, {signal: np.concatenate([X[signal[1]] for X in halves[signal[0]]]) for signal in bounds.sizes}
 
@@ -214,6 +220,76 @@ def worst(M: Array, g: Array, c: Array, *, duration: float, steps: int = 300, ro
             cells, p, value = following, next_p, next_value
         best = max(best, value)
     return best
+
+
+def worst_from(M: Array, g: Array, c: Array, *, duration: float, steps: int = 120, rounds: int = 4) -> float:
+    """The largest |c z(t)| that is found for z' = M_p(t) z from z(0) = g, at any time: a lower bound of all.
+
+    By the same sweeps as `worst`, for ends at times that grow geometrically.
+    """
+    distinct = np.unique(M, axis=0)
+    E, best = expm(duration / steps * distinct), 0.0
+
+    def costate(cells: IntArray) -> Array:
+        p = np.empty((len(cells) + 1, len(c)))
+        p[-1] = c
+        for k in range(len(cells) - 1, -1, -1):
+            p[k] = E[cells[k]].T @ p[k + 1]
+        return p
+
+    for first, end in product(range(len(distinct)), dict.fromkeys(np.geomspace(1, steps, 16).astype(int).tolist())):
+        cells, value = np.full(end, first), 0.0
+        for _ in range(rounds):
+            p = costate(cells)
+            reached = abs(float(p[0] @ g))
+            if reached <= value * (1 + 1e-3):
+                break
+            value, z = reached, g * np.sign(p[0] @ g)
+            for k in range(end):
+                after = E @ z
+                cells[k] = np.argmax(after @ p[k + 1])
+                z = after[cells[k]]
+        best = max(best, value)
+    return max(best, abs(float(c @ g)))
+
+
+def random_design(seed: int) -> ClosedLoop:
+    """A loop with n = 2 … 4, r = 1 or 2 and, in turn, one cell, two or four, that differ as much as can be had."""
+    cells = seed % 3
+    for strength in (1.0, 0.5, 0.2, 0.1) if cells else (0.0,):
+        plant = random_plant(seed, n=2 + seed // 3 % 3, k=max(cells, 1), r=1 + seed // 9 % 2, strength=strength)
+        with suppress(Infeasible, Undecided):
+            return track(plant, "sin(2*t)")
+    raise AssertionError(f"there is no design for plant {seed}")
+
+
+def random_box(loop: ClosedLoop, seed: int, share: float = 0.03) -> Robust | None:
+    """What is proved of four plants whose A differs from that of the design in one entry each, and of their means."""
+    random, plant = np.random.default_rng(seed), loop.controller.plant
+    exact, n = plant.exact, len(plant.B)
+    moved = []
+    for j, k in random.integers(0, n, size=(2, 2)).tolist():
+        change = np.zeros((n, n))
+        change[j, k] = share * float(np.abs(plant.A[0]).max()) * random.uniform(0.3, 1)
+        moved.append(BallMatrix.of(change))
+    both = [(tuple(A_i + d for A_i in exact.A), tuple(A_i - d for A_i in exact.A)) for d in moved]
+    corners = [replace(exact, A=A) for pair in both for A in pair]
+    try:
+        return prove_box(plant, loop.controller.design, loop.controller.proofs, corners, output=True)
+    except Undecided:
+        return None
+
+
+def box_system(loop: ClosedLoop, robust: Robust) -> Array:
+    """M of (e, Δ) for all corners and pairs of cells, worked out in plain floating point."""
+    plant, K, L = loop.controller.plant, loop.controller.design.K, loop.controller.design.L
+    found = []
+    for corner in robust.corners:
+        B = corner.B.floats
+        off = (plant.B - B) @ K
+        for A_c, A_i in zip([X.floats for X in corner.A], plant.A, strict=True):
+            found += [np.block([[A_c + B @ K, B @ K], [A_i - A_c + off, A_j + L @ plant.C + off]]) for A_j in plant.A]
+    return np.array(found)
 
 
 def disturbed(loop: ClosedLoop, bounds: Bounds, duration: float, step: float) -> dict[Form, float]:

@@ -333,7 +333,7 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
     before = contents(out)
-    monkeypatch.setattr("pwatrack.report.plots.draw", fail)
+    monkeypatch.setattr("pwatrack.report.plots.pictures.draw", fail)
     message = refused(call("simulate", spec, "--out", out), code)
     assert str(error.args[-1]) in message
     assert contents(out) == before

@@ -16,7 +16,7 @@ from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory
 from pwatrack.model.conditions import Conditions, Noise, Sampling
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
-from pwatrack.report.plots import draw
+from pwatrack.report.plots.pictures import draw
 from pwatrack.simulation.actuator import Actuator
 from tests.scenarios import in_scenario
 

@@ -50,7 +50,7 @@ def test_a_design_is_verified_from_its_file(run: Path) -> None:
     assert [s.split(":")[0] for s in said[1:7:2]] == ["(8) controller", "(9) observer", "(17) generator"]
     assert any("same plant, gains and goals" in s for s in said)
     assert [s for s in said if s.endswith("tells the same")] == [
-        f"{name} beside it tells the same" for name in ("gains.json", "generator.json", "run.json")
+        f"{name} beside it tells the same" for name in ("gains.json", "generator.json", "bounds.json", "run.json")
     ]
 
 
@@ -150,7 +150,8 @@ def test_no_forgery_passes(run: Path) -> None:
 def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, where: str) -> None:
     random = np.random.default_rng(seed)
     content = json.loads((run / "certificate.json").read_text())
-    entry = content["bounds"][random.integers(len(content["bounds"]))]
+    driven = [entry for entry in content["bounds"] if entry["channel"][0] != "start"]
+    entry = driven[random.integers(len(driven))]
     part = entry["parts"][random.integers(len(entry["parts"]))]
     looser = False
     if where == "size":
@@ -165,6 +166,31 @@ def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, w
         values = part["Q"]["exponents"] if where == "exponents" else part["Q"]["integers"][0]
         values[0] += int(random.choice([-1, 1]) * (2**37 if where == "integers" else 1))
     assert (audit(json.dumps(content))[1] == []) == looser
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ("a", "an ellipsoid can be left"),
+        ("Q", "the start is not in the ellipsoid"),
+        ("channel", "there is no 8 among 8"),
+        ("size", "output 0 is not bounded by 0.5"),
+    ],
+)
+def test_a_tampered_bound_of_a_start_is_refused(run: Path, change: str, fault: str) -> None:
+    """The first mass starts 1 m off: so does y, and no bound of it can be below 1 m."""
+    content = json.loads((run / "certificate.json").read_text())
+    entry = next(entry for entry in content["bounds"] if entry["channel"] == ["start", 0])
+    part = entry["parts"][0]
+    if change == "a":
+        part["a"] = "99"
+    elif change == "Q":
+        part["Q"]["exponents"] = [e - 1 for e in part["Q"]["exponents"]]
+    elif change == "channel":
+        entry["channel"] = part["channel"] = ["start", 8]
+    else:
+        entry["signals"][0][2] = "0.5"
+    assert any(fault in said for said in audit(json.dumps(content))[1])
 
 
 @pytest.mark.parametrize(
@@ -235,7 +261,8 @@ def test_a_spec_of_another_gain_or_goal_is_told_from_the_certificate(run: Path, 
         ("generator.json", lambda c: c.__setitem__("delta", 2.0)),
         ("run.json", lambda c: c["figures"].__setitem__("controller_rate", 5.0)),
         ("run.json", lambda c: c.__setitem__("spec_sha256", "0")),
-        ("run.json", lambda c: c["bounds"][0]["signals"]["y - y_d"].__setitem__("bound", 1e-3)),
+        ("bounds.json", lambda c: c["table"][0]["signals"]["y - y_d"].__setitem__("at_worst", 1e-3)),
+        ("bounds.json", lambda c: c["start_within_sizes"]["signals"]["y - y_d"].__setitem__("at_worst", 1e-3)),
     ],
 )
 def test_a_folder_whose_files_do_not_agree_is_refused(run: Path, tmp_path: Path, name: str, change: Any) -> None:
@@ -481,9 +508,9 @@ def test_where_the_observer_has_no_gain_no_noise_enters_and_its_bounds_are_audit
         ("certificate.json", {"spec_sha256": None}),
         ("run.json", {"figures": []}),
         ("run.json", {"figures": None}),
-        ("run.json", {"bounds": 3}),
-        ("run.json", {"bounds": [{"signals": {"y": 3}}]}),
-        ("run.json", {"bounds": None}),
+        ("bounds.json", {"table": 3}),
+        ("bounds.json", {"table": [{"signals": {"y": 3}}]}),
+        ("bounds.json", {"start_within_sizes": None}),
         ("gains.json", {"K": None}),
         ("gains.json", {"K": [["a", None]]}),
         ("gains.json", {"K": [["1/0", 0.0]]}),

@@ -26,7 +26,19 @@ from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.spec import InitialStates, Spec
 from tests.plants import random_plant
-from tests.promises import disturbed, joint_system, judge, random_loop, run, track, worst
+from tests.promises import (
+    box_system,
+    disturbed,
+    joint_system,
+    judge,
+    random_box,
+    random_design,
+    random_loop,
+    run,
+    track,
+    worst,
+    worst_from,
+)
 from tests.scenarios import in_scenario
 
 
@@ -112,6 +124,27 @@ def test_no_switching_does_more_than_a_bound_says(seed: int, two_steps: bool, mo
     assert np.median(ratios) < (8 if two_steps else 3)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_no_start_and_no_parameter_of_a_box_does_more_than_a_bound_says(seed: int) -> None:
+    """As above, from each entry of a start, and for a box of plants: any switching, and any change of parameters."""
+    loop = random_design(seed)
+    controller, ratios = loop.controller, list[float]()
+    for bounds in controller.starts:
+        M, g, rows = joint_system(controller, bounds)
+        for signal in (("output", 0), ("input", 0)):
+            found = worst_from(M, g, rows[signal], duration=6 / controller.guarantees.rate, steps=60, rounds=3)
+            ratios.append(bounds.sizes[signal] / found)
+    robust = random_box(loop, seed)
+    assert robust is not None
+    M = box_system(loop, robust)
+    for bounds in robust.bounds:
+        _, g, rows = joint_system(controller, bounds)
+        for signal, size in bounds.sizes.items():
+            ratios.append(size / worst(M, g, rows[signal], duration=6 / robust.rate, steps=60, rounds=3))
+    assert min(ratios) >= 1
+    assert np.median(ratios) < 2
+
+
 def test_the_bounds_of_the_example_are_at_most_three_times_the_worst_found(specs: Path) -> None:
     """In one norm for all states, a product of two worst cases said 1,010 and 2,600 here."""
     controller = design(load_spec(specs / "two_mass_backlash.yaml"))
@@ -179,7 +212,7 @@ def test_where_there_are_too_many_cells_nothing_is_claimed(
     controller = design(paper_spec)
     assert all(not bounds.sizes and not bounds.parts for bounds in controller.bounds)
     print_design(Console(width=200), paper_spec, controller)
-    assert capsys.readouterr().out.count("no bound proved") == 5
+    assert capsys.readouterr().out.count("no bound proved") == 6
 
 
 def test_a_gain_of_zero_lets_no_noise_through() -> None:

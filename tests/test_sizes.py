@@ -229,3 +229,32 @@ def test_a_bound_of_a_single_state_is_in_its_unit_whatever_its_size(tmp_path: Pa
         gains = design(spec)
         bounds.append(gains.guarantees.observer_error(np.zeros(1), np.ones(1))[0])
     assert min(bounds) >= 1.0
+
+
+@pytest.mark.parametrize("smooth", ["0.09", "1e-2", "1e-5"])
+def test_how_sharp_a_step_is_says_nothing_of_what_speed_matters(tmp_path: Path, smooth: str) -> None:
+    """A corner of 0.01 ms would make the speed 2·10⁵ m/s, and its size with it."""
+    path = tmp_path / "step.yaml"
+    path.write_text(
+        f"""
+name: step
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -2]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+reference: {{output: {{step: {{size: 1, at: 1, smooth: {smooth}}}}}}}
+simulation: {{duration: 2, sample_time: 0.01}}
+"""
+    )
+    sizes = spec_sizes(load_spec(path))
+    assert sizes.by_name["y"] == pytest.approx(0.5)
+    assert (sizes.origins["y"], sizes.origins["v"]) == ("reference", "balanced")
+    assert sizes.by_name["v"] < 5
+    slow = path.read_text().replace(f"smooth: {smooth}", "smooth: 0.6")
+    path.write_text(slow)
+    sizes = spec_sizes(load_spec(path))
+    assert sizes.origins["v"] == "reference"
+    assert sizes.by_name["v"] == pytest.approx(1.875, rel=1e-3)

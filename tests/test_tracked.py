@@ -160,7 +160,7 @@ def test_the_certificate_holds_what_is_tracked_and_the_auditor_reads_it(tmp_path
     folder = write_result(result, tmp_path / "run")
     header = (folder / "trace.csv").read_text(encoding="utf-8").split("\n", 1)[0].split(",")
     assert {"y_v1", "y_v1_d", "payload", "payload_d"} <= set(header)
-    signals = json.loads((folder / "run.json").read_text(encoding="utf-8"))["bounds"][0]["signals"]
+    signals = json.loads((folder / "bounds.json").read_text(encoding="utf-8"))["table"][0]["signals"]
     assert "payload - payload_d" in signals
 
 

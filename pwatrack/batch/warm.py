@@ -10,7 +10,7 @@ def _warm() -> None:
         os.environ.setdefault(name, "1")  # before numpy: threads only cost time, and change the last bit
 
     import pwatrack.batch.work
-    import pwatrack.report.plots
+    import pwatrack.report.plots.pictures
     import pwatrack.simulation.kernel  # noqa: F401
 
     warnings.filterwarnings("ignore", category=RuntimeWarning)  # what overflows fails the check of the result

@@ -1,4 +1,4 @@
-"""What a disturbance, or the noise of a sensor, can do to each signal: bounds in the signal's own unit.
+"""What a disturbance, the noise of a sensor or a start can do to each signal: bounds in the signal's own unit.
 
 With d added to the k-th state equation, or to the k-th measured output, (1), (18) and (19) give for e = x − x_d and
 Δ = x̂ − x
@@ -10,8 +10,13 @@ linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with 
 ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: c e for a tracked row c,
 K (e + Δ) = u − u_ff, Δ.
 
+From a start with one entry of (e, Δ) at 1 and the others at 0 an ellipsoid that holds it bounds every signal for good.
+
+Where all cells have one matrix, the exact peak gain is enclosed too (see `lmi.peak`).
+
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
 0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
+The part from the start is at most the sum of bound · |entry| over all entries of the start.
 
 Where loads are estimated, Δ has the errors of their estimates below x̂ − x, A_j and C are those of plant and loads
 together, and what drives e instead of B K is their coupling (see `compensation`), by which noise reaches e too:
@@ -24,7 +29,7 @@ each entry of the coupling, which acts like a disturbance of that state equation
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import product
 from typing import Literal
@@ -36,9 +41,10 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
-from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
+from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.peak import peak_gains
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity
@@ -49,19 +55,20 @@ _KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
 _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
-Channel = tuple[Literal["disturbance", "noise", "input"], int]
+Channel = tuple[Literal["disturbance", "noise", "start", "input"], int]
 Form = tuple[Literal["output", "state", "input", "estimate", "coupling"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One ellipsoid: what d = 1 at most can make of some signals of z' = M z + g d from z = 0, M ∈ conv{M_p}.
+    """One ellipsoid: what d = 1 at most, or a start, can make of some signals of z' = M z + g d, M ∈ conv{M_p}.
 
     Attributes:
         loop: "joint": z = (e, Δ) with M_ij as above, for all pairs of cells i, j. "controller": z = e, A_i + B K.
             "observer": z = Δ, A_j + L C.
         channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
-            (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k.
+            (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k; ("start", k): z(0) = ε_k of (e, Δ) and no
+            d; of a sinusoidal load all starts |v| ≤ 1 in its two entries, of which k is the first.
         signals: The rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of
             which a single loop has its half; ("estimate", k): Δ; ("coupling", k), for the observer's loop only: what
             of Δ drives e_k, where loads are estimated.
@@ -80,19 +87,28 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What one channel can do to each signal, per sup |d|: of the disturbance of a state equation, or of a sensor.
+    """What one channel can do to each signal, per sup |d|, or per 1 of an entry of the start.
 
     Attributes:
-        channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output.
+        channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output,
+            ("start", k) for the k-th entry of (x − x_d, x̂ − x, ŝ − s) at the start, s the states of loads.
         sizes: ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
             tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
+        peaks: Where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound.
     """
 
     channel: Channel
     sizes: dict[Form, float]
     parts: tuple[Part, ...]
+    peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def certified(self) -> dict[Form, float]:
+        """What the ellipsoids alone prove: a peak gain may be smaller."""
+        by_peak = {form: part.size(form) for part in self.parts for form in part.signals if form in self.peaks}
+        return self.sizes | by_peak
 
 
 def signal_bounds(
@@ -124,6 +140,29 @@ def signal_bounds(
     return tuple(loops.bounds(channel) for channel in channels)
 
 
+def start_bounds(
+    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
+) -> tuple[Bounds, ...]:
+    """Bound every signal at all times for 1 of each entry of the start by itself, each proved exactly.
+
+    Args: as for `signal_bounds`.
+
+    Returns:
+        One for each entry of x − x_d, then of x̂ − x, then for the estimate of each load: a load that steps by 1 is an
+        estimate that is off by 1.
+
+    Example: the first mass of the paper's example starts 1 m off.
+
+        >>> from pwatrack import design, load_spec
+        >>> first = design(load_spec("specs/two_mass_backlash.yaml")).starts[0]
+        >>> first.channel, 1.0 < first.sizes["output", 0] < 1.1
+        (('start', 0), True)
+    """
+    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    loops = Loops(plant, K, L, proofs, X, output=output)
+    return tuple(loops.bounds(("start", group[0])) for group in loops.starts)
+
+
 Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
 
 
@@ -151,8 +190,9 @@ class Loops:
         acting: list[Form] = [("coupling", k) for k, row in enumerate(rows) if row.radius or any(row.centre.entries())]
         self.drivers = acting if plant.loads else self.inputs
         self.driven_as: Literal["disturbance", "input"] = "disturbance" if plant.loads else "input"
-        loads = () if plant.loads is None else plant.loads.where
-        self.estimates: list[Form] = [("estimate", k) for k in (*range(n), *(n + k for k in loads))]
+        loads = () if plant.loads is None else plant.loads.groups
+        self.estimates: list[Form] = [("estimate", k) for k in (*range(n), *(n + group[0] for group in loads))]
+        self.starts = [(k,) for k in range(2 * n)] + [tuple(2 * n + k for k in group) for group in loads]
         quadratic = [
             proof for proof in proofs if isinstance(proof, Proof)
         ]  # where (8) or (9) has none, no ellipsoid is
@@ -177,7 +217,21 @@ class Loops:
         if not found[0]:
             found = self.in_two_steps(channel)
         estimates = self.sizes("observer", channel, self.estimates)
-        return Bounds(channel=channel, sizes=found[0] | estimates[0], parts=found[1] + estimates[1])
+        certified, parts, peaks = found[0] | estimates[0], found[1] + estimates[1], self.peaks(channel)
+        peaks = {form: gain for form, gain in peaks.items() if form in certified}
+        sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in certified.items()}
+        return Bounds(channel=channel, sizes=sizes, parts=parts, peaks=peaks)
+
+    def peaks(self, channel: Channel) -> dict[Form, tuple[float, float]]:
+        """Return the peak gains of a disturbance or noise where there is one matrix, each between two bounds."""
+        found = dict[Form, tuple[float, float]]()
+        signals: dict[Loop, list[Form]] = {"joint": self.tracked + self.inputs, "observer": self.estimates}
+        for loop, forms in signals.items():
+            M, g = self.M.get(loop, []), self.drive(loop, channel)
+            if len(M) == 1 and channel[0] != "start" and (g.radius is not None or any(g.centre.entries())):
+                gains = peak_gains(M[0], g, reduce(above, (self.row(loop, form) for form in forms)))
+                found |= dict(zip(forms, gains or (), strict=gains is not None))
+        return found
 
     def in_two_steps(self, channel: Channel) -> Sized:
         """Bound K Δ and what drives e, then e driven by d and by that: K (e + Δ) is at most K e and K Δ together."""
@@ -206,18 +260,27 @@ class Loops:
         if not self.inners[loop]:
             return {}, ()
         rows = reduce(above, (self.row(loop, signal) for signal in signals))
-        tries = 3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2
-        found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
+        if channel[0] == "start":
+            found = from_start(self.M[loop], g, rows, self.inners[loop])
+        else:
+            tries = 3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2
+            found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
         if found is None:
             return {}, ()
         part = Part(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)
         return dict(zip(signals, found.sizes, strict=True)), (part,)
 
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
-        """Return g, (N, 1)."""
+        """Return g, (N, 1); of a start G, with a column for each entry that is 1 together with others."""
         kind, k = channel
         nothing = BallMatrix.of(np.zeros((self.N, 1)))
-        if kind == "disturbance":
+        if kind == "start":
+            entries = next(group for group in self.starts if k == group[0])
+            both = BallMatrix(identity(self.n + self.N)).part(range(self.n + self.N), entries)
+            e, delta = (
+                both.part(rows, range(len(entries))) for rows in (range(self.n), range(self.n, self.n + self.N))
+            )
+        elif kind == "disturbance":
             unit = _column(BallMatrix(identity(self.N)), k)
             e, delta = unit.part(range(self.n), [0]), nothing - unit
         elif kind == "noise":

@@ -62,18 +62,18 @@ class Robust:
         """Errors go to their bound at least as fast as e^(−rate t), in 1/s."""
         return min(part.ellipsoid.a for bounds in self.bounds for part in bounds.parts) / 2
 
-    def deviation(self, x_d: Array, u_ff: Array) -> Array:
-        """Return the largest size of each entry of w along samples of x_d (K, n) and u_ff (K, m), over the box.
+    def deviations(self, x_d: Array, u_ff: Array) -> Array:
+        """Return the largest size of each entry of w at samples of x_d (K, n) and u_ff (K, m), over the box, (K, n).
 
         w is affine in the matrices, so it is largest at a corner.
         """
-        plant, largest = self.plant, np.zeros(x_d.shape[1])
+        plant, largest = self.plant, np.zeros(x_d.shape)
         sides = np.sign(x_d @ plant.partition.H.T + plant.partition.h)
         for i, signs in enumerate(plant.partition.signs):
             here = (sides * signs >= 0).all(axis=1)
             for A, b, B in self._differences:
                 w = x_d[here] @ A[i].T + b[i] + u_ff[here] @ B.T
-                largest = np.maximum(largest, np.abs(w).max(axis=0, initial=0.0))
+                largest[here] = np.maximum(largest[here], np.abs(w))
         return largest
 
     def reached(self, deviation: Array) -> dict[Form, float]:

@@ -1,4 +1,4 @@
-"""What a bounded scalar can do to a switched system: an ellipsoid that it cannot leave, proved exactly.
+"""What a bounded scalar, or a start, can do to a switched system: an ellipsoid that it cannot leave, proved exactly.
 
 Let z' = M(t) z + g d with M(t) in the convex hull of the M_p, and Q ≻ 0, a > 0 with
 
@@ -10,6 +10,12 @@ It is affine in M_p, so it holds for M(t). With V = zᵀ Q⁻¹ z, q = Q⁻¹ z 
 
 so from z = 0 always V ≤ sup d², and |c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear
 Matrix Inequalities in System and Control Theory, 1994, section 6.1.3).
+
+Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
+
+    M_p Q + Q M_pᵀ + a Q ≺ 0   for every p,   Q ≻ G Gᵀ:
+
+V ≤ 1 at the start, V' ≤ −a V, and |c z(t)| ≤ √(c Q cᵀ) e^(−a t / 2) at all times.
 """
 
 from collections.abc import Sequence
@@ -23,7 +29,7 @@ from scipy.linalg import solve_triangular
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import BITS, unpacked, unsure
-from pwatrack.lmi.inequality import weighted
+from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
 from pwatrack.lmi.solve import solve
@@ -33,6 +39,7 @@ _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it sta
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _NEAR = 0.01  # what the cost may be off: Q is that far inside
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
+_LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 
 
@@ -40,12 +47,12 @@ _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, unt
 class Ellipsoid:
     """Q ≻ 0 and −(M_p Q + Q M_pᵀ) − a Q − g gᵀ / a ≻ 0 for every p, proved exactly; and c Q cᵀ ≤ size² for rows c.
 
-    Where M_p, g or c have irrational entries, for everything in their balls.
+    Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls.
 
     Attributes:
         integers, exponents: Q_jk = integers_jk · 2^(exponents_j + exponents_k).
         a: In 1/s, a short decimal.
-        sizes: One for each c, rounded up: |c z| ≤ size · sup |d| from z = 0.
+        sizes: One for each c, rounded up: |c z| ≤ size · sup |d| from z = 0, or at all times from a start.
     """
 
     integers: tuple[tuple[int, ...], ...]
@@ -106,6 +113,41 @@ def ellipsoid(
     return None if best is None else _proved(M, g, forms, *best)
 
 
+def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]) -> Ellipsoid | None:
+    """Return an ellipsoid that holds all starts G v, |v| ≤ 1, and in which all of c z are small at once.
+
+    Args:
+        M, forms, inners: As for `ellipsoid`.
+        G: (N, k), exact, not 0.
+
+    Example: from z = 3 on, |z| ≤ 3 for z' = −2 z.
+
+        >>> M, G, c = (BallMatrix.of([[v]]) for v in (-2, 3, 1))
+        >>> found = from_start([M], G, c, [Inner(Q=np.eye(1), most=3.9)])
+        >>> 3.0 < found.sizes[0] < 3.1
+        True
+    """
+    matrices, start, rows = np.array([M_p.floats for M_p in M]), G.floats, forms.floats
+    if not inners or not start.any():
+        return None
+    inner = inners[-1]
+    a = _short(_LASTING * inner.most)
+    try:
+        V = np.linalg.cholesky(inner.Q)
+    except np.linalg.LinAlgError:
+        return None
+    inside = np.linalg.solve(V, matrices @ V) / a
+    within = solve_triangular(V, start, lower=True)
+    size = float(np.linalg.norm(within, 2)) ** 2
+    seen = rows @ V
+    squares = (seen**2).sum(axis=1)
+    W = (seen.T / np.maximum(squares, _FLAT * squares.max(initial=1e-300))) @ seen
+    W = W / max(float(np.trace(W)), 1e-300) + 1e-9 * np.eye(len(V)) / len(V)
+    found = solve(least_sizes(lyapunov(inside, 0.5), W, above=within @ within.T / size), gap=_NEAR)
+    far = 2 * size * inner.Q
+    return _proved(M, G, forms, far if found is None else size * V @ found.P @ V.T, far, a, start=True)
+
+
 def _next(steps: Sequence[tuple[float, float]]) -> float:
     """Return the next σ = log(a / (most − a)), of (σ, d log cost / dσ) so far: Newton's step, then a secant.
 
@@ -159,17 +201,19 @@ def _smallest(
 
 
 def _proved(
-    M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, Q: Array, far: Array, a: float
+    M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, Q: Array, far: Array, a: float, *, start: bool = False
 ) -> Ellipsoid | None:
-    """Round Q to short numbers and prove the inequality, or return None."""
+    """Round Q to short numbers and prove the inequality, for what g drives or for a `start` g; or return None."""
     for share in _SHARES:
         mixed = (1 - share) * Q + share * far
         if not np.isfinite(mixed).all():
             continue
         integers, exponents = rounded(mixed)
         exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
-        rest = scalar(a) * exact + square_above(g, [1 / Fraction(repr(a))], unit)
-        if is_positive_definite(exact) and all(is_positive_definite(-change(X, exact, unit) - rest) for X in M):
+        weight = Fraction(1) if start else 1 / Fraction(repr(a))
+        square = square_above(g, [weight] * g.shape[1], unit)
+        inside, rest = (exact - square, scalar(a) * exact) if start else (exact, scalar(a) * exact + square)
+        if is_positive_definite(inside) and all(is_positive_definite(-change(X, exact, unit) - rest) for X in M):
             sizes = tuple(root_above(square) for square in squares(forms, exact))
             return Ellipsoid(integers=integers, exponents=exponents, a=a, sizes=sizes)
     return None

@@ -254,14 +254,16 @@ def least_trace(inequality: Inequality) -> Program:
     return Program(constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))), price=0.0)
 
 
-def least_sizes(inequality: Inequality, W: Array) -> Program:
-    """Minimise tr W P subject to F_i(P) ⪯ 0 for all cells; F_i must make P ≻ 0.
+def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> Program:
+    """Minimise tr W P subject to F_i(P) ⪯ 0 for all cells and P ⪰ D; without D, F_i must make P ≻ 0.
 
     Args:
-        inequality: From `weighted`, with stable matrices.
+        inequality: From `weighted` or `lyapunov`, with stable matrices.
         W: (n, n), positive semidefinite.
+        above: D (n, n), positive semidefinite.
     """
-    return Program(constraints=(inequality,), price=0.0, cost=W)
+    more = () if above is None else (of_P(inequality, -1.0, np.eye(inequality.n), constant=above),)
+    return Program(constraints=(inequality, *more), price=0.0, cost=W)
 
 
 def least_cost(inequality: Inequality, weight: Array) -> Program:

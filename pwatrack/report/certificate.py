@@ -34,7 +34,8 @@ CLAIM = (
     "m of degree d of z = T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - "
     "2 d rate P - N_i > 0 for every different M_i, and m^T N_i m = 0 for all z. X bounds a cost: X > 0 and X "
     "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
-    "equation or one measured output, can make of each signal. Under uncertain: for every plant whose A, b and B are "
+    "equation or one measured output, can make of each signal; of a start, what 1 in that entry of (x - x_d, x_hat - "
+    "x), the states of loads last, can. Under uncertain: for every plant whose A, b and B are "
     "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
     "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
     "without a bound are 0. Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d "
@@ -51,7 +52,7 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     for of, X in controller.costs.items():
         goal = getattr(spec.objectives, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
-    bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
+    bounds = [_bounds(bounds) for bounds in (*controller.bounds, *controller.starts) if bounds.sizes]
     uncertain = None if controller.robust is None else _uncertain(spec, controller.robust)
     content = _content(spec, controller.design.K, controller.design.L, proofs)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
@@ -247,7 +248,7 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
         }
         for part in bounds.parts
     ]
-    return {"channel": list(bounds.channel), "signals": _sizes(bounds.sizes.items()), "parts": parts}
+    return {"channel": list(bounds.channel), "signals": _sizes(bounds.certified.items()), "parts": parts}
 
 
 def _limit(promise: Promise) -> dict[str, Any]:

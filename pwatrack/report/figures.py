@@ -1,7 +1,7 @@
 """What is said of a design, a run or an ensemble in figures: the same in run.json, at the terminal and in pictures."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.control.bounds import Bounds, Channel, Form
+from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.model.loads import Load
 from pwatrack.model.sizes import Sizes
@@ -110,24 +110,6 @@ def gain_figures(controller: Controller) -> dict[str, float]:
     }
 
 
-def bound_content(spec: Spec, controller: Controller) -> list[dict[str, Any]]:
-    """Return what run.json says of each disturbance and each sensor's noise: the bound of every signal per 1 of it."""
-    return bounds_content(spec, controller.bounds)
-
-
-def bounds_content(spec: Spec, found: Sequence[Bounds]) -> list[dict[str, Any]]:
-    """Return the bounds of every signal per 1 of what acts, for run.json."""
-    content = []
-    for bounds in found:
-        on, unit = channel_text(spec, bounds.channel)
-        signals = {}
-        for signal, size in bounds.sizes.items():
-            name, of = signal_text(spec, signal)
-            signals[name] = {"bound": size, "unit": of}
-        content.append({"kind": bounds.channel[0], "on": on, "per": f"1 {unit}".rstrip(), "signals": signals})
-    return content
-
-
 def load_kind(load: Load) -> str:
     """Return what is known of an unknown load."""
     return f"{number_text(float(load.frequency), 'g')} rad/s" if load.frequency.centre else "constant"
@@ -145,23 +127,6 @@ def load_content(result: Result) -> dict[str, dict[str, Any]]:
         }
         for k, load in enumerate(() if loads is None else loads.each)
     }
-
-
-def declared(spec: Spec, channel: Channel) -> bool:
-    """Whether the simulation has this disturbance or noise."""
-    kind, k = channel
-    disturbance, noise = spec.scenario.conditions.disturbance, spec.scenario.conditions.noise
-    if kind == "noise":
-        return noise is not None and bool(noise.std[k])
-    return disturbance is not None and bool(disturbance.Q[k].any())
-
-
-def channel_text(spec: Spec, channel: Channel) -> tuple[str, str]:
-    """Return where a disturbance or noise enters, and its unit: on dv/dt it is that of v per second."""
-    kind, k = channel
-    name = spec.problem.plant.outputs[k] if kind == "noise" else spec.problem.plant.states[k]
-    unit = spec.problem.units.get(name, "")
-    return (f"measured {name}", unit) if kind == "noise" else (f"d{name}/dt", per_second(unit))
 
 
 def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
@@ -192,13 +157,6 @@ def size_texts(sizes: Sizes, most: int) -> list[str]:
     origins = dict.fromkeys(sizes.origins[name] for name in shown)
     groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
     return [*said, f"{'; '.join(groups)}; speed {sizes.speed:.4g} 1/s"]
-
-
-def limit_texts(spec: Spec, sizes: Iterable[tuple[Form, float]]) -> Iterator[str]:
-    """Yield the bounds of signals in words, rounded up."""
-    for signal, size in sizes:
-        name, unit = signal_text(spec, signal)
-        yield f"{sized(name)} ≤ {up(size)} {unit}".rstrip()
 
 
 def sized(name: str) -> str:

@@ -18,9 +18,9 @@ from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.how_far import HowFar
 from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import (
-    bound_content,
     ensemble_measures,
     figure_content,
     gain_figures,
@@ -58,7 +58,7 @@ def write_design(
     broken: PwatrackError | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write gains.json, certificate.json, generator.json and run.json, and for fronts pareto.csv and pareto.png.
+    """Write gains, certificate, bounds, generator and run.json, and for fronts pareto.csv and pareto.png.
 
     Args:
         spec: What was asked.
@@ -83,7 +83,6 @@ def write_design(
             "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller.form)],
         }
         index |= _requirements(required(spec, controller))
-        index["bounds"] = bound_content(spec, controller)
         index |= limit_content(spec, controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
@@ -139,7 +138,6 @@ def _result_content(result: Result) -> dict[str, Any]:
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
-        "bounds": bound_content(result.spec, result.controller),
         **limit_content(result.spec, result.controller),
     }
     if (robust := result.controller.robust) is not None:
@@ -149,7 +147,8 @@ def _result_content(result: Result) -> dict[str, Any]:
 
 
 def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:
-    from pwatrack.report.plots import draw, fan
+    from pwatrack.report.plots.pictures import draw
+    from pwatrack.report.plots.spread import fan
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
@@ -171,6 +170,7 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
     run.json("certificate.json", design_certificate(spec, controller))
+    run.json(BOUNDS, bound_content(spec, controller))
     if generator is not None:
         run.json("generator.json", generator_content(generator.form, generator.shift))
 
@@ -237,7 +237,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
-    from pwatrack.report.plots import pareto_fronts
+    from pwatrack.report.plots.spread import pareto_fronts
 
     with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)

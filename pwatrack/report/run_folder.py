@@ -29,7 +29,7 @@ INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
 _FORMAT = "pwatrack run 1"
 _NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
-    r"(tracking_error|observer_error|outputs|input|cells|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
+    r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
     r"portrait_[1-9]\d*\.png"
 )
 _PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index

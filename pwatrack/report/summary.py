@@ -16,13 +16,11 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.largest_box import LargestBox
+from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import (
-    channel_text,
-    declared,
     down,
     ensemble_measures,
     error_unit,
-    limit_texts,
     load_content,
     load_kind,
     measures,
@@ -42,7 +40,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 
-_CHANNELS, _SIGNALS = 6, 6  # that are printed of all disturbances and of all that each does
+_SIGNALS = 6  # that are printed of all that are tracked
 
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
@@ -98,7 +96,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     _promise_rows(table, controller)
     for k, text in enumerate(limit_rows(spec, controller)):
         table.add_row("" if k else "limits", text)
-    _bound_rows(table, spec, controller)
+    for k, text in enumerate(bound_rows(spec, controller)):
+        table.add_row("" if k else "bounds", text)
     for k, text in enumerate(box_rows(spec, controller)):
         table.add_row("" if k else "uncertain", text)
 
@@ -156,7 +155,8 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
         else:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
-    table.add_row("Theorem 3", "all solutions track y_d with error going to 0")
+    desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
+    table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0")
 
 
 def _rate(proved: Sequence[Contraction]) -> str:
@@ -169,7 +169,8 @@ def _rate(proved: Sequence[Contraction]) -> str:
 def _promise_rows(table: Table, controller: Controller) -> None:
     """Say how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
-    error = "y − y_d and x − x_d go" if controller.generator is not None else "x − x_d goes"
+    errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
+    error = f"{errors} and x − x_d go" if controller.generator is not None else "x − x_d goes"
     text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))
@@ -184,23 +185,6 @@ def _promise_rows(table: Table, controller: Controller) -> None:
         f"at least as fast as e^(−{down(rate)} t) with K and L changed in every entry by less than "
         f"{down(100 * of_K)} % and {down(100 * of_L)} % of it, the plant as designed",
     )
-
-
-def _bound_rows(table: Table, spec: Spec, controller: Controller) -> None:
-    """Say what disturbances and noise can do to what is tracked and to the inputs; declared ones come first."""
-    found = sorted(controller.bounds, key=lambda bounds: not declared(spec, bounds.channel))
-    table.add_row(
-        "disturbances",
-        "in the loop as designed, each below the size named: the errors that are left in the end, in proportion to it; "
-        "what acts together adds up; from error 0 they hold at all times",
-    )
-    for bounds in found[:_CHANNELS]:
-        on, unit = channel_text(spec, bounds.channel)
-        sizes = [(signal, size) for signal, size in bounds.sizes.items() if signal[0] != "estimate"][:_SIGNALS]
-        said = ", ".join(limit_texts(spec, sizes))
-        table.add_row("", f"{f'1 {unit}'.rstrip()} on {on}: {said or 'no bound proved'}")
-    if len(found) > _CHANNELS:
-        table.add_row("", f"{len(found) - _CHANNELS} more in run.json")
 
 
 def _missed_rows(table: Table, checked: Sequence[Checked]) -> None:
@@ -273,7 +257,7 @@ def _repair_rows(table: Table, result: Result) -> None:
         return
     response, bounds = result.response, result.controller.bounds
     acting = repair.disturbance(np.abs(response.x).max(axis=0), np.abs(response.u).max(axis=0))
-    on = [(k, *channel_text(spec, ("disturbance", k))) for k in np.flatnonzero(acting).tolist()]
+    on = [(k, *cause(spec, ("disturbance", k))[1:]) for k in np.flatnonzero(acting).tolist()]
     table.add_row(
         "repair",
         "with states and inputs no larger than here, the plant as it was given differs by at most "

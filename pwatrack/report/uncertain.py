@@ -5,21 +5,21 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.bands import covered
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
 from pwatrack.largest_box import LargestBox
-from pwatrack.report.figures import bounds_content, channel_text, down, limit_texts, signal_text, sized, up
+from pwatrack.report.bounds import cause, limit_texts
+from pwatrack.report.figures import down, signal_text, sized, up
 from pwatrack.result import Result
-from pwatrack.spec.box import inside
 from pwatrack.spec.spec import Spec
 
 
 def robust_content(spec: Spec, robust: Robust) -> dict[str, Any]:
-    """Return what run.json says of uncertain parameters: their intervals, and the bounds per 1 of each entry of w."""
+    """Return what run.json says of uncertain parameters: their intervals; bounds.json has those of signals."""
     box = {interval.name: [float(interval.low), float(interval.high)] for interval in spec.objectives.uncertain}
-    found = {"inequalities": robust.count, "rate": robust.rate, "bounds": bounds_content(spec, robust.bounds)}
-    return {"parameters": box, **found}
+    return {"parameters": box, "inequalities": robust.count, "rate": robust.rate}
 
 
 def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
@@ -32,7 +32,7 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
     seen, largest = dict[Form, float](), np.zeros(len(result.controller.plant.B))
     late = 0.9 * result.end
     for block in result.blocks():
-        largest = np.maximum(largest, robust.deviation(block.x_d, block.u_ff))
+        largest = np.maximum(largest, robust.deviations(block.x_d, block.u_ff).max(axis=0))
         last, errors = block.t >= late, {"output": block.tracking_error, "state": block.x - block.x_d}
         errors["input"] = block.u - block.u_ff
         for kind, k in robust.bounds[0].sizes:
@@ -55,13 +55,6 @@ def largest_text(largest: LargestBox) -> str:
     return f"proved for the box scaled by {largest.factor:g}: {box}{end}"
 
 
-def covered(result: Result) -> bool:
-    """Say whether the plant of a run is one of those that are proved, and nothing else differs from the theorems."""
-    conditions, box = result.loop.conditions, result.spec.objectives.uncertain
-    others = {name: value for name, value in vars(conditions).items() if name not in ("plant", "parameters")}
-    return bool(box) and all(v is None for v in others.values()) and inside(box, conditions.parameters or {})
-
-
 def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     """Yield what is proved for all of a box."""
     robust = controller.robust
@@ -75,8 +68,8 @@ def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     )
     yield "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end adds up"
     for bounds in robust.bounds:
-        on, unit = channel_text(spec, bounds.channel)
-        yield f"{f'1 {unit}'.rstrip()} of w in {on}: {', '.join(limit_texts(spec, bounds.sizes.items()))}"
+        _, on, unit = cause(spec, bounds.channel, uncertain=True)
+        yield f"{', '.join(limit_texts(spec, bounds.sizes.items()))} per {unit or '1'} of {on}"
 
 
 def run_rows(result: Result) -> Iterator[str]:
@@ -88,7 +81,7 @@ def run_rows(result: Result) -> Iterator[str]:
     units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
     while_small = "in the end, as long as w is no larger than along this x_d"
-    if covered(result):
+    if covered(result.spec.objectives.uncertain, result.loop.conditions):
         texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}" for name, unit, f in shown]
         yield f"the plant of this run is one of them; {while_small}, and in the last tenth here: {'; '.join(texts)}"
     else:

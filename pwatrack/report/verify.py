@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control.bounds import Loops
+from pwatrack.control.compensation import compensation
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
@@ -16,6 +19,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
 from pwatrack.model.normal_form import normal_form
+from pwatrack.report.bounds import BOUNDS
 from pwatrack.report.certificate import CLAIM, corner_content, decimals, generator_content, subject_content
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.sizing import spec_sizes
@@ -169,6 +173,11 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
             A_eta, B_eta, _ = tracking_dynamics(form)
             same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, :-1]))
         yield "generator.json", "" if same else "generator.json is not that of this plant"
+    if (bounds := _json(folder / BOUNDS)) is not None:
+        gains = [list(signal["peak_gain"]) for signal in _signals(bounds) if "peak_gain" in signal]
+        same = _bounded(bounds, content) and (spec is None or gains == _peaks(content, spec))
+        if spec is not None or not gains or not same:  # a peak gain is not in the certificate
+            yield BOUNDS, "" if same else f"a bound in {BOUNDS} is not the one that was proved"
     if index is not None:
         figures, proved = index.get("figures", {}), dict[str, list[float]]()
         for proof in content["proofs"]:
@@ -176,14 +185,6 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
                 proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
         wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
         wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
-        box, told = content.get("uncertain"), index.get("uncertain")
-        for name, entries, proofs in (
-            ("bounds", index.get("bounds", []), content["bounds"]),
-            ("uncertain", told["bounds"] if told else [], box["bounds"] if box else []),
-        ):
-            shown = [signal["bound"] for entry in entries for signal in entry["signals"].values()]
-            bounds = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
-            wrong += [name] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
         wrong += ["limits"] * (not _kept(index.get("limits"), content.get("limits", [])))
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
 
@@ -200,6 +201,47 @@ def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:
         == [float(number(size)) for *_, size in entry_proved["signals"]]
         and all(entry["scale"] * size <= left[name] for name, size in entry["inputs"].items())
         for entry, entry_proved in zip(moved, proved, strict=True)
+    )
+
+
+def _signals(told: Any) -> list[Any]:
+    """Return all bounds of signals in the table of bounds.json."""
+    return [signal for entry in told["table"] for signal in entry["signals"].values()]
+
+
+def _peaks(content: dict[str, Any], spec: Spec) -> list[list[float]]:
+    """Return the peak gains of the gains of a certificate, in the order of the table."""
+    output = spec.problem.tracking == "output"
+    form = normal_form(spec.problem.plant) if output else None
+    plant = spec.problem.plant if form is None else form.plant
+    K, L = (BallMatrix.of([[number(v) for v in row] for row in content[letter]]) for letter in ("K", "L"))
+    loops = Loops(plant, K, L, (), compensation(plant, form, 0).X, output=output)
+    channels = [entry["channel"] for entry in content["bounds"] if entry["channel"][0] != "start"]
+    found = [loops.peaks((kind, k)) for kind, k in channels]
+    return [list(gain) for peaks in found for gain in peaks.values()]
+
+
+def _bounded(told: Any, content: dict[str, Any]) -> bool:
+    """Say whether bounds.json has the bounds of a certificate, and their sum for a start within the sizes."""
+    box, shown = content["uncertain"], _signals(told)
+    proofs = [*content["bounds"], *(box["bounds"] if box else [])]
+    proved = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
+    certified = [signal.get("certified", signal["at_worst"]) for signal in shown]
+    if [float(np.nextafter(size, np.inf)) for size in certified] != proved:
+        return False
+    if any(
+        signal["at_worst"] < min(signal["certified"], signal["peak_gain"][1]) for signal in shown if len(signal) > 3
+    ):
+        return False
+    starts = [entry for entry in told["table"] if entry["kind"] in ("load", "start")]
+    known, within = told["start_within_sizes"]["sizes"], told["start_within_sizes"]["signals"]
+    n = len(content["plant"]["states"])
+    sizes = [*list(known.values())[:n], *known.values()]
+    return all(
+        sum(size * entry["signals"][name]["at_worst"] for size, entry in zip(sizes, starts, strict=True))
+        <= signal["at_worst"]
+        <= 1e300
+        for name, signal in within.items()
     )
 
 

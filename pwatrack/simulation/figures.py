@@ -63,7 +63,7 @@ class Figures:
 
 
 @dataclass
-class _Move:
+class Move:
     """The last move of an output, as far as the run was seen; and when it was where, once all of it was."""
 
     given: float | None  # the band, where one is given
@@ -169,7 +169,7 @@ class Measuring:
     _last_tenth: float = 0.0  # when it began
     _visited: set[Mode] = field(default_factory=set)
     _input: Array = field(default_factory=lambda: np.zeros(1))
-    _moves: list[_Move] = field(default_factory=list)
+    _moves: list[Move] = field(default_factory=list)
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -182,7 +182,7 @@ class Measuring:
         self._input = np.maximum(self._input, np.abs(block.u).max(axis=0))
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
-        self._moves = self._moves or [_Move(self.bands.get(name)) for name in self.outputs]
+        self._moves = self._moves or [Move(self.bands.get(name)) for name in self.outputs]
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)

@@ -1,4 +1,4 @@
-"""What disturbances and noises can do to each signal: ellipsoids that the errors do not leave."""
+"""What disturbances, noises and starts can do to each signal: ellipsoids that the errors do not leave."""
 
 from fractions import Fraction
 from functools import cached_property
@@ -17,7 +17,7 @@ class Loop:
         self.plant, self.K, self.L, self.X = plant, K, L, X
 
     def faults(self, entry: Any) -> list[str]:
-        """Return what is wrong with the bounds of what one disturbance or noise can do to each signal."""
+        """Return what is wrong with the bounds of what one disturbance, noise or start can do to each signal."""
         found: dict[Any, Fraction] = {}
         faults = [] if entry["signals"] else ["it bounds nothing"]
         for proof in entry["parts"]:
@@ -28,6 +28,10 @@ class Loop:
             if not definite(Q) or rate <= 0:
                 raise Fault("Q or a is not positive")
             square, open_ = times(g, flipped(g))
+            if channel[0] == "start":
+                if not definite(added(Q, square, -1)):
+                    faults.append("the start is not in the ellipsoid")
+                square = identity(len(Q), 0)
             for X, R in M:
                 half = product(added(X, identity(len(Q), rate / 2)), Q)
                 left = added(added(half, transposed(half)), [[v / rate for v in row] for row in square])
@@ -92,9 +96,10 @@ class Loop:
         return [pair for _, pair in unlike(pairs)]
 
     def drive(self, loop: str, channel: Any) -> Ball:
-        """Return the column by which a disturbance, a noise or an input enters a loop."""
+        """Return the column by which a disturbance, a noise or an input enters a loop, or those of a start."""
         kind, n = channel[0], len(self.plant.B[0])
         counts = {"disturbance": n, "noise": len(self.plant.C[0]), "input": len(self.plant.B[0][0])}
+        counts["start"] = n + len(self.L)
         k = place(channel[1], counts[kind])
         e: Ball = [[Fraction(int(j == k))] for j in range(n)], []
         Delta: Ball = [[Fraction(-int(j == k))] for j in range(len(self.L))], []
@@ -103,6 +108,10 @@ class Loop:
             e, Delta = ([[Fraction(0)]] * n, []), negative(gain)
             if self.X is not None:
                 e = times(self.X, (gain[0][n:], []))
+        if kind == "start":
+            entries = [k] + [k + 1] * (k + 1 - 2 * n in self.plant.seconds)
+            rows = [[Fraction(int(j == entry)) for entry in entries] for j in range(n + len(self.L))]
+            e, Delta = (rows[:n], []), (rows[n:], [])
         if kind == "input":
             if loop != "controller":
                 raise Fault("an input drives the controller's loop only")

@@ -71,7 +71,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     for entry in content.get("bounds", []):
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
     if content.get("bounds"):
-        said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
+        said.append(f"the bounds of {len(content['bounds'])} disturbances, noises and starts are proved")
     for number_, entry in enumerate(content.get("limits", []), 1):
         faults += [f"starts {number_}: {fault}" for fault in near(loop, entry)]
     if content.get("limits"):

@@ -6,7 +6,7 @@ from typing import Any
 from .balls import Ball, flipped, plus, sides, stacked, times
 from .cells import Cells
 from .matrices import Fault, Matrix, rank, transposed
-from .reading import ball
+from .reading import ball, place
 
 
 class Plant:
@@ -19,6 +19,7 @@ class Plant:
         )
         self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
         self.loads: tuple[Ball, Ball] | None = None
+        self.seconds = set[int]()  # states of loads that are the second of a sinusoid
         self.seen_A, self.seen_C = self.A, self.C
         if content["loads"] is not None:
             self.estimate(content["loads"])
@@ -45,6 +46,7 @@ class Plant:
         below: Ball = [[Fraction(0)] * n for _ in range(p)], []
         beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
         self.loads = E, S
+        self.seconds = set(range(p)) - {place(k, p) for k in content["where"]}
         self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
         self.seen_C = sides(self.C, beside)
 

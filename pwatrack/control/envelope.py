@@ -1,0 +1,89 @@
+"""How large each signal may be over time, from where a run starts and under what acts on it: the proofs of `bounds`.
+
+Every ellipsoid of `bounds` is one for a start too: V = zᵀ Q⁻¹ z has √V ≤ √V(0) e^(−a t / 2) + sup |d|, so each linear
+form c z of a loop is at most √(c Q cᵀ) √V(0) e^(−a t / 2), plus what d does from 0. The least of all of these holds,
+and so does the sum of the bounds for each entry of the start.
+"""
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.control.bounds import Bounds, Channel, Form
+from pwatrack.lmi.exact import unpacked
+from pwatrack.lmi.norm import root_above
+from pwatrack.rational import rational
+
+_ABOVE = 1 + 1e-9  # more than the rounding of the few operations and exponentials of a bound
+
+
+def from_start(
+    found: Sequence[Bounds], starts: Sequence[Bounds], start: Array, t: Array, *, states: int
+) -> dict[Form, Array]:
+    """Return the most that each signal is over time from a start, where nothing else acts.
+
+    Args:
+        found: Bounds whose ellipsoids are looked at.
+        starts: Those of all entries of a start, or none.
+        start: (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,).
+        t: Times in s, (K,).
+        states: n.
+
+    Returns:
+        (K,) for each signal for which something is proved.
+
+    Example: from 0 nothing comes.
+
+        >>> from pwatrack import design, load_spec
+        >>> controller = design(load_spec("specs/two_mass_backlash.yaml"))
+        >>> still = from_start(controller.bounds, controller.starts, np.zeros(8), np.zeros(1), states=4)
+        >>> still["output", 0].tolist()
+        [0.0]
+    """
+    most: dict[Form, Array] = {}
+    first = [bounds.channel[1] for bounds in starts]
+    for signal in {signal for bounds in starts for signal in bounds.sizes}:
+        if all(signal in bounds.sizes for bounds in starts):
+            groups = zip(starts, np.split(start, first[1:]), strict=True)
+            total = sum(bounds.sizes[signal] * float(np.linalg.norm(entries)) for bounds, entries in groups)
+            most[signal] = np.full(len(t), total * _ABOVE)
+    for part in (part for bounds in (*found, *starts) for part in bounds.parts):
+        if part.loop == "controller":
+            continue  # e by itself is driven by Δ
+        size = _norm(
+            part.ellipsoid.integers, part.ellipsoid.exponents, start if part.loop == "joint" else start[states:]
+        )
+        decay = size * np.exp(-part.ellipsoid.a / 2 * t) * _ABOVE
+        for signal, bound in zip(part.signals, part.ellipsoid.sizes, strict=True):
+            if part.loop == "joint" or signal[0] == "estimate":  # the observer's loop has its half of others
+                most[signal] = np.minimum(most.get(signal, np.inf), bound * decay)
+    return most
+
+
+def with_acting(
+    most: Mapping[Form, Array], found: Sequence[Bounds], acting: Mapping[Channel, Array]
+) -> dict[Form, Array]:
+    """Add what disturbances and noises do, as large as each has been so far.
+
+    Args:
+        most: From `from_start`.
+        found: The bounds of what acts.
+        acting: The largest size of each so far, (K,).
+
+    Returns:
+        (K,) for each signal for which all that acts is bounded.
+    """
+    by_channel = {bounds.channel: bounds.sizes for bounds in found}
+    return {
+        signal: values + sum(by_channel[channel][signal] * size * _ABOVE for channel, size in acting.items())
+        for signal, values in most.items()
+        if all(signal in by_channel[channel] for channel in acting)
+    }
+
+
+def _norm(integers: Sequence[Sequence[int]], exponents: Sequence[int], z: Array) -> float:
+    """Return √(zᵀ Q⁻¹ z), rounded up."""
+    column = rational([[Fraction(v)] for v in z.tolist()], (len(z), 1))
+    return root_above((column.transpose() * unpacked(integers, exponents).solve(column))[0, 0])

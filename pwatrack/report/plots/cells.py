@@ -1,0 +1,123 @@
+"""Which cells a run goes through: over time, and in phase portraits."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.model.pwa import linear_form_text
+from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain, span
+from pwatrack.result import Result
+from pwatrack.spec.expression import LinearForm
+
+_MOST_ROWS = 40  # of cells in a picture
+_LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again
+
+
+def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
+    """Draw two linear forms of the plant's state against each other, with the facets and cells that can be seen there.
+
+    A hyperplane is a line in the picture if its normal is a combination of the two forms.
+    """
+    plant, response = result.loop.plant, result.response
+    rows, constants = np.array([form.row for form in forms]), np.array([form.constant for form in forms])
+    names = [linear_form_text(form.row, plant.states) for form in forms]
+    figure, (axes,) = canvas(result, f"Phase portrait: {names[1]} against {names[0]}", [[0]], height=5.6)
+    actual, desired = (x @ rows.T + constants for x in (response.x, response.x_d))
+    last = min(result.controller.trajectory.exosystem.period or response.t[-1] / 2, response.t[-1])
+    steady = response.t >= response.t[-1] - last
+    axes.plot(*actual.T, label="plant", **ACTUAL | {"linewidth": 0.8})
+    axes.plot(*desired[steady].T, label=f"desired, last {last:.4g} s", **DESIRED)
+    axes.plot(*actual[0], "o", color=ACTUAL["color"], markersize=5, label="start")
+    normals = np.linalg.lstsq(rows.T, plant.partition.H.T, rcond=None)[0].T
+    seen = np.abs(normals @ rows - plant.partition.H).max(axis=1, initial=0.0) < 1e-9
+    offsets = plant.partition.h - normals @ constants
+    limits = np.array([axes.get_xlim(), axes.get_ylim()])
+    grid = np.stack(np.meshgrid(*np.linspace(limits[:, 0], limits[:, 1], 200).T), axis=-1)
+    sides = np.sign(grid @ normals.T + offsets)
+    for k in np.flatnonzero(seen):
+        style: dict[str, Any] = {"colors": "0.35", "linewidths": 0.9, "linestyles": ":"}
+        axes.contour(grid[..., 0], grid[..., 1], grid @ normals[k] + offsets[k], levels=[0.0], **style)
+    axes.plot([], [], color="0.35", linewidth=0.9, linestyle=":", label="facets") if seen.any() else None
+    axes.set_ylim(*limits[1])
+    units = [{result.spec.problem.units.get(plant.states[j], "") for j in np.flatnonzero(row)} for row in rows]
+    labels = [
+        f"{name} ({min(unit)})" if len(unit) == 1 and min(unit) else name
+        for name, unit in zip(names, units, strict=True)
+    ]
+    label(axes, labels[0], labels[1], (limits[0, 0], limits[0, 1]))
+    legend(axes, columns=4)
+    figure.draw_without_rendering()  # only now is it known where things are
+    placed: list[Bbox] = []
+    for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True):
+        inside = (sides * signs >= 0).all(axis=-1)
+        if not signs[~seen].any() and inside.any():
+
+            def within(points: Array, signs: IntArray = signs) -> bool:
+                return bool((np.sign(points @ normals.T + offsets) * signs >= 0).all())
+
+            _name_cell(axes, plain(name), grid[inside].mean(axis=0), within, placed)
+    return figure
+
+
+def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], bool], placed: list[Bbox]) -> None:
+    """Write the name of a cell in its middle, along or upright, where it fits into it and on no other name."""
+    box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+    text = axes.text(middle[0], middle[1], name, fontsize=8, ha="center", va="center", bbox=box)
+    for rotation in (0, 90):
+        text.set_rotation(rotation)
+        extent = text.get_window_extent()
+        corners = axes.transData.inverted().transform(extent.corners())
+        shown = all(axes.bbox.contains(*corner) for corner in extent.corners())
+        if shown and within(corners) and not any(extent.overlaps(other) for other in placed):
+            placed.append(extent)
+            return
+    text.remove()
+
+
+def active_cells(result: Result) -> Figure:
+    """Draw which cell plant, observer and generator are in, and at which limit an input is, over time."""
+    trace, parts = result.response.trace, result.loop.flow.parts
+    stays = trace.stays()
+    seen = [{part.cells[mode[k]] for mode, _, _ in stays} for k, part in enumerate(parts)]
+    rows = [
+        _grouped([name for name in dict.fromkeys(part.cells) if name in names], part.cells)
+        for part, names in zip(parts, seen, strict=True)
+    ]
+    figure, panels = canvas(
+        result,
+        f"Active cells: {result.figures.mode_changes} changes",
+        [[k] for k in range(len(parts))],
+        height=1.4 + sum(max(0.9, 0.3 + 0.22 * len(names)) for names in rows),
+        ratios=[max(0.9, 0.3 + 0.22 * len(names)) for names in rows],
+    )
+    for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
+        for row, group in enumerate(names.values()):
+            bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] in group])
+            axes.broken_barh(joined(bars, trace.t[-1] / COLUMNS), (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
+        axes.set_yticks(range(len(names)), [plain(name) for name in names], fontsize=8)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        label(axes, "time t (s)" if k == len(parts) - 1 else "", part.name, span(trace.t))
+    return figure
+
+
+def _grouped(names: Sequence[str], cells: Sequence[str]) -> dict[str, set[str]]:
+    """Return the rows of a picture, each with the cells that it shows: so many that there is room for them."""
+    shown = names if len(names) <= _MOST_ROWS else names[: _MOST_ROWS - 1]
+    rows = {
+        name if len(name) <= _LONGEST else f"{name[:_LONGEST]}… (cell {cells.index(name) + 1})": {name}
+        for name in shown
+    }
+    others = set(names[len(shown) :])
+    return rows | ({f"{len(others):,} other cells": others} if others else {})
+
+
+def joined(bars: Array, dot: float) -> list[tuple[float, float]]:
+    """Return (start, length) of bars (start, end) in order, those joined that are nearer to each other than a dot."""
+    apart = np.flatnonzero(bars[1:, 0] - bars[:-1, 1] > dot)
+    starts, ends = bars[np.append(0, apart + 1), 0], bars[np.append(apart, -1), 1]
+    return list(zip(starts.tolist(), (ends - starts).tolist(), strict=True))

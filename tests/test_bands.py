@@ -1,0 +1,100 @@
+"""What the proofs allow of each signal over time: no run is above it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import Controller, Result, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.control.bounds import Form
+from pwatrack.report.plots.pictures import draw
+
+PUSHED = "  disturbance: {v1: {constant: 0.05, sine: {amplitude: 0.2, frequency: 3}}}\n"
+NOISY = "  noise: {std: {y: 0.01}, sample_time: 0.05}\n"
+
+
+def changed(specs: Path, tmp_path: Path, extra: str, controller: Controller | None = None) -> Result:
+    text = (specs / "two_mass_backlash.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "changed.yaml"
+    path.write_text(text.rstrip() + "\n" + extra, encoding="utf-8")
+    return simulate(load_spec(path), controller)
+
+
+def errors(result: Result) -> dict[Form, Array]:
+    r, found = result.response, dict[Form, Array]()
+    loads = result.controller.plant.loads
+    off = [r.x_hat - r.x] if loads is None else [r.x_hat - r.x, r.estimates - r.loads]
+    where = range(r.x.shape[1]) if loads is None else [*range(r.x.shape[1]), *(r.x.shape[1] + k for k in loads.where)]
+    found |= {("estimate", k): values for k, values in zip(where, np.hstack(off).T, strict=True)}
+    found |= {("output", k): values for k, values in enumerate((r.tracked - r.tracked_d).T)}
+    found |= {("state", k): values for k, values in enumerate((r.x - r.x_d).T)}
+    return found | {("input", k): values for k, values in enumerate((r.u - r.u_ff).T)}
+
+
+def held(result: Result) -> dict[Form, float]:
+    """The largest share of its band that each signal takes."""
+    off, floor = errors(result), 1e-11 * float(np.abs(result.response.x).max())
+    return {form: float((np.abs(off[form]) / (band + floor)).max()) for form, band in result.bands.items()}
+
+
+@pytest.mark.parametrize(
+    "path", ["two_mass_backlash", "gallery/payload_in_wind", "gallery/two_driven_carts", "gallery/robust_positioning"]
+)
+def test_no_signal_of_a_run_leaves_its_band(specs: Path, path: str) -> None:
+    result = simulate(load_spec(specs / f"{path}.yaml"))
+    shares = held(result)
+    assert {"input"} | {"state" if "carts" in path else "output"} <= {kind for kind, _ in shares}
+    assert max(shares.values()) <= 1 + 1e-9
+
+
+@pytest.mark.parametrize("extra", [PUSHED, NOISY, PUSHED + NOISY])
+def test_a_band_counts_what_acts_and_goes_to_the_bound_of_that(specs: Path, tmp_path: Path, extra: str) -> None:
+    result = changed(specs, tmp_path, extra)
+    assert 0.01 < max(held(result).values()) <= 1 + 1e-9
+    sizes = {bounds.channel: bounds.sizes["output", 0] for bounds in result.controller.bounds}
+    most = float(np.abs(0.05 + 0.2 * np.sin(3 * result.response.t)).max()) * sizes["disturbance", 1] * (extra != NOISY)
+    if extra == PUSHED:
+        assert most <= result.bands["output", 0][-1] <= most + 0.1
+    else:
+        assert result.bands["output", 0][-1] > most
+
+
+def test_a_limit_that_no_input_comes_to_changes_no_band_and_one_that_it_comes_to_ends_all(
+    specs: Path, tmp_path: Path
+) -> None:
+    free = changed(specs, tmp_path, "")
+    largest = free.figures.largest_input["u"]
+
+    def limited(share: float) -> dict[Form, Array]:
+        extra = f"  actuator: {{limits: {{u: [{-share * largest!r}, {share * largest!r}]}}}}\n"
+        return changed(specs, tmp_path, extra, free.controller).bands
+
+    assert np.array_equal(free.bands["output", 0], limited(1.01)["output", 0])
+    assert limited(0.99) == {}
+    assert changed(specs, tmp_path, "  controller: {sample_time: 0.001}\n", free.controller).bands == {}
+
+
+def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required(specs: Path, tmp_path: Path) -> None:
+    wishes = "require: {final_error: 0.2, largest_input: 50, settling_time: 50}\n"
+    figures = draw(changed(specs, tmp_path, "  actuator: {limits: {u: [-60, 60]}}\n" + wishes))
+    shown = {
+        name: {text.get_text() for axes in figure.axes if (box := axes.get_legend()) for text in box.get_texts()}
+        for name, figure in figures.items()
+    }
+    assert "proved, whatever the switching" in shown["tracking_error.png"] & shown["observer_error.png"]
+    assert all("required" in shown[name] for name in ("tracking_error.png", "outputs.png", "input.png"))
+    assert "limit" in shown["input.png"]
+    assert shown["states.png"] == {"plant", "desired", "estimate"}
+    panels = [axes.get_title(loc="left") for axes in figures["observer_error.png"].axes]
+    assert panels == ["z1_hat − z1", "v1_hat − v1", "z2_hat − z2", "v2_hat − v2", ""]
+
+
+def test_a_spike_at_the_start_does_not_squash_the_rest_of_an_input(specs: Path) -> None:
+    result = simulate(load_spec(specs / "gallery" / "payload_in_wind.yaml"))
+    whole, start, _ = draw(result)["input.png"].axes
+    late = result.response.u[result.response.t > 1.5]
+    assert float(result.response.u.max()) > 4 * float(late.max())
+    assert whole.get_ylim()[1] < 1.5 * float(late.max())
+    assert start.get_ylim()[1] > float(result.response.u.max())
+    assert whole.get_title(loc="left").startswith("↑ 64.7 N at t = ")
