@@ -145,6 +145,11 @@ def batch(
         float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
     ] = None,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Begin no other once one has failed.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Run only what has changed or is not complete.")] = False,
+    rerun: Annotated[
+        Literal["failed", "all"] | None,
+        typer.Option("--rerun", help="Run also what failed, or all.", show_default="all"),
+    ] = None,
     plots: Plots = "all",
     reports: Annotated[
         list[Path] | None, typer.Option("--report", metavar="FILE", help="Write a report: .xml for JUnit.")
@@ -155,6 +160,8 @@ def batch(
     for name, value in (("--timeout", timeout), ("--memory", memory)):
         if value is not None and isnan(value):
             raise typer.BadParameter("it is no number", param_hint=name)
+    if resume and rerun:
+        raise typer.BadParameter("it says which specs to run, as --resume does", param_hint="--rerun")
     with refusals():
         from pwatrack.batch.command import batch
         from pwatrack.batch.run import Options
@@ -167,6 +174,7 @@ def batch(
             timeout=timeout,
             memory=memory,
             fail_fast=fail_fast,
+            again="changed" if resume else rerun or "all",
         )
         raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
 

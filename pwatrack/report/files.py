@@ -2,12 +2,10 @@
 
 import csv
 import hashlib
-import platform
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +27,7 @@ from pwatrack.report.figures import (
 )
 from pwatrack.report.limits import limit_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
@@ -39,9 +37,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
-from pwatrack.version import __version__
-
-Plots = Literal["all", "failed", "none"]
+from pwatrack.version import versions
 
 _ROWS = 10_000  # that are turned to text at a time
 
@@ -225,7 +221,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
         "spec_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
         "parameters": dict(parameters),
         "seconds": dict(seconds or {}),
-        "versions": _versions(),
+        "versions": versions(),
     }
 
 
@@ -333,11 +329,5 @@ def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
         "exit": int(ExitCode.DONE),
         "solver": spec.objectives.solver,
         "seconds": dict(seconds or {}),
-        "versions": _versions(),
+        "versions": versions(),
     }
-
-
-def _versions() -> dict[str, str]:
-    libraries = ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")
-    own = {"pwatrack": __version__, "python": platform.python_version()}
-    return own | {name: version(name) for name in libraries}

@@ -17,9 +17,8 @@ from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
-from pwatrack.report.files import Plots
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, read_index
+from pwatrack.report.run_folder import REFUSAL, Plots, read_index
 from pwatrack.report.terminal import console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.result import Result
