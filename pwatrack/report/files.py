@@ -149,7 +149,7 @@ def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> No
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
         pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
         for name, figure in pictures.items():
-            figure.savefig(run.place(name), format="png", dpi=150)
+            figure.savefig(run.place(name), format="png", dpi=150, pil_kwargs={"compress_level": 1})
 
 
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
