@@ -152,7 +152,8 @@ def batch(
     ] = None,
     plots: Plots = "all",
     reports: Annotated[
-        list[Path] | None, typer.Option("--report", metavar="FILE", help="Write a report: .xml for JUnit.")
+        list[Path] | None,
+        typer.Option("--report", metavar="FILE", help="Write a report: .xml, .jsonl, .sarif or .html."),
     ] = None,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write a JUnit XML report.")] = None,
 ) -> None:
