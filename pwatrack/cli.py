@@ -18,7 +18,6 @@ app = typer.Typer(
     epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 
 SpecPath = Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML file.", show_default=False)]
@@ -193,6 +192,42 @@ def verify(
 
         for sentence in verify(path, spec):
             typer.echo(sentence)
+
+
+@app.command(epilog="Example: pwatrack init --from backlash drive.yaml")
+def init(
+    path: Annotated[Path, typer.Argument(metavar="[SPEC]", help="The file to write.", show_default=True)] = Path(
+        "spec.yaml"
+    ),
+    kind: Annotated[
+        Literal["output", "state", "backlash", "cells"], typer.Option("--from", help="What to start from.")
+    ] = "output",
+) -> None:
+    """Write a spec to start from, with comments, and the schema that editors complete it with."""
+    with refusals():
+        from pwatrack.starter import write_starter
+
+        for written in write_starter(path, kind):
+            typer.echo(written)
+        typer.echo(f"next: pwatrack simulate {path}")
+
+
+@app.command(epilog="Example: pwatrack schema --out pwatrack.schema.json")
+def schema(
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="stdout")
+    ] = None,
+) -> None:
+    """Print the JSON Schema of a spec: editors complete and check with it."""
+    with refusals():
+        from pwatrack.report.run_folder import written_at_once
+        from pwatrack.spec.json_schema import schema_text
+
+        if out is None:
+            typer.echo(schema_text(), nl=False)
+        else:
+            with written_at_once(out) as temporary:
+                temporary.write_text(schema_text(), encoding="utf-8")
 
 
 def _run(
