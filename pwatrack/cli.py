@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pwatrack.report.terminal import console, refusals
+from pwatrack.report.terminal import STYLE, console, refusals
 from pwatrack.version import __version__
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
+    from pwatrack.report.session import Shown
 
 app = typer.Typer(
     help="Output tracking control of continuous piecewise affine systems, with proofs.",
@@ -33,6 +34,9 @@ Plots = Annotated[
     Literal["all", "failed", "none"],
     typer.Option("--plots", help="Which runs have pictures: all, those that do not end as expected, none."),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
+Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
 
@@ -44,11 +48,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def main(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    style: Annotated[
+        Literal["text", "json", "github"], typer.Option("--format", help="How errors are said, on stderr.")
+    ] = "text",
 ) -> None:
     """Output tracking control of continuous piecewise affine systems, with proofs."""
+    STYLE.set(style)
 
 
 @app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")
@@ -97,9 +103,21 @@ def design(
         Literal["largest"] | None,
         typer.Option("--robust", help="Find how far the box of uncertain parameters can be scaled."),
     ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    as_json: Json = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(spec_path, out, parameters, solver, simulated=False, fronts=pareto, scaled=robust is not None)
+    _run(
+        spec_path,
+        out,
+        parameters,
+        solver,
+        simulated=False,
+        fronts=pareto,
+        scaled=robust is not None,
+        shown=_shown(quiet, verbose, as_json),
+    )
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
@@ -117,12 +135,25 @@ def simulate(
         int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")
     ] = None,
     plots: Plots = "all",
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    as_json: Json = False,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
         raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
     chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, plots=plots, **chosen)
+    _run(
+        spec_path,
+        out,
+        parameters,
+        solver,
+        simulated=True,
+        members=ensemble,
+        plots=plots,
+        shown=_shown(quiet, verbose, as_json),
+        **chosen,
+    )
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")
@@ -228,6 +259,12 @@ def schema(
         else:
             with written_at_once(out) as temporary:
                 temporary.write_text(schema_text(), encoding="utf-8")
+
+
+def _shown(quiet: bool, verbose: bool, as_json: bool) -> "Shown":
+    if quiet + verbose + as_json > 1:
+        raise typer.BadParameter("one of --quiet, --verbose and --json", param_hint="--quiet")
+    return "nothing" if quiet else "more" if verbose else "json" if as_json else "summary"
 
 
 def _run(

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from pwatrack.batch.outcomes import Outcome, counted
+from pwatrack.report.annotation import annotation
 from pwatrack.report.terminal import visible
 
-_PROPERTY = {"%": "%25", "\r": "%0D", "\n": "%0A", ":": "%3A", ",": "%2C"}
 _MOST_ANNOTATIONS = 10  # of a step: GitHub shows no more
 
 
@@ -22,13 +22,13 @@ def annotations(outcomes: Sequence[Outcome]) -> Iterator[str]:
     for outcome in outcomes:
         if not outcome.failed:
             continue
-        file, title = _property(str(outcome.spec)), _property(outcome.verdict)
+        file, title = visible(str(outcome.spec)), visible(outcome.verdict)
         for fault in outcome.faults[:_MOST_ANNOTATIONS]:
-            place = f",line={fault.place.line},col={fault.place.column}" if fault.place else ""
-            text = fault.message + (f"\nhint: {fault.hint}" if fault.hint else "")
-            yield f"::error file={file}{place},title={title}::{_data(text)}"
+            line, column = (fault.place.line, fault.place.column) if fault.place else (None, None)
+            text = visible(fault.message + (f"\nhint: {fault.hint}" if fault.hint else ""))
+            yield annotation(text, title=title, file=file, line=line, column=column)
         if not outcome.faults:
-            yield f"::error file={file},title={title}::{_data('; '.join([outcome.ending, *outcome.missed]))}"
+            yield annotation(visible("; ".join([outcome.ending, *outcome.missed])), title=title, file=file)
 
 
 def add_summary(outcomes: Sequence[Outcome], environment: Mapping[str, str] = os.environ) -> None:
@@ -51,17 +51,3 @@ def _cell(text: str) -> str:
     """Return a text as it may stand in a table of Markdown."""
     plain = visible(text).replace("&", "&amp;").replace("<", "&lt;").replace("\n", " ")
     return "".join(f"\\{c}" if c in "\\|`*_[]" else c for c in plain)
-
-
-def _data(text: str) -> str:
-    plain = visible(text)
-    for character in "%\r\n":
-        plain = plain.replace(character, _PROPERTY[character])
-    return plain
-
-
-def _property(text: str) -> str:
-    plain = visible(text)
-    for character, code in _PROPERTY.items():
-        plain = plain.replace(character, code)
-    return plain

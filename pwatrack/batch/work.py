@@ -22,7 +22,7 @@ def simulate(job: Job) -> Ended:
     (key, files), before = inputs(job), _stamp(job.out)
     with contextlib.redirect_stderr(said):
         try:
-            run(job.spec, job.out, job.parameters, None, simulated=True, plots=job.plots, printed=False)
+            run(job.spec, job.out, job.parameters, None, simulated=True, plots=job.plots, shown="nothing")
         except MemoryError:
             raise
         except Exception as error:
