@@ -74,6 +74,14 @@ promises: $(READY) ## hold what the proofs promise against simulations of 200 ra
 fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz
 
+.PHONY: batch-bench
+batch-bench: $(READY) ## time batches against a process for each spec (ten minutes)
+	@$(BIN)/python -m benchmarks.batch
+
+.PHONY: kills
+kills: $(READY) ## kill a batch at 200 random moments and look for harm (ten minutes)
+	@$(BIN)/python -m benchmarks.kills
+
 .PHONY: sampling
 sampling: $(READY) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sampling 120

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pwatrack.report.terminal import console, refusals
+from pwatrack.report.terminal import STYLE, console, refusals
 from pwatrack.version import __version__
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
+    from pwatrack.report.session import Shown
 
 app = typer.Typer(
     help="Output tracking control of continuous piecewise affine systems, with proofs.",
     epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 
 SpecPath = Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML file.", show_default=False)]
@@ -34,6 +34,9 @@ Plots = Annotated[
     Literal["all", "failed", "none"],
     typer.Option("--plots", help="Which runs have pictures: all, those that do not end as expected, none."),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
+Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
 
@@ -45,11 +48,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def main(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    style: Annotated[
+        Literal["text", "json", "github"], typer.Option("--format", help="How errors are said, on stderr.")
+    ] = "text",
 ) -> None:
     """Output tracking control of continuous piecewise affine systems, with proofs."""
+    STYLE.set(style)
 
 
 @app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")
@@ -98,9 +103,21 @@ def design(
         Literal["largest"] | None,
         typer.Option("--robust", help="Find how far the box of uncertain parameters can be scaled."),
     ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    as_json: Json = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(spec_path, out, parameters, solver, simulated=False, fronts=pareto, scaled=robust is not None)
+    _run(
+        spec_path,
+        out,
+        parameters,
+        solver,
+        simulated=False,
+        fronts=pareto,
+        scaled=robust is not None,
+        shown=_shown(quiet, verbose, as_json),
+    )
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
@@ -118,12 +135,25 @@ def simulate(
         int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")
     ] = None,
     plots: Plots = "all",
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    as_json: Json = False,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
         raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
     chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, plots=plots, **chosen)
+    _run(
+        spec_path,
+        out,
+        parameters,
+        solver,
+        simulated=True,
+        members=ensemble,
+        plots=plots,
+        shown=_shown(quiet, verbose, as_json),
+        **chosen,
+    )
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")
@@ -145,9 +175,15 @@ def batch(
         float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
     ] = None,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Begin no other once one has failed.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Run only what has changed or is not complete.")] = False,
+    rerun: Annotated[
+        Literal["failed", "all"] | None,
+        typer.Option("--rerun", help="Run also what failed, or all.", show_default="all"),
+    ] = None,
     plots: Plots = "all",
     reports: Annotated[
-        list[Path] | None, typer.Option("--report", metavar="FILE", help="Write a report: .xml for JUnit.")
+        list[Path] | None,
+        typer.Option("--report", metavar="FILE", help="Write a report: .xml, .jsonl, .sarif or .html."),
     ] = None,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write a JUnit XML report.")] = None,
 ) -> None:
@@ -155,6 +191,8 @@ def batch(
     for name, value in (("--timeout", timeout), ("--memory", memory)):
         if value is not None and isnan(value):
             raise typer.BadParameter("it is no number", param_hint=name)
+    if resume and rerun:
+        raise typer.BadParameter("it says which specs to run, as --resume does", param_hint="--rerun")
     with refusals():
         from pwatrack.batch.command import batch
         from pwatrack.batch.run import Options
@@ -167,6 +205,7 @@ def batch(
             timeout=timeout,
             memory=memory,
             fail_fast=fail_fast,
+            again="changed" if resume else rerun or "all",
         )
         raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
 
@@ -184,6 +223,48 @@ def verify(
 
         for sentence in verify(path, spec):
             typer.echo(sentence)
+
+
+@app.command(epilog="Example: pwatrack init --from backlash drive.yaml")
+def init(
+    path: Annotated[Path, typer.Argument(metavar="[SPEC]", help="The file to write.", show_default=True)] = Path(
+        "spec.yaml"
+    ),
+    kind: Annotated[
+        Literal["output", "state", "backlash", "cells"], typer.Option("--from", help="What to start from.")
+    ] = "output",
+) -> None:
+    """Write a spec to start from, with comments, and the schema that editors complete it with."""
+    with refusals():
+        from pwatrack.starter import write_starter
+
+        for written in write_starter(path, kind):
+            typer.echo(written)
+        typer.echo(f"next: pwatrack simulate {path}")
+
+
+@app.command(epilog="Example: pwatrack schema --out pwatrack.schema.json")
+def schema(
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="stdout")
+    ] = None,
+) -> None:
+    """Print the JSON Schema of a spec: editors complete and check with it."""
+    with refusals():
+        from pwatrack.report.run_folder import written_at_once
+        from pwatrack.spec.json_schema import schema_text
+
+        if out is None:
+            typer.echo(schema_text(), nl=False)
+        else:
+            with written_at_once(out) as temporary:
+                temporary.write_text(schema_text(), encoding="utf-8")
+
+
+def _shown(quiet: bool, verbose: bool, as_json: bool) -> "Shown":
+    if quiet + verbose + as_json > 1:
+        raise typer.BadParameter("one of --quiet, --verbose and --json", param_hint="--quiet")
+    return "nothing" if quiet else "more" if verbose else "json" if as_json else "summary"
 
 
 def _run(

@@ -1,3 +1,15 @@
 """The version of the program, for the package, the command line and every run."""
 
+import platform
+from functools import cache
+from importlib.metadata import version
+
 __version__ = "0.1.0"
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of the program and of what it computes with."""
+    libraries = ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")
+    own = {"pwatrack": __version__, "python": platform.python_version()}
+    return own | {name: version(name) for name in libraries}

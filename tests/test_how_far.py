@@ -74,7 +74,7 @@ def test_check_refuses_what_design_refuses(tmp_path: Path) -> None:
     commands = ["check", str(path)], ["design", str(path), "--out", str(tmp_path / "run")]
     one, two = (CliRunner().invoke(app, command) for command in commands)
     assert one.exit_code == two.exit_code == 4
-    assert one.stderr.splitlines() == two.stderr.splitlines()[:2]
+    assert two.stderr.startswith(one.stderr)
 
 
 def test_given_gains_that_a_cell_is_unstable_with_are_refused_by_check(specs: Path) -> None:

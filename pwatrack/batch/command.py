@@ -1,12 +1,16 @@
 """A batch as the command line does it: board, table, reports, exit code; reports also of one that is interrupted."""
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pwatrack.batch.board import board
 from pwatrack.batch.find import left_out
+from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.junit import write_junit
+from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.page import write_page
 from pwatrack.batch.run import Options, Work, run_batch
 from pwatrack.batch.table import print_batch, print_left_out
 from pwatrack.batch.work import simulate
@@ -14,7 +18,12 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import console
 
 Writer = Callable[[Sequence[Outcome], Path], None]
-WRITERS: dict[str, Writer] = {".xml": write_junit}
+WRITERS: dict[str, Writer] = {
+    ".xml": write_junit,
+    ".jsonl": write_lines,
+    ".sarif": write_sarif,
+    ".html": write_page,
+}
 
 
 def report_writer(path: Path) -> Writer:
@@ -59,6 +68,13 @@ def _report(outcomes: Sequence[Outcome], writers: Sequence[tuple[Writer, Path]])
     """Print the table and write all reports; what cannot be written is said after the others are."""
     print_batch(outcomes)
     refused: list[InvalidSpec] = []
+    if os.environ.get("GITHUB_ACTIONS") == "true":
+        for command in annotations(outcomes):
+            console().print(command, soft_wrap=True)
+    try:
+        add_summary(outcomes)
+    except OSError as error:
+        refused.append(InvalidSpec(f"cannot write the summary of the job: {error.strerror or error}"))
     for writer, path in writers:
         try:
             writer(outcomes, path)

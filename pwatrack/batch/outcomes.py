@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.work import Ended, Fault
+from pwatrack.batch.job import Ended, Fault
 from pwatrack.errors import ExitCode
 
 _LARGEST = 1e300  # of a figure that is shown

@@ -4,20 +4,20 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from pwatrack.batch.find import find_specs
+from pwatrack.batch.job import Ended, Job
 from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.pool import Lost, Pool
-from pwatrack.batch.work import Ended, Job, simulate
-from pwatrack.report.files import Plots
-from pwatrack.report.run_folder import sweep
-from pwatrack.spec.load import expected_exit
+from pwatrack.batch.record import recall, remember
+from pwatrack.batch.work import simulate
+from pwatrack.report.run_folder import Plots, sweep
 
 Work = Callable[[Job], Ended]
-_PRELOAD = ("pwatrack.batch.warm",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,7 @@ class Options:
         timeout: Seconds after which a spec is given up.
         memory: Megabytes that a spec may take beyond the program itself; None for any.
         fail_fast: Whether none is begun after one has failed.
+        again: Which specs are run that were run before: all, those that failed, or only those that have changed.
     """
 
     pattern: str | None = None
@@ -41,6 +42,7 @@ class Options:
     timeout: float = 600.0
     memory: float | None = None
     fail_fast: bool = False
+    again: Literal["all", "failed", "changed"] = "all"
 
 
 class Watcher:
@@ -59,6 +61,7 @@ def run_batch(
     options: Options | None = None,
     *,
     work: Work = simulate,
+    preload: Sequence[str] = ("pwatrack.batch.warm",),
     watcher: Watcher | None = None,
     ended: list[Outcome] | None = None,
 ) -> list[Outcome]:
@@ -69,6 +72,7 @@ def run_batch(
         out: Each spec gets a run folder in here, under its own path.
         options: How they are run.
         work: What is done with each of them, by the name of a module's function: other processes do it.
+        preload: Modules that they import once, before any work.
         watcher: Is told of every spec as it ends.
         ended: Outcomes are added to it as they come, for whoever wants them after an interruption.
 
@@ -85,21 +89,35 @@ def run_batch(
         for spec, place in places.items()
     ]
     watcher.begins(len(jobs))
-    with _executor(options) as executor:
-        for outcome in _worked_off(jobs, executor, work, options):
-            ended.append(outcome)
-            watcher.ended(outcome)
+    executor = partial(Pool, options.jobs, timeout=options.timeout, memory=options.memory, preload=preload)
+    for outcome in _all(jobs, out, options, work, executor):
+        ended.append(outcome)
+        watcher.ended(outcome)
     order = {job.spec: k for k, job in enumerate(jobs)}
     return sorted(ended, key=lambda outcome: order[outcome.spec])
 
 
-@contextmanager
-def _executor(options: Options) -> Iterator[Executor]:
-    with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=_PRELOAD) as pool:
-        yield pool
+def _all(
+    jobs: Sequence[Job], out: Path, options: Options, work: Work, start_executor: Callable[[], Executor]
+) -> Iterator[Outcome]:
+    """Yield the outcomes of jobs, first of those that need not be run again."""
+    rest = list[Job]()
+    for job in jobs:
+        sweep(job.out)
+        start = time.perf_counter()
+        known = recall(job, out) if options.again != "all" else None
+        seconds = time.perf_counter() - start
+        outcome = Outcome.of(job.spec, job.out, known[0], seconds=seconds, cached=True) if known else None
+        if outcome is None or (outcome.failed and options.again == "failed"):
+            rest.append(job)
+        else:
+            yield outcome
+    if rest:
+        with start_executor() as executor:
+            yield from _worked_off(rest, out, executor, work, options)
 
 
-def _worked_off(jobs: Sequence[Job], executor: Executor, work: Work, options: Options) -> Iterator[Outcome]:
+def _worked_off(jobs: Sequence[Job], out: Path, executor: Executor, work: Work, options: Options) -> Iterator[Outcome]:
     """Yield the outcomes of jobs as they end; no more are handed on than are soon begun: the rest may be skipped."""
     waiting, running = deque(jobs), dict[Future[tuple[Ended, float]], Job]()
     at_once = options.jobs if options.fail_fast else 2 * options.jobs
@@ -108,7 +126,7 @@ def _worked_off(jobs: Sequence[Job], executor: Executor, work: Work, options: Op
             job = waiting.popleft()
             running[executor.submit(_timed, work, job)] = job
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            outcome = _outcome(running.pop(future), future)
+            outcome = _outcome(running.pop(future), out, future)
             yield outcome
             if options.fail_fast and outcome.failed:
                 for job in waiting:
@@ -122,11 +140,14 @@ def _timed(work: Work, job: Job) -> tuple[Ended, float]:
     return ended, time.perf_counter() - start
 
 
-def _outcome(job: Job, future: Future[tuple[Ended, float]]) -> Outcome:
+def _outcome(job: Job, out: Path, future: Future[tuple[Ended, float]]) -> Outcome:
     try:
         ended, seconds = future.result()
+        remember(job, out, ended, seconds)
         return Outcome.of(job.spec, job.out, ended, seconds=seconds)
     except Lost as lost:
+        from pwatrack.spec.load import expected_exit
+
         sweep(job.out)
         return Outcome(
             spec=job.spec,

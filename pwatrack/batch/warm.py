@@ -11,6 +11,7 @@ def _warm() -> None:
 
     import pwatrack.batch.work
     import pwatrack.report.plots.pictures
+    import pwatrack.report.session
     import pwatrack.simulation.kernel  # noqa: F401
 
     warnings.filterwarnings("ignore", category=RuntimeWarning)  # what overflows fails the check of the result

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
+import scipy
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Subject
@@ -155,7 +155,7 @@ def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> 
     value = (floats(rows * found.start + offsets)[:, 0]) / length
     unit = max(float(np.abs(value).max(initial=0.0)), float(np.abs(start).max(initial=0.0)), 1e-300)
     slopes = floats(rows * found.directions) / length[:, None] / size
-    solution: Any = linprog(
+    solution: Any = scipy.optimize.linprog(
         np.append(np.zeros(len(size)), -1.0),
         A_ub=np.column_stack([-slopes, np.ones(len(slopes))]),
         b_ub=value / unit,

@@ -5,8 +5,8 @@ of the cells are solved for. Proofs are about every cell.
 """
 
 import numpy as np
+import scipy
 from scipy.linalg import qr
-from scipy.spatial import ConvexHull, QhullError
 
 from pwatrack.arrays import Array, IntArray
 
@@ -50,8 +50,8 @@ def corners(A: Array) -> IntArray:
         kept, points = kept[chosen], points[chosen]
     if points.shape[1] in _HULLS and len(points) > 2 ** points.shape[1]:
         try:
-            kept = kept[np.sort(ConvexHull(points).vertices)]
-        except QhullError:  # the points are too flat for it
+            kept = kept[np.sort(scipy.spatial.ConvexHull(points).vertices)]
+        except scipy.spatial.QhullError:  # the points are too flat for it
             return kept
     return kept
 

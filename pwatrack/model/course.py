@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import comb, factorial
 
 import numpy as np
-from scipy.interpolate import BSpline, PPoly, make_interp_spline
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import Array
 from pwatrack.model.lowpass import low_passed
@@ -16,7 +16,7 @@ _ROUGH, _ALIKE = 10.0, 0.05
 _FEWEST = 40  # rows: two windows of that filter
 
 
-def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
+def smoothed(corners: "scipy.interpolate.PPoly", width: float, times: int) -> "scipy.interpolate.PPoly":
     """Return a piecewise linear course averaged `times` times over a moving window of width / times.
 
     Every average adds one continuous derivative. A corner at t_j changes the
@@ -50,7 +50,7 @@ def smoothed(corners: PPoly, width: float, times: int) -> PPoly:
             rounded[1] -= beyond
         for row, values in zip(pieces, jump * rounded, strict=False):
             np.add.at(row, piece, values)
-    return PPoly(pieces[::-1], breaks)
+    return scipy.interpolate.PPoly(pieces[::-1], breaks)
 
 
 def _rounded_power(degree: int, start: Array, middle: Array, edges: Array, width: float) -> Array:
@@ -78,7 +78,7 @@ class Profile:
         end: Last time at which it is defined, or None if it stays constant.
     """
 
-    corners: PPoly
+    corners: "scipy.interpolate.PPoly"
     continuous: bool
     smooth: float | None
     end: float | None
@@ -122,10 +122,10 @@ class Table:
         """Last time at which it is defined, in s."""
         return float(self.t[-1])
 
-    def spline(self, r: int) -> BSpline:
+    def spline(self, r: int) -> "scipy.interpolate.BSpline":
         """Return the spline of odd degree ≥ r + 1."""
         degree = max(3, r + 1 + r % 2)
-        return make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
+        return scipy.interpolate.make_interp_spline(self.t, self.y, k=min(degree, len(self.t) - 1))
 
     def roughness(self, r: int) -> "Roughness | None":
         """Return what noise, or corners, of the table make of its derivative of order r; None if nothing to speak of.
@@ -150,10 +150,10 @@ class Table:
     def signal(self, r: int) -> Signal:
         """Return the spline of odd degree ≥ r + 1."""
         spline = self.spline(r)
-        course = PPoly.from_spline((spline.t, spline.c, spline.k))
+        course = scipy.interpolate.PPoly.from_spline((spline.t, spline.c, spline.k))
         inner = np.flatnonzero(np.diff(course.x) > 0)
         return Signal.piecewise_polynomial(
-            PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), float(self.t[-1])
+            scipy.interpolate.PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), float(self.t[-1])
         )
 
 
@@ -177,7 +177,7 @@ class Formula:
 Course = Formula | Profile | Table
 
 
-def polyline(t: Sequence[float], y: Sequence[float]) -> PPoly:
+def polyline(t: Sequence[float], y: Sequence[float]) -> "scipy.interpolate.PPoly":
     """Return the piecewise linear course through (t_k, y_k).
 
     Example:
@@ -185,4 +185,4 @@ def polyline(t: Sequence[float], y: Sequence[float]) -> PPoly:
         1.5
     """
     times, values = np.array(t, dtype=np.float64), np.array(y, dtype=np.float64)
-    return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)
+    return scipy.interpolate.PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)

@@ -1,7 +1,7 @@
 """A filter for measured references: no phase, and what it leaves is as smooth as is wanted."""
 
 import numpy as np
-from scipy.interpolate import BSpline
+import scipy
 
 from pwatrack.arrays import Array
 
@@ -42,7 +42,7 @@ def low_passed(t: Array, y: Array, cutoff: float) -> tuple[Array, Array]:
         raise ValueError(f"a cutoff of {cutoff:g} Hz averages over {width:.3g} s, the table lasts {span:.3g} s")
     long_t, long_y = _extended(t, y, width, gap)
     edges = (np.arange(_BOXES + 1) - _BOXES / 2) * box
-    kernel = BSpline.basis_element(edges)
+    kernel = scipy.interpolate.BSpline.basis_element(edges)
     ramp = kernel.antiderivative(2)
     mass = float(kernel.integrate(edges[0], edges[-1]))
     times = np.linspace(t[0], t[-1], int(np.ceil(2 * span / box)) + 1)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
 
 from pwatrack.arrays import EPS, Array
 
@@ -235,7 +235,7 @@ class Signal:
         return cls((0.0,), (_lift(formula),))
 
     @classmethod
-    def piecewise_polynomial(cls, pieces: PPoly, end: float | None = None) -> "Signal":
+    def piecewise_polynomial(cls, pieces: "scipy.interpolate.PPoly", end: float | None = None) -> "Signal":
         """Return a piecewise polynomial of scipy, from t = 0 on."""
         first = max(0, int(np.searchsorted(pieces.x, 0.0, side="right")) - 1)
         coefficients = pieces.c[::-1, first:].T  # rising powers, one row per piece

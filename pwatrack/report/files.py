@@ -2,12 +2,10 @@
 
 import csv
 import hashlib
-import platform
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +29,7 @@ from pwatrack.report.figures import (
 from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.limits import limit_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
@@ -41,9 +39,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
-from pwatrack.version import __version__
-
-Plots = Literal["all", "failed", "none"]
+from pwatrack.version import versions
 
 _ROWS = 10_000  # that are turned to text at a time
 
@@ -154,7 +150,7 @@ def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> No
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
         pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
         for name, figure in pictures.items():
-            figure.savefig(run.place(name), format="png", dpi=150)
+            figure.savefig(run.place(name), format="png", dpi=150, pil_kwargs={"compress_level": 1})
 
 
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
@@ -232,7 +228,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
         "spec_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
         "parameters": dict(parameters),
         "seconds": dict(seconds or {}),
-        "versions": _versions(),
+        "versions": versions(),
     }
 
 
@@ -340,11 +336,5 @@ def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
         "exit": int(ExitCode.DONE),
         "solver": spec.objectives.solver,
         "seconds": dict(seconds or {}),
-        "versions": _versions(),
+        "versions": versions(),
     }
-
-
-def _versions() -> dict[str, str]:
-    libraries = ("numpy", "scipy", "picos", "clarabel", "cvxopt", "python-flint")
-    own = {"pwatrack": __version__, "python": platform.python_version()}
-    return own | {name: version(name) for name in libraries}

@@ -15,12 +15,14 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
+
+Plots = Literal["all", "failed", "none"]  # which runs have pictures
 
 INDEX = "run.json"  # says how the run ended and names its files; written last
 REFUSAL = "refusal.json"  # the proof of a refusal
@@ -123,7 +125,7 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
         with _alone(path):  # or another run would take the stage for one that nobody owns
             sweep(path)
             stage.mkdir()
-            owner = _locked(stage)
+            owner = _locked(os.open(stage, os.O_RDONLY | os.O_DIRECTORY))
         try:
             yield RunFolder(path, stage)
         finally:
@@ -140,16 +142,24 @@ def written_at_once(path: Path) -> Iterator[Path]:
     Raises:
         InvalidSpec: If it cannot be written.
     """
-    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}")
+    prefix = f".{path.name[:100]}."
+    temporary = path.with_name(prefix + secrets.token_hex(8))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(file for file in path.parent.iterdir() if _is_temporary(file, prefix))
+        owner = _locked(os.open(temporary, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
             yield temporary
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+            os.close(owner)
     except OSError as error:
         raise _unwritable(str(path), error, "choose another path") from None
+
+
+def _is_temporary(file: Path, prefix: str) -> bool:
+    return file.name.startswith(prefix) and bool(re.fullmatch("[0-9a-f]{16}", file.name[len(prefix) :]))
 
 
 def read_index(path: str | Path) -> dict[str, Any] | None:
@@ -196,28 +206,31 @@ def _keep(file: Path) -> None:
 
 def sweep(path: Path) -> None:
     """Remove what runs that were killed left half-written in a folder: nobody holds their lock."""
-    for stage in path.glob(f"{_STAGE}*"):
+    _sweep(path.glob(f"{_STAGE}*"))
+
+
+def _sweep(leftovers: Iterable[Path]) -> None:
+    for leftover in leftovers:
         with suppress(OSError):  # it has gone, or its owner is at work, or nobody can tell
-            owner = os.open(stage, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            owner = os.open(leftover, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
                 fcntl.flock(owner, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(stage)
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
             finally:
                 os.close(owner)
 
 
-def _locked(folder: Path) -> int:
-    """Return a lock on a folder that ends with the process, however that ends; close it to give it back."""
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def _locked(opened: int) -> int:
+    """Lock what is open: the lock ends with the process, however that ends; close it to give it back."""
     with suppress(OSError):  # a file system without locks
-        fcntl.flock(lock, fcntl.LOCK_EX)
-    return lock
+        fcntl.flock(opened, fcntl.LOCK_EX)
+    return opened
 
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Keep other runs from changing a folder for the moment."""
-    lock = _locked(folder)
+    lock = _locked(os.open(folder, os.O_RDONLY | os.O_DIRECTORY))
     try:
         yield
     finally:

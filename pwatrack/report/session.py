@@ -1,10 +1,12 @@
 """One run of one spec as the command line does it: progress, files, summary."""
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from rich.status import Status
 
@@ -19,16 +21,17 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
-from pwatrack.report.files import Plots
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, read_index
+from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
 from pwatrack.report.terminal import console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.result import Result
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult, Over, ensemble
+
+Shown = Literal["summary", "more", "json", "nothing"]
 
 
 def run(
@@ -44,7 +47,7 @@ def run(
     over: Over = "initial",
     seed: int = 1,
     plots: Plots = "all",
-    printed: bool = True,
+    shown: Shown = "summary",
 ) -> None:
     """Design, simulate if asked, write the files, and print what came out.
 
@@ -56,7 +59,7 @@ def run(
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
         members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
-        printed: Whether anything is printed.
+        shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
@@ -80,15 +83,14 @@ def run(
                     found = _fronts(spec, controller) if fronts else []
             checked = required(spec, controller, result, many)
         except PwatrackError as refusal:
-            made.keep(refusal, folder, status, printed=printed)
+            made.keep(refusal, folder, status, printed=shown != "nothing")
             raise
         status.update("Writing the files")
         if result is not None:
             files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots)
         else:
             files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
-    if printed:
-        made.tell(folder, result, many, checked)
+    made.tell(folder, result, many, checked, shown)
     _check(spec, result, many, checked)
 
 
@@ -137,9 +139,17 @@ class _Made:
         self.seconds[step] = round(time.perf_counter() - start, 4)
 
     def tell(
-        self, folder: Path, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]
+        self,
+        folder: Path,
+        result: Result | None,
+        many: EnsembleResult | None,
+        checked: Sequence[Checked],
+        shown: Shown,
     ) -> None:
         """Print what came out."""
+        if shown in ("nothing", "json"):
+            sys.stdout.write("" if shown == "nothing" else (folder / INDEX).read_text(encoding="utf-8"))
+            return
         screen = console()
         assert self.spec is not None
         assert self.controller is not None
@@ -150,6 +160,8 @@ class _Made:
         if many:
             summary.print_ensemble(screen, many)
         summary.print_files(screen, folder)
+        if shown == "more":
+            screen.print(", ".join(f"{step} {seconds:.2f} s" for step, seconds in self.seconds.items()))
 
     def keep(self, refusal: PwatrackError, folder: Path, status: Status, *, printed: bool) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""

@@ -8,14 +8,19 @@ import traceback
 import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from pwatrack.errors import ExitCode, Problem, PwatrackError
+from pwatrack.report.annotation import annotations, as_json, excerpt
+
+Style = Literal["text", "json", "github"]
+STYLE: ContextVar[Style] = ContextVar("how refusals are said", default="text")
 
 _MOST_LINES = 10  # of a refusal
 _MOST_FAULTS = 20  # of a file: its writer wants to see them all
@@ -80,6 +85,10 @@ def told(error: Exception) -> tuple[int, list[str]]:
         (<ExitCode.BUG: 1>, ['error: no proof'])
     """
     if isinstance(error, PwatrackError):
+        if STYLE.get() == "json":
+            return error.code, [as_json(error)]
+        if STYLE.get() == "github":
+            return error.code, annotations(error)
         return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
     where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
     place = f"{Path(where.filename).name}:{where.lineno}"
@@ -116,16 +125,21 @@ def refusal_lines(error: PwatrackError) -> list[str]:
         while len(shown) > 1 and len(_hints_last(shown)) > _MOST_LINES:
             shown = shown[:-1]
     hidden = len(error.problems) - len(shown)
-    return _hints_last(shown) + ([f"error: … and {hidden:,} more; 'check --json' lists them"] if hidden else [])
+    excerpts = error.code is ExitCode.INVALID or len(shown) == 1
+    return _hints_last(shown, excerpts=excerpts) + (
+        [f"error: … and {hidden:,} more; 'check --json' lists them"] if hidden else []
+    )
 
 
-def _hints_last(problems: Sequence[Problem]) -> list[str]:
+def _hints_last(problems: Sequence[Problem], *, excerpts: bool = False) -> list[str]:
     """Return the messages of problems, with each hint once, below the last of those in a row that have it."""
     lines = []
     for k, problem in enumerate(problems):
         message = (problem.short or problem.message).replace("\n", "\\n")  # no text of a file looks like a line of ours
         message = message if len(message) <= _LONGEST else f"{message[:_LONGEST]} …"
         lines.append(f"error: {problem.where}{message}")
+        if excerpts and problem.place:
+            lines += excerpt(problem.place, message)
         if problem.hint and (k + 1 == len(problems) or problems[k + 1].hint != problem.hint):
             lines.append(f"  hint: {problem.hint}")
     return lines

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import PPoly
+import scipy
 
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
@@ -101,7 +101,7 @@ def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
     """Return a step as two constant pieces."""
     _check_rounding(step.smooth, horizon + abs(step.at), subject)
     margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
-    corners = PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
+    corners = scipy.interpolate.PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
     return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
 
 

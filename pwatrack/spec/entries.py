@@ -10,7 +10,19 @@ from math import inf
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, PlainValidator, Tag, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    GetJsonSchemaHandler,
+    PlainValidator,
+    Tag,
+    ValidationInfo,
+    WithJsonSchema,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core.core_schema import CoreSchema
 
 from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
@@ -299,15 +311,32 @@ def _rounding(value: float) -> float:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_number)]
-Exact = Annotated[Real, PlainValidator(_real)]
-ExactPositive = Annotated[Real, PlainValidator(_positive_real)]
+class Or:
+    """What else may stand for an entry in a file, for `pwatrack schema`: one of a list, or a value of another type."""
+
+    def __init__(self, schema: JsonSchemaValue | None = None) -> None:
+        self.schema = schema
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Return the schema of either."""
+        usual = handler(core)
+        return {"anyOf": [usual, self.schema or handler.resolve_ref_schema(usual)["items"]]}
+
+
+_TEXT = {"type": "string"}
+_VALUE = {"type": ["number", "string"]}  # an expression is text
+_PAIR = {"type": "array", "items": _VALUE, "minItems": 2, "maxItems": 2}
+TEXT_OR_VALUE = Or(_VALUE)
+
+Number = Annotated[float, BeforeValidator(_number), WithJsonSchema(_VALUE)]
+Exact = Annotated[Real, PlainValidator(_real), WithJsonSchema(_VALUE)]
+ExactPositive = Annotated[Real, PlainValidator(_positive_real), WithJsonSchema(_VALUE)]
 Positive = Annotated[Number, AfterValidator(_positive)]
 NotNegative = Annotated[Number, AfterValidator(_not_negative)]
 Name = Annotated[str, AfterValidator(_name)]
 Label = Annotated[str, AfterValidator(_label)]
-Whole = Annotated[int, BeforeValidator(_whole)]
-Time = Annotated[ExponentialPolynomial, PlainValidator(_time)]
+Whole = Annotated[int, BeforeValidator(_whole), WithJsonSchema({"type": ["integer", "string"]})]
+Time = Annotated[ExponentialPolynomial, PlainValidator(_time), WithJsonSchema(_VALUE)]
 Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
 Vector = list[Number]
 Rows = list[list[Number]]
@@ -322,20 +351,36 @@ StartOrMeasured = Annotated[
 StartOrSteady = Annotated[
     Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]
-ShareOrInterval = Annotated[Real | tuple[Real, Real], PlainValidator(_share_or_interval)]
+ShareOrInterval = Annotated[
+    Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _PAIR]})
+]
 Interval = Annotated[list[Number], AfterValidator(_interval)]
-PositiveOrLargest = Annotated[float | Literal["largest"], PlainValidator(_positive_or("largest"))]
-PositiveOrSmallest = Annotated[float | Literal["smallest"], PlainValidator(_positive_or("smallest"))]
-PeriodicOrVector = Annotated[list[float], PlainValidator(_start)]
-Limits = Annotated[list[float], PlainValidator(_limits)]
-Scale = Annotated[float | dict[str, float], PlainValidator(_scale)]
+PositiveOrLargest = Annotated[
+    float | Literal["largest"], PlainValidator(_positive_or("largest")), WithJsonSchema(_VALUE)
+]
+PositiveOrSmallest = Annotated[
+    float | Literal["smallest"], PlainValidator(_positive_or("smallest")), WithJsonSchema(_VALUE)
+]
+PeriodicOrVector = Annotated[
+    list[float],
+    PlainValidator(_start),
+    WithJsonSchema({"anyOf": [{"const": "periodic"}, {"type": "array", "items": _VALUE}]}),
+]
+Limits = Annotated[list[float], PlainValidator(_limits), WithJsonSchema(_PAIR)]
+Scale = Annotated[
+    float | dict[str, float],
+    PlainValidator(_scale),
+    WithJsonSchema({"anyOf": [_VALUE, {"type": "object", "additionalProperties": _VALUE}]}),
+]
 Rounding = Annotated[Positive, AfterValidator(_rounding)]
-ExitNumber = Annotated[Whole, Field(ge=0, le=6), AfterValidator(_no_crash)]
-Form = Annotated[LinearForm, PlainValidator(_form)]
+ExitNumber = Annotated[
+    Whole, Field(ge=0, le=6), AfterValidator(_no_crash), WithJsonSchema({"enum": [0, 2, 3, 4, 5, 6]})
+]
+Form = Annotated[LinearForm, PlainValidator(_form), WithJsonSchema(_TEXT)]
 FormPair = Annotated[list[Form], AfterValidator(_pair)]
 Tracked = Annotated[
     Annotated[dict[Name, Form], Field(min_length=1), Tag("by name")] | Annotated[Names, Tag("in order")],
     Discriminator(_start_kind),
 ]
-Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities)]
+Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities), WithJsonSchema(_TEXT)]
 Normal = Annotated[ExactVector, AfterValidator(not_all_zero)]

@@ -4,7 +4,7 @@ import hashlib
 import re
 import stat
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -155,6 +155,33 @@ def expected_exit(path: str | Path) -> int:
         return int(found[1]) if found else 0
     except (KeyError, ValidationError):
         return 0
+
+
+def referenced_files(path: str | Path) -> tuple[Path, ...]:
+    """Return the files that a spec file refers to, whether they exist or not; none where it cannot be read.
+
+    Example:
+        >>> referenced_files("specs/two_mass_backlash.yaml")
+        ()
+    """
+    path = Path(path)
+    try:
+        document, _ = _read(path)
+    except PwatrackError:
+        return ()
+    return tuple(path.parent / name for name in dict.fromkeys(_files(document.data)))
+
+
+def _files(data: object) -> Iterator[str]:
+    """Yield what stands under the key `file`, wherever that is."""
+    if isinstance(data, dict):
+        if isinstance(name := data.get("file"), str):
+            yield name
+        for value in data.values():
+            yield from _files(value)
+    elif isinstance(data, list):
+        for value in data:
+            yield from _files(value)
 
 
 def _read(path: Path) -> tuple[Document, str]:

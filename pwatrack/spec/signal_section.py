@@ -5,8 +5,10 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from pwatrack.spec.entries import (
+    TEXT_OR_VALUE,
     NotNegative,
     Number,
+    Or,
     PeriodicOrVector,
     Positive,
     Scale,
@@ -80,16 +82,16 @@ class CourseSection(Section):
     """A signal of time: the sum of everything that is given."""
 
     constant: Number = 0.0
-    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
     formula: Time | None = None
     until: Positive | None = None
-    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed)] = []
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
     trapezoid: TrapezoidSection | None = None
     polyline: PolylineSection | None = None
     table: TableSection | None = None
 
 
-Signal = Annotated[CourseSection, BeforeValidator(as_course)]
+Signal = Annotated[CourseSection, BeforeValidator(as_course), TEXT_OR_VALUE]
 
 
 class ReferenceSection(Section):

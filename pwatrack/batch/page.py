@@ -1,0 +1,176 @@
+"""The outcomes of a batch as one HTML page that needs nothing else: a table to sort and filter, with small pictures."""
+
+import base64
+import html
+import io
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+from pwatrack.batch.outcomes import Outcome, counted
+from pwatrack.report.run_folder import written_at_once
+from pwatrack.report.terminal import visible
+from pwatrack.version import __version__
+
+_FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_error": "final error"}
+_PICTURES = ("outputs.png", "tracking_error.png")
+_WIDTH = 180  # of a small picture, in dots
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>pwatrack: {title}</title>
+<style>
+body {{ font: 15px/1.4 system-ui, sans-serif; margin: 1.5rem; color: #12355b; background: #fff }}
+table {{ border-collapse: collapse; width: 100% }}
+th, td {{ text-align: left; vertical-align: top; padding: .35rem .6rem; border-bottom: 1px solid #d8dee6 }}
+th {{ position: sticky; top: 0; background: #eef2f6 }}
+th button {{ all: unset; cursor: pointer; font-weight: 600 }}
+th button:focus-visible {{ outline: 2px solid #e08e2b }}
+th[aria-sort=ascending] button::after {{ content: " ▲" }}
+th[aria-sort=descending] button::after {{ content: " ▼" }}
+td.n {{ text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }}
+.pass {{ color: #1a7f37 }} .fail {{ color: #b42318; font-weight: 600 }} .cached {{ color: #0a6c8f }}
+.skipped {{ color: #8a6d00 }}
+.note {{ color: #4a5a6a; font-size: .9em; overflow-wrap: anywhere }}
+.missed {{ color: #b42318; font-size: .9em }}
+pre {{ white-space: pre-wrap; overflow-wrap: anywhere; font-size: .85em; margin: .3rem 0 }}
+img {{ max-width: {width}px; margin-right: .3rem }}
+form {{ margin: 1rem 0; display: flex; gap: 1rem; flex-wrap: wrap }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<form>
+<label>Show <select id="kind"><option value="">all</option>{kinds}</select></label>
+<label>that contain <input id="text" type="search"></label>
+<output id="count"></output>
+</form>
+<table>
+<thead><tr>{head}</tr></thead>
+<tbody>
+{rows}
+</tbody>
+</table>
+<p class="note">pwatrack {version}</p>
+<script>
+const body = document.querySelector("tbody"), rows = [...body.rows];
+const kind = document.getElementById("kind"), text = document.getElementById("text");
+function filter() {{
+  let shown = 0;
+  for (const row of rows) {{
+    const fits = (!kind.value || row.dataset.kind === kind.value)
+      && row.textContent.toLowerCase().includes(text.value.toLowerCase());
+    row.hidden = !fits;
+    shown += fits;
+  }}
+  document.getElementById("count").value = shown + " of " + rows.length;
+}}
+kind.addEventListener("input", filter);
+text.addEventListener("input", filter);
+document.querySelector("form").addEventListener("submit", event => event.preventDefault());
+document.querySelectorAll("th button").forEach((button, column) => button.addEventListener("click", () => {{
+  const head = button.parentElement, down = head.getAttribute("aria-sort") === "ascending";
+  document.querySelectorAll("th").forEach(other => other.removeAttribute("aria-sort"));
+  head.setAttribute("aria-sort", down ? "descending" : "ascending");
+  const key = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
+  const numeric = row => row.cells[column].classList.contains("n");
+  rows.sort((a, b) => {{
+    const [x, y] = [key(a), key(b)];
+    if (numeric(a) && (x === "" || y === "")) return (x === "") - (y === "");
+    return (down ? -1 : 1) * (numeric(a) ? x - y : x.localeCompare(y));
+  }});
+  body.append(...rows);
+}}));
+filter();
+</script>
+</body>
+</html>
+"""
+
+
+def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Write the page; the small pictures are in it, the large ones are links.
+
+    Raises:
+        InvalidSpec: If the file cannot be written.
+    """
+    required = any(outcome.required for outcome in outcomes)
+    names = ["spec", "result", "verdict", *(["required"] if required else []), *_FIGURES.values(), "s"]
+    kinds = sorted({_kind(outcome) for outcome in outcomes})
+    page = _PAGE.format(
+        title=_text(counted(outcomes)),
+        width=_WIDTH,
+        kinds="".join(f"<option>{kind}</option>" for kind in kinds),
+        head="".join(f'<th><button type="button">{_text(name)}</button></th>' for name in names) + "<th>pictures</th>",
+        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in outcomes),
+        version=__version__,
+    )
+    with written_at_once(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _row(outcome: Outcome, here: Path, *, required: bool) -> str:
+    notes = [f'<div class="missed">missed: {_text(text)}</div>' for text in outcome.missed]
+    notes += [f'<div class="note">{_text(note)}</div>' for note in outcome.notes]
+    if outcome.failed and outcome.messages:
+        notes.append(f"<details><summary>what it said</summary><pre>{_text(outcome.messages)}</pre></details>")
+    met = len(outcome.required) - len(outcome.missed)
+    cells = [
+        f"<td>{_text(str(outcome.spec))}</td>",
+        f'<td class="{_kind(outcome)}">{_text(outcome.result)}</td>',
+        f"<td>{_text(outcome.verdict)}{''.join(notes)}</td>",
+    ]
+    if required:
+        share = met / len(outcome.required) if outcome.required else ""
+        cells.append(_number(share, f"{met} of {len(outcome.required)}" if outcome.required else ""))
+    for name in _FIGURES:
+        value = outcome.figures.get(name, "")
+        cells.append(_number(value, f"{value:.3g}" if value != "" else ""))
+    cells.append(_number(outcome.seconds, f"{outcome.seconds:.1f}"))
+    return f'<tr data-kind="{_kind(outcome)}">{"".join(cells)}<td>{_pictures(outcome.folder, here)}</td></tr>'
+
+
+def _kind(outcome: Outcome) -> str:
+    """Return what the page filters by."""
+    return "fail" if outcome.failed else outcome.how if outcome.how != "run" else "pass"
+
+
+def _number(value: object, text: str) -> str:
+    return f'<td class="n" data-value="{value}">{text}</td>'
+
+
+def _pictures(folder: Path, here: Path) -> str:
+    """Return small pictures of a run; none where it has none."""
+    parts = []
+    for name in _PICTURES:
+        with suppress(OSError):
+            data = base64.b64encode(_small(folder / name)).decode()
+            link = quote(os.fsencode(os.path.relpath(folder / name, here)))
+            parts.append(f'<a href="{link}"><img src="data:image/png;base64,{data}" alt="{name}" loading="lazy"></a>')
+    return "".join(parts)
+
+
+def _small(picture: Path) -> bytes:
+    """Return a picture in few dots and colours.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        image.thumbnail((_WIDTH, 4 * _WIDTH), reducing_gap=2.0)
+        small = image.convert("RGB").quantize(32)
+        content = io.BytesIO()
+        small.save(content, format="PNG", optimize=True)
+    return content.getvalue()
+
+
+def _text(text: str) -> str:
+    """Return a text as it may stand in a page."""
+    return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())

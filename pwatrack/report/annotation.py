@@ -1,0 +1,92 @@
+"""What is wrong, as others than a reader at a terminal want it: the line of a file with a caret, GitHub, JSON."""
+
+import json
+import re
+from pathlib import Path
+
+from rich.cells import cell_len
+
+from pwatrack.errors import Place, PwatrackError
+
+_PROPERTY = {"%": "%25", "\r": "%0D", "\n": "%0A", ":": "%3A", ",": "%2C"}
+_WIDEST = 100  # characters of a line that are shown
+_LARGEST = 4 * 2**20  # bytes of a file that is looked into
+
+
+def excerpt(place: Place, message: str) -> list[str]:
+    """Return the line of a file and below it a caret: under what the message quotes first, else where the place is.
+
+    Nothing where the file or its line is not there any more.
+    """
+    try:
+        path = Path(place.file)
+        if not path.is_file() or path.stat().st_size > _LARGEST:
+            return []
+        line = path.read_text(encoding="utf-8").split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
+    except (OSError, ValueError, IndexError):
+        return []
+    first, length = _meant(line, place.column - 1, message)
+    start = max(0, min(first - _WIDEST // 2, len(line) - _WIDEST))
+    before, shown = "… " if start else "", line[start : start + _WIDEST]
+    margin = f"{place.line:5} | "
+    under = " " * cell_len(before + line[start:first]) + "^" + "~" * (cell_len(line[first : first + length]) - 1)
+    return [margin + before + shown, " " * (len(margin) - 2) + "| " + under[: _WIDEST + 2]]
+
+
+def _meant(line: str, first: int, message: str) -> tuple[int, int]:
+    """Return where in a line that is what a message is about, and how long it is."""
+    quoted = re.search(r"'([^']{1,60})'", message)
+    if quoted:
+        found = re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))
+        if found:
+            return found.start(), len(quoted[1])
+    return min(max(first, 0), len(line)), 1
+
+
+def annotation(text: str, *, title: str, file: str, line: int | None = None, column: int | None = None) -> str:
+    r"""Return a workflow command of GitHub: it stands beside the line of a file.
+
+    Example:
+        >>> annotation("a\nb", title="no: 1", file="a,b.yaml", line=3, column=1)
+        '::error file=a%2Cb.yaml,line=3,col=1,title=no%3A 1::a%0Ab'
+    """
+    place = "" if line is None else f",line={line},col={column}"
+    return f"::error file={_property(file)}{place},title={_property(title)}::{_escaped(text, '%', chr(13), chr(10))}"
+
+
+def annotations(error: PwatrackError) -> list[str]:
+    """Return a workflow command for each problem of a refusal."""
+    return [
+        annotation(
+            problem.message + (f"\nhint: {problem.hint}" if problem.hint else ""),
+            title=error.code.verdict,
+            file=problem.place.file if problem.place else "",
+            line=problem.place.line if problem.place else None,
+            column=problem.place.column if problem.place else None,
+        )
+        for problem in error.problems
+    ]
+
+
+def as_json(error: PwatrackError) -> str:
+    """Return a refusal as one line of JSON."""
+    problems = [
+        {
+            "message": p.message,
+            "hint": p.hint,
+            "place": {"file": p.place.file, "line": p.place.line, "column": p.place.column} if p.place else None,
+        }
+        for p in error.problems
+    ]
+    notes = [note.strip() for note in getattr(error, "__notes__", ())]
+    return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
+
+
+def _property(text: str) -> str:
+    return _escaped(text, *_PROPERTY)
+
+
+def _escaped(text: str, *characters: str) -> str:
+    for character in characters:
+        text = text.replace(character, _PROPERTY[character])
+    return text
