@@ -27,7 +27,7 @@ def spec_sizes(spec: Spec) -> Sizes:
     Each is the first of these that there is: what the file gives under `sizes`; of an input, half the width of its
     limits; how far the reference moves the signal for more than a moment, half of its range, or where it rests; for a
     state half the width of the region that members of an ensemble start in. The rest, and the speed, is what balances
-    the plant. An output that the file gives no size is at least as large as its noise: what is below that cannot be seen.
+    the plant. An output that the file gives no size is at least as large as its noise: what is below cannot be seen.
 
     Example: the paper's reference moves the first mass by 0.15 m, at up to 0.94 m/s.
 
