@@ -445,7 +445,7 @@ def test_check_speaks_json_for_machines(spec: Path) -> None:
     assert run.exit_code == 0
     content = json.loads(run.stdout)
     assert content["cells"] == ["upper spring", "gap", "lower spring"]
-    assert content["relative_degree"] == 2
+    assert content["relative_degrees"] == [2]
     assert content["form_11"] is True
     assert len(content["facets"]) == 2
     assert content["zero_dynamics"]["gap"][0] == pytest.approx([-0.15, 0.98869], abs=1e-4)

@@ -295,7 +295,7 @@ def test_a_set_point_does_not_depend_on_units(f: float) -> None:
     A = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -2, -3]])
     plant = plant_of((A / d[:, None] * d).tolist(), [0, 0, 0], [[0], [0], [1 / d[2]]], [[d[0], 0, 0]])
     trajectory = set_point(plant, np.array([0.5]))
-    np.testing.assert_allclose(trajectory.x_d[:, 0] * d, [0.5, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(trajectory.x_d[0, :, 0] * d, [0.5, 0, 0], atol=1e-9)
 
 
 def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() -> None:
@@ -308,7 +308,7 @@ def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() 
         C=[[1, 1]],
     )
     trajectory = set_point(plant, np.array([1.0]))
-    x, u = trajectory.x_d[:, 0], trajectory.u_ff[0, :, 0]
+    x, u = trajectory.x_d[0, :, 0], trajectory.u_ff[0, :, 0]
     np.testing.assert_allclose(plant.field(x, u), 0.0, atol=1e-9)
     assert x.sum() == pytest.approx(1.0)
 

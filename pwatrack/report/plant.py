@@ -41,7 +41,8 @@ def print_plant(
     _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
     if form is not None:
         table.add_row(
-            "form (11)", f"relative degree {form.r}, internal states η = {', '.join(form.eta_names) or 'none'}"
+            "form (11)",
+            f"relative degree {form.degrees_text}, internal states η = {', '.join(form.eta_names) or 'none'}",
         )
     for theorem, answer in report.theorems().items():
         table.add_row(theorem, answer)
@@ -99,7 +100,7 @@ def plant_json(
         ],
         "continuous": True,
         "form_11": form is not None,
-        "relative_degree": None if form is None else form.r,
+        "relative_degrees": None if form is None else list(form.degrees),
         "eta": [] if form is None else list(form.eta_names),
         "zero_dynamics": {
             cell: [[float(v.real), float(v.imag)] for v in row]
