@@ -449,7 +449,8 @@ def test_check_speaks_json_for_machines(spec: Path) -> None:
     assert content["form_11"] is True
     assert len(content["facets"]) == 2
     assert content["zero_dynamics"]["gap"][0] == pytest.approx([-0.15, 0.98869], abs=1e-4)
-    assert content["theorems"]["Theorem 2"] == "applies if (8) and (9) are feasible"
+    assert content["routes"]["Theorem 2"] == "needs (8) and (9), and an x_d that satisfies (3)"
+    assert content["design_takes"] == "Theorem 3"
 
 
 def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
