@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.causes import Subject
+from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.set_point import set_point
@@ -87,6 +88,7 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
 
 def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:
     """Return y_d, each checked for what its own relative degree needs."""
+    compensation(form.plant, form, 0)  # refuses loads that nothing is known to make up for
     signals, names = reference.signals(form.degrees), form.plant.tracked_names
     for signal, name, r in zip(signals, names, form.degrees, strict=True):
         alone = len(names) == 1

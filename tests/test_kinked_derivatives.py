@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pwatrack import OutsideTheory, PWASystem, ensemble, load_spec, simulate
+from pwatrack import OutsideTheory, PWASystem, design, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import output_trajectory
@@ -168,3 +168,25 @@ def test_an_ensemble_and_a_sampled_controller_follow_through_kinks(tmp_path: Pat
     assert ensemble(simulate(load_spec(path)), 5).ensemble.final.max() < 1e-9
     path.write_text(text + "  controller: {sample_time: 0.5}\n")
     assert np.abs(simulate(load_spec(path)).response.tracking_error[-200:]).max() < 1e-2
+
+
+def estimating(tmp_path: Path, estimate: str, disturbance: str) -> Path:
+    text = (SPECS / "gallery" / "kinked_tanks.yaml").read_text().split("require:")[0]
+    path = tmp_path / "tanks.yaml"
+    text = text.replace("reference:", f"design: {{estimate: {estimate}}}\nreference:", 1)
+    path.write_text(f"{text}  disturbance: {disturbance}\n")
+    return path
+
+
+def test_loads_where_the_input_enters_are_made_up_for_through_kinks(tmp_path: Path) -> None:
+    result = simulate(load_spec(estimating(tmp_path, "input", "{h1: -0.002/a}")))
+    assert np.abs(result.response.tracking_error[-200:]).max() < 1e-7
+    assert result.response.estimates[-1, 0] == pytest.approx(-0.002, abs=1e-6)
+    assert verify(write_result(result, tmp_path / "run"))
+
+
+def test_loads_that_move_a_kinked_derivative_are_refused_by_name(tmp_path: Path) -> None:
+    spec = load_spec(estimating(tmp_path, "{rain: {into: {h2: 1/b}}}", "{h2: 0.001/b}"))
+    with pytest.raises(OutsideTheory, match="unknown loads rain move the last derivative of 'y'") as refusal:
+        design(spec)
+    assert refusal.value.problems[0].place is not None

@@ -15,7 +15,6 @@ matrix; for one output and input that says that all δ_i have one sign.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import Any
 
 import numpy as np
 
@@ -283,23 +282,24 @@ def _boundary(form: NormalForm) -> Boundary:
     planes = BallMatrix.of(partition.exact_H, (len(partition.h), len(form.T[0])))
     constants = BallMatrix.of([[v] for v in partition.exact_h], (len(partition.h), 1))
     turned = each(lambda T_inverse: planes @ T_inverse, exact.inverse)
-    offsets: dict[tuple[int, int], list[Any]] = {}
-    numbers: dict[tuple[int, tuple[Any, ...]], int] = {}
-    rows, sides = list[tuple[Array, float]](), list[tuple[int, int, int]]()
-    for i, (H, o) in enumerate(zip(turned, exact.offset, strict=True)):
-        known = id(H), id(o)
-        if known not in offsets:
-            offsets[known] = (constants - H @ o).centre.entries()
-        for k in np.flatnonzero(partition.signs[i]).tolist():
-            row = [*(H.centre[k, j] for j in range(H.shape[1])), offsets[known][k]]
-            size = next(abs(v) for v in row if v)
-            number = numbers.setdefault((k, tuple(str(v / size) for v in row)), len(rows))
-            if number == len(rows):
-                rows.append((H.floats[k], float(fraction_of(row[-1]))))
-            sides.append((i, number, int(partition.signs[i, k])))
+    places: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
+    numbers: dict[tuple[int, tuple[str, ...]], int] = {}
+    rows, found = list[tuple[Array, float]](), list[list[int]]()
+    for H, o in zip(turned, exact.offset, strict=True):
+        if (id(H), id(o)) not in places:
+            here, h = list[int](), (constants - H @ o).centre.entries()
+            for k, (line, constant) in enumerate(zip(H.centre.tolist(), h, strict=True)):
+                size = next(abs(v) for v in line if v)
+                here.append(numbers.setdefault((k, tuple(str(v / size) for v in (*line, constant))), len(rows)))
+                if here[-1] == len(rows):
+                    rows.append((H.floats[k], float(fraction_of(constant))))
+            places[id(H), id(o)] = here
+        found.append(places[id(H), id(o)])
     signs = np.zeros((len(partition.signs), len(rows)), dtype=np.int64)
-    for i, number, side in sides:
-        signs[i, number] = side
+    for own, here, side in zip(signs, found, partition.signs, strict=True):
+        own[here] = side
+    kept = np.flatnonzero(signs.any(axis=0)).tolist()  # a hyperplane may bound no cell with some T
+    rows, signs = [rows[k] for k in kept], signs[:, kept]
     H_all = np.array([row for row, _ in rows]).reshape(len(rows), len(form.T[0]))
     return Boundary(H=readonly(H_all), h=readonly([h for _, h in rows]), signs=signs)
 
