@@ -456,7 +456,9 @@ def test_check_speaks_json_for_machines(spec: Path) -> None:
 def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
     run = call("check", specs / "gallery" / "two_driven_carts.yaml")
     assert run.exit_code == 0
-    assert "Theorem 3  does not apply" in run.stdout
+    told = " ".join(run.stdout.split())
+    assert "Theorem 3 no: it is about one input and one output, the plant has 2 and tracks 2" in told
+    assert "design takes Theorem 2" in told
 
 
 @pytest.mark.parametrize("option", [("--over", "noise"), ("--seed", 2)])
