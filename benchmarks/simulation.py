@@ -134,7 +134,7 @@ def paper_example() -> Case:
 
     def view(t: Array, z: Array) -> Array:
         s = z[:, :10].copy()
-        s[:, 8] -= z @ result.loop.x_d[0]  # η̄_1 = η̂_1 − z_d
+        s[:, 8] -= z @ result.loop.x_d[0, 0]  # η̄_1 = η̂_1 − z_d
         return s
 
     by_hand = ByHand(section_v, start, gaps, view)

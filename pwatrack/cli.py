@@ -63,7 +63,7 @@ def check(
     parameters: Set = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
 ) -> None:
-    """Say what the plant is, which theorems apply, and whether the reference is one that they are about."""
+    """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
     with refusals():
         from pwatrack.control.applicability import applicability
         from pwatrack.control.modes import check_modes
@@ -77,9 +77,9 @@ def check(
         remarks: tuple[str, ...] = ()
         try:
             spec = load_spec(spec_path, assignments(parameters or []))
-            name, report = spec.name, applicability(spec.problem.plant)
-            reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
             sizes = spec_sizes(spec)
+            name, report = spec.name, applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=sizes)
+            reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
             with spec.located():
                 check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         except PwatrackError as error:  # raised below what can be said of the plant

@@ -6,7 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.errors import OutsideTheory
-from pwatrack.model.normal_form import normal_form
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.region import Box
@@ -49,6 +49,17 @@ def spec_sizes(spec: Spec) -> Sizes:
         if name not in spec.problem.sizes and std > size:
             known[name] = std, "noise"
     return Sizes.of(plant, known, tempo=tempo)
+
+
+def spec_form(spec: Spec) -> NormalForm:
+    """Return the normal form (11) of a spec's plant; of more inputs than outputs, u_ff takes the least in their sizes.
+
+    Raises:
+        OutsideTheory: If there is none.
+    """
+    plant = spec.problem.plant
+    several = plant.B.shape[1] > len(plant.tracked)
+    return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
 
 
 def _given(spec: Spec) -> Iterator[Known]:
@@ -101,13 +112,17 @@ def _through_xi(spec: Spec, reference: OutputReference) -> Iterator[tuple[str, f
         form = normal_form(plant)
     except OutsideTheory:  # nothing can be said; the design says why
         return
-    system = exosystem([reference.signal(form.r)])
+    system = exosystem(reference.signals(form.degrees))
     t = _times(system, spec.scenario.duration)
     w = system.states(t)
-    xi = w @ system.derivative_rows(form.r - 1)[:, 0].T
-    yield plant.tracked_names[0], float(_moves(xi)[0])
-    alone = np.flatnonzero(~form.T_inverse[:, form.r :].any(axis=1))
-    x = (xi - form.offset[: form.r]) @ form.T_inverse[alone, : form.r].T
+    rows = system.derivative_rows(max(form.degrees) - 1)
+    xi = w @ np.vstack([rows[:degree, j] for j, degree in enumerate(form.degrees)]).T
+    firsts = np.cumsum((0, *form.degrees[:-1]))
+    yield from zip(plant.tracked_names, _moves(xi[:, firsts]).tolist(), strict=True)
+    moved = form.T_inverse[0]
+    bent = (form.T_inverse != moved).any(axis=(0, 2))  # functions of ξ, but not the same in all cells
+    alone = np.flatnonzero(~moved[:, form.r :].any(axis=1) & ~bent)
+    x = (xi - form.offset[0, : form.r]) @ moved[alone, : form.r].T
     for j, size, lasts in zip(alone.tolist(), _moves(x).tolist(), _lasting(t, x).tolist(), strict=True):
         if lasts > _BRIEF:
             yield plant.states[j], size

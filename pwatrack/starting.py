@@ -73,7 +73,7 @@ def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None
     if "generator" in regions or (generator is None and trajectory.names):
         return
     eta = np.zeros(0) if generator is None else generator
-    x_d = trajectory.x_d @ np.concatenate([eta, trajectory.exosystem.w0, [1.0]])
+    x_d = trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
     n = len(x_d)
     for varied in ({}, regions) if regions else ({},):
         x = _columns(varied.get("plant"), initial_values(initial.plant, n, "plant"))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.causes import Subject
+from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.set_point import set_point
@@ -28,6 +29,7 @@ from pwatrack.model.reference import (
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
+from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
 
 
@@ -54,8 +56,8 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         check_loads(problem.plant, output=problem.tracking == "output")
         if isinstance(problem.reference, OutputReference):
             form = form or normal_form(problem.plant)
-            _output_signal(problem.reference, form.r)
-            return f"y_d is bounded and smooth enough for relative degree {form.r}"
+            _output_signals(problem.reference, form)
+            return f"y_d is bounded and smooth enough for relative degree {form.degrees_text}"
         _state_desired(spec)
         if isinstance(problem.reference, SetPoint):
             return "x_d is an equilibrium with the wanted outputs"
@@ -78,16 +80,20 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
             if not growing:
                 raise
             return replace(trajectory, bounded=False, growth=growth.problems[0]), None
-    form = normal_form(plant)
-    y_d = _output_signal(reference, form.r)
+    form = spec_form(spec)
+    y_d = _output_signals(reference, form)
     generator = trajectory_generator(form, solver=solver)
-    return output_trajectory(generator, exosystem([y_d])), generator
+    return output_trajectory(generator, exosystem(y_d)), generator
 
 
-def _output_signal(reference: OutputReference, r: int) -> Signal:
-    y_d = reference.signal(r)
-    _check([y_d], r, ("reference", "output"), "y_d")
-    return y_d
+def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:
+    """Return y_d, each checked for what its own relative degree needs."""
+    compensation(form.plant, form, 0)  # refuses loads that nothing is known to make up for
+    signals, names = reference.signals(form.degrees), form.plant.tracked_names
+    for signal, name, r in zip(signals, names, form.degrees, strict=True):
+        alone = len(names) == 1
+        _check([signal], r, ("reference", "output", *(() if alone else (name,))), "y_d" if alone else f"{name}_d")
+    return signals
 
 
 def _state_desired(spec: Spec) -> DesiredTrajectory:
@@ -115,12 +121,15 @@ def reference_remarks(spec: Spec, form: NormalForm | None) -> tuple[str, ...]:
     reference = spec.problem.reference
     if not isinstance(reference, OutputReference) or form is None:
         return ()
-    r, plant, said = form.r, spec.problem.plant, list[str]()
-    unit = spec.problem.units.get(plant.inputs[0], "")
-    for course in reference.courses:
+    plant, said = spec.problem.plant, list[str]()
+    pairs = [(j, course) for j, courses in enumerate(reference.courses) for course in courses]
+    for j, course in pairs:
+        r, needed = form.degrees[j], np.abs(form.right_inverse[:, :, j]).max(axis=0)
         rough = course.roughness(r) if isinstance(course, Table) else None
         if rough is not None:
-            whole, left = (f"{abs(size / form.delta):.3g} {unit}".rstrip() for size in (rough.whole, rough.left))
+            k = int(np.argmax(needed))
+            unit = spec.problem.units.get(plant.inputs[k], "")
+            whole, left = (f"{abs(size * needed[k]):.3g} {unit}".rstrip() for size in (rough.whole, rough.left))
             said.append(
                 f"noise or corners of the table make its derivative {r} {rough.whole / rough.left:.3g} times as large "
                 f"as what is left of it below {rough.cutoff:.3g} Hz; the feedforward follows: about {whole} instead of "
@@ -141,7 +150,7 @@ def check_breaks(
             gains.K,
             trajectory,
             outputs=np.eye(len(plant.states)) if generator is None else plant.tracked,
-            smooth=None if smooth is None else (smooth, 1 if generator is None else generator.r),
+            smooth=None if smooth is None else (smooth, 1 if generator is None else min(generator.form.degrees)),
             subject=("reference", "state" if generator is None else "output"),
         )
     except InvalidSpec as fast:

@@ -59,3 +59,36 @@ def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2, strength: float 
 def reset(t: float, where: slice, value: Array) -> StateResets:
     """Return one reset."""
     return StateResets(t=np.array([t]), where=where, values=value[None])
+
+
+def random_outputs(
+    seed: int, degrees: tuple[int, ...], internal: int = 2, spare: int = 0, k: int = 2, *, bent: bool = False
+) -> PWASystem:
+    """A random plant with outputs of these relative degrees, `spare` more inputs, and converging zero dynamics.
+
+    As `random_plant`, in scrambled coordinates. Where it is bent, springs also push what the input pushes next: the
+    last derivative of each output of degree 2 or more is piecewise affine, with slopes of one sign along the input.
+    """
+    random = np.random.default_rng(seed)
+    p, r = len(degrees), sum(degrees)
+    n, m, last = r + internal, p + spare, np.cumsum(degrees) - 1
+    A = np.diag(np.ones(n - 1), 1)
+    A[[*last, *range(r, n)]] = random.normal(size=(p + internal, n))
+    A[r:, r:] -= (np.linalg.norm(A[r:, r:], 2) + 2.0) * np.eye(internal)
+    h = random.normal(size=(k, n))
+    h /= np.linalg.norm(h, axis=1)[:, None]
+    g = 0.3 * random.normal(size=(k, n))
+    g[:, r:] *= 0.2
+    g[:, [j for j in range(r) if j not in last]] = 0.0
+    for end, degree in zip(last, degrees, strict=True):
+        if bent and degree > 1:
+            g[:, end - 1] = 0.6 / k * random.uniform(-1, 1, size=k)
+    D = np.linalg.qr(random.normal(size=(m, m)))[0][:p] * random.uniform(0.5, 2.0, size=(p, 1))
+    B = np.zeros((n, m))
+    B[last] = D
+    B[r:] = random.normal(size=(internal, m)) @ (np.eye(m) - np.linalg.pinv(D) @ D)  # unseen by the least inputs
+    C = np.eye(n)[last - np.array(degrees) + 1]
+    T = np.linalg.qr(random.normal(size=(n, n)))[0] * random.uniform(0.5, 2.0, size=n)
+    inverse, c, b = np.linalg.inv(T), random.normal(size=k) * 0.1, random.normal(size=n) * 0.1
+    b[[j for j in range(r) if j not in last]] = 0.0
+    return springs(T @ A @ inverse, T @ b, T @ B, C @ inverse, g @ T.T, h @ inverse, c)

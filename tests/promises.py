@@ -44,6 +44,29 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
     )
 
 
+def follow(plant: PWASystem, seed: int) -> float:
+    """Design, run from a random start until the proofs promise errors of 1e-10 or so, and return the last error."""
+    response = followed(plant, seed)[1]
+    return float(np.abs(response.tracking_error[-10:]).max())
+
+
+def followed(plant: PWASystem, seed: int, duration: float | None = None) -> tuple[ClosedLoop, Response]:
+    """Return the loop with which each output of a plant follows sines, and its run from a random start."""
+    form = normal_form(plant)
+    generator = trajectory_generator(form)
+    waves = [f"0.1 + sin({1 + 0.3 * j}*t + {j}) + 0.3*sin(2.5*t)" for j in range(len(plant.tracked))]
+    trajectory = output_trajectory(generator, exosystem([Signal.of(formula(wave, {})) for wave in waves]))
+    gains, sizes = synthesize(form.plant), Sizes.of(form.plant)
+    proofs = prove_design(form.plant, gains, generator)
+    loop = closed_loop(
+        Controller(
+            plant=form.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs, sizes=sizes
+        )
+    )
+    duration = duration or 26 / loop.controller.guarantees.rate
+    return loop, run(loop, np.random.default_rng(seed).normal(size=len(plant.B)), duration, duration / 300)
+
+
 def run(loop: ClosedLoop, x0: Array, duration: float, sample_time: float) -> Response:
     n, p = len(x0), loop.controller.trajectory.rate.shape[1]
     start = loop.start(plant=x0, observer=np.zeros(n), generator=np.zeros(p))

@@ -63,7 +63,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
             reference = check_reference(spec)
         except PwatrackError as error:
             reference = str(error)
-        print_plant(console, spec.name, applicability(spec.problem.plant), reference, spec_sizes(spec))
+        sizes, tracking = spec_sizes(spec), spec.problem.tracking
+        report = applicability(spec.problem.plant, tracking=tracking, sizes=sizes)
+        print_plant(console, spec.name, report, reference, sizes)
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)
@@ -85,6 +87,8 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         "gallery/dc_motor_brushes",
         "gallery/two_mass_stiff_springs",
         "gallery/robust_positioning",
+        "gallery/three_tanks_pumps",
+        "gallery/kinked_tanks",
     ):
         yield specs / f"{name}.yaml"
     (tmp_path / "rod.yaml").write_text(ROD)

@@ -445,17 +445,20 @@ def test_check_speaks_json_for_machines(spec: Path) -> None:
     assert run.exit_code == 0
     content = json.loads(run.stdout)
     assert content["cells"] == ["upper spring", "gap", "lower spring"]
-    assert content["relative_degree"] == 2
+    assert content["relative_degrees"] == [2]
     assert content["form_11"] is True
     assert len(content["facets"]) == 2
     assert content["zero_dynamics"]["gap"][0] == pytest.approx([-0.15, 0.98869], abs=1e-4)
-    assert content["theorems"]["Theorem 2"] == "applies if (8) and (9) are feasible"
+    assert content["routes"]["Theorem 2"] == "needs (8) and (9), and an x_d that satisfies (3)"
+    assert content["design_takes"] == "Theorem 3"
 
 
 def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
     run = call("check", specs / "gallery" / "two_driven_carts.yaml")
     assert run.exit_code == 0
-    assert "Theorem 3  does not apply" in run.stdout
+    told = " ".join(run.stdout.split())
+    assert "Theorem 3 no: it is about one input and one output, the plant has 2 and tracks 2" in told
+    assert "design takes Theorem 2" in told
 
 
 @pytest.mark.parametrize("option", [("--over", "noise"), ("--seed", 2)])

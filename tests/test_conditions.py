@@ -51,7 +51,7 @@ class Machine:
     def desired(self, t: float, eta_hat: Array) -> tuple[Array, Array, int]:
         trajectory = self.controller.trajectory
         s = np.concatenate([eta_hat, trajectory.exosystem.states(np.array([t]))[0], [1.0]])
-        x_d = trajectory.x_d @ s
+        x_d = trajectory.x_d[0] @ s
         cell = cell_of(self.model, x_d)
         return x_d, trajectory.u_ff[cell] @ s, cell
 

@@ -35,7 +35,7 @@ def refused(path: Path) -> list[Problem]:
 def values(path: Path, times: np.ndarray, r: int = 0) -> np.ndarray:
     reference = load_spec(path).problem.reference
     assert isinstance(reference, OutputReference)
-    signal, system = reference.signal(r), exosystem([reference.signal(r)])
+    (signal,), system = reference.signals([r]), exosystem(reference.signals([r]))
     found = np.array([signal(float(t)) for t in times])
     np.testing.assert_allclose((system.states(times) @ system.Q.T)[:, 0], found, atol=1e-9 * np.abs(found).max())
     return found
@@ -246,7 +246,7 @@ def test_a_long_table_and_many_trapezoids_are_built_in_seconds(tmp_path: Path) -
         begun = time.perf_counter()
         reference = load_spec(spec or write(tmp_path, shape, duration=2_000)).problem.reference
         assert isinstance(reference, OutputReference)
-        signal = reference.signal(2)
+        (signal,) = reference.signals([2])
         system = exosystem([signal])
         assert signal.jump(1) is None
         assert len(system.resets) > 19_000

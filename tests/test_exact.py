@@ -131,12 +131,12 @@ def test_no_forgery_passes(run: Path) -> None:
         "(17) generator is absent, which Theorem 3, output tracking needs",
         "(9) observer is absent, which Theorem 3, output tracking needs",
     ]
-    assert forged(run, generator=generator | {"A_eta": [[["-1"]]] * 3}) == ["A_eta or T is not that of the plant"]
+    assert forged(run, generator=generator | {"A_eta": [[["-1"]]] * 3}) == ["A_eta is not that of the plant"]
     assert forged(run, generator=None)
     assert forged(run, tracking="state")
     assert forged(run, proofs=[]) != []
     upper = plant | {name: plant[name][:2] for name in ("A", "b", "signs", "cells")}
-    assert forged(run, plant=upper, generator=generator | {"A_eta": generator["A_eta"][:2]}) == [
+    assert forged(run, plant=upper, generator=generator | {name: generator[name][:2] for name in ("A_eta", "T")}) == [
         "the cells do not cover the state space"
     ]
     shifted = [[["0"], ["0.1"], ["0"], ["0"]], *plant["b"][1:]]
@@ -214,7 +214,7 @@ def test_a_malformed_proof_is_refused_at_once(run: Path, change: dict[str, Any])
     assert audit(json.dumps(content))[1] != []
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b'{"format": "pwatrack certificate 7"}', None])
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b'{"format": "pwatrack certificate 8"}', None])
 def test_the_auditor_alone_says_what_is_wrong_with_a_file_and_shows_no_traceback(
     tmp_path: Path, content: bytes | None
 ) -> None:

@@ -146,9 +146,9 @@ def test_errors_are_driven_as_the_proof_says(tmp_path: Path) -> None:
     turned = np.zeros(at.order)
     turned[at.d] = hum[at.d] @ S_w / 3  # ḋ / ω
     z = np.eye(at.order)
-    e, Delta = z[at.x] - loop.x_d, z[at.x_hat] - z[at.x]
+    e, Delta = z[at.x] - loop.x_d[0], z[at.x_hat] - z[at.x]
     sigma = z[at.s_hat] - np.array([wind, hum, turned])
-    X = loop.x_d[:, at.s_hat]
+    X = loop.x_d[0, :, at.s_hat]
     E = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [2, -1, 0]])
     assert np.abs(X).max() > 0.1
     states = np.random.default_rng(1).normal(size=(20, at.order))
@@ -163,7 +163,7 @@ def test_errors_are_driven_as_the_proof_says(tmp_path: Path) -> None:
 def joint_with_loads(loop: ClosedLoop, k: int) -> tuple[Array, Array]:
     """M_ij of (e, Δ, σ) and g of the noise of sensor k, in plain floating point."""
     plant, K, L = loop.controller.plant, loop.controller.design.K, loop.controller.design.L
-    X, E = loop.x_d[:, loop.at.s_hat], np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [2, -1, 0.0]])
+    X, E = loop.x_d[0, :, loop.at.s_hat], np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [2, -1, 0.0]])
     S, C = np.array([[0, 0, 0], [0, 0, 3], [0, -3, 0.0]]), np.hstack([plant.C, np.zeros((2, 3))])
     drive = np.hstack([plant.B @ K - X @ L[4:] @ plant.C, -E])
     observers = [np.block([[A, E], [np.zeros((3, 4)), S]]) + L @ C for A in plant.A]
@@ -188,7 +188,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     loop = track(plant, "0.2*sin(t)")
     kinds = {part.loop for bounds in loop.controller.bounds for part in bounds.parts}
     assert kinds == {"controller", "observer"}
-    K, L, X = loop.controller.design.K, loop.controller.design.L, loop.x_d[:, loop.at.s_hat]
+    K, L, X = loop.controller.design.K, loop.controller.design.L, loop.x_d[0, :, loop.at.s_hat]
     E = np.eye(4)[:, 1:2] + np.eye(4)[:, 3:]
     drive = np.hstack([plant.B @ K - X @ L[4:] @ plant.C, -E])
     C = np.hstack([plant.C, [[0.0]]])
@@ -331,7 +331,7 @@ def test_the_certificate_holds_the_loads_and_the_auditor_finds_what_is_changed(t
     assert (folder / "estimates.png").is_file()
     added = json.loads((folder / "generator.json").read_text(encoding="utf-8"))["loads"]
     loop = result.loop
-    assert np.array_equal(np.array(added["x_d"]), loop.x_d[:, loop.at.s_hat])
+    assert np.array_equal(np.array(added["x_d"]), loop.x_d[0, :, loop.at.s_hat])
     assert np.shape(added["u_ff"]) == (2, 1, 3)
     header = (folder / "trace.csv").read_text(encoding="utf-8").split("\n", 1)[0].split(",")
     assert {"wind", "wind_hat", "hum", "hum_hat"} <= set(header)

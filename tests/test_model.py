@@ -177,18 +177,19 @@ def test_any_linear_change_of_state_is_undone_by_the_normal_form(seed: int, r: i
     form = normal_form(plant)
     assert form.r == r
     n = r + extra
-    B = form.T @ plant.B[:, 0]
-    np.testing.assert_allclose(B, [0.0] * (r - 1) + [form.delta] + [0.0] * extra, atol=1e-9 * np.abs(B).max())
+    (T, *_), (offset, *_) = form.T, form.offset
+    B = T @ plant.B[:, 0]
+    np.testing.assert_allclose(B, [0.0] * (r - 1) + [form.D[0, 0, 0]] + [0.0] * extra, atol=1e-9 * np.abs(B).max())
     random = np.random.default_rng(seed)
     for x in random.normal(size=(5, n)):
         cell = plant.partition.locate(x)
-        xi_eta = form.T @ x + form.offset
+        xi_eta = T @ x + offset
         xi, eta = xi_eta[:r], xi_eta[r:]
-        rate = form.T @ (plant.A[cell] @ x + plant.b[cell])
+        rate = T @ (plant.A[cell] @ x + plant.b[cell])
         expected = np.concatenate(
             [
                 xi[1:],
-                [form.alpha[cell] @ xi + form.beta[cell] @ eta + form.gamma[cell]],
+                form.alpha[cell] @ xi + form.beta[cell] @ eta + form.gamma[cell],
                 form.chi[cell] @ xi + form.Psi[cell] @ eta + form.sigma[cell],
             ]
         )
@@ -211,12 +212,12 @@ def test_eta_keeps_original_states_where_the_input_does_not_act() -> None:
 
 def test_an_output_path_that_depends_on_the_cell_is_refused_with_row_and_cells() -> None:
     plant = springs(
-        A=np.array([[0.0, 1], [0, 0]]),
-        b=np.zeros(2),
-        B=np.array([[0.0], [1]]),
-        C=np.array([[1.0, 0]]),
-        g=np.array([[1.0, 0]]),
-        h=np.array([[1.0, 0]]),
+        A=np.eye(3, k=1),
+        b=np.zeros(3),
+        B=np.eye(3)[:, 2:],
+        C=np.eye(3)[:1],
+        g=np.eye(3)[:1],
+        h=np.eye(3)[:1],
         c=np.zeros(1),
     )
     with pytest.raises(OutsideTheory, match=r"row C A\^1 differs between cells '-' and '\+'.*entry 'x1' is 0 and 1"):

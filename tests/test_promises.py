@@ -339,8 +339,8 @@ def test_a_zero_mode_out_of_reach_or_out_of_sight_in_one_cell_is_refused(where: 
 
 def _x_with_eta_zero(loop: ClosedLoop) -> Array:
     """x_d(0) of a loop whose generator starts at 0."""
-    n, p = len(loop.x_d), loop.controller.trajectory.rate.shape[1]
-    result: Array = loop.x_d @ loop.start(plant=np.zeros(n), observer=np.zeros(n), generator=np.zeros(p))
+    n, p = len(loop.plant.B), loop.controller.trajectory.rate.shape[1]
+    result: Array = loop.x_d[0] @ loop.start(plant=np.zeros(n), observer=np.zeros(n), generator=np.zeros(p))
     return result
 
 

@@ -237,9 +237,9 @@ def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
     n = plant.A.shape[1]
     x, x_hat, eta = state[:n], state[n : 2 * n], state[2 * n :]
     xi = np.array([y_d_of_random_loop(t, k) for k in range(form.r + 1)])
-    x_d = form.T_inverse @ (np.concatenate([xi[:-1], eta]) - form.offset)
+    x_d = form.T_inverse[0] @ (np.concatenate([xi[:-1], eta]) - form.offset[0])
     cell = plant.partition.locate(x_d)
-    u_ff = (xi[-1] - form.alpha[cell] @ xi[:-1] - form.beta[cell] @ eta - form.gamma[cell]) / form.delta
+    u_ff = (xi[-1] - form.alpha[cell] @ xi[:-1] - form.beta[cell] @ eta - form.gamma[cell]) / form.D[cell, 0, 0]
     u = controller.design.K @ (x_hat - x_d) + u_ff
     innovation = controller.design.L @ (plant.C @ (x_hat - x))
     eta_rate = form.chi[cell] @ xi[:-1] + form.Psi[cell] @ eta + form.sigma[cell]
@@ -285,7 +285,7 @@ def test_the_desired_trajectory_is_a_solution_of_the_closed_loop(paper: Result) 
     """(x, x̂, η̂) = (x_d, x_d, η_d) of Theorem 3: started on it, the error stays at rounding."""
     loop = paper.loop
     start = loop.start(plant=np.zeros(4), observer=np.zeros(4), generator=np.array([0.2, 0.0]))
-    x_d = loop.x_d @ start
+    x_d = loop.x_d[0] @ start
     start[loop.at.x], start[loop.at.x_hat] = x_d, x_d
     response = loop.response(simulate_flow(loop.flow, start, duration=20.0, sample_time=0.01))
     assert np.abs(response.x - response.x_d).max() < 1e-12

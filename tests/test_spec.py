@@ -463,7 +463,7 @@ def test_a_single_sine_may_stand_without_a_list(write: Write) -> None:
     first, second = read(one).problem.reference, read(listed).problem.reference
     assert isinstance(first, OutputReference)
     assert isinstance(second, OutputReference)
-    assert first.signal(2)(0.3) == second.signal(2)(0.3) != 0.0
+    assert first.signals([2])[0](0.3) == second.signals([2])[0](0.3) != 0.0
 
 
 @pytest.mark.parametrize("text", ["7", "-1", "four", "", "1.5", "[4]"])

@@ -295,7 +295,7 @@ def test_a_set_point_does_not_depend_on_units(f: float) -> None:
     A = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -2, -3]])
     plant = plant_of((A / d[:, None] * d).tolist(), [0, 0, 0], [[0], [0], [1 / d[2]]], [[d[0], 0, 0]])
     trajectory = set_point(plant, np.array([0.5]))
-    np.testing.assert_allclose(trajectory.x_d[:, 0] * d, [0.5, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(trajectory.x_d[0, :, 0] * d, [0.5, 0, 0], atol=1e-9)
 
 
 def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() -> None:
@@ -308,7 +308,7 @@ def test_with_more_inputs_than_outputs_a_set_point_in_the_right_cell_is_found() 
         C=[[1, 1]],
     )
     trajectory = set_point(plant, np.array([1.0]))
-    x, u = trajectory.x_d[:, 0], trajectory.u_ff[0, :, 0]
+    x, u = trajectory.x_d[0, :, 0], trajectory.u_ff[0, :, 0]
     np.testing.assert_allclose(plant.field(x, u), 0.0, atol=1e-9)
     assert x.sum() == pytest.approx(1.0)
 
@@ -337,8 +337,8 @@ def test_a_set_point_is_found_exactly_where_a_least_squares_solution_solves_the_
     left = equations @ np.linalg.lstsq(equations, right, rcond=None)[0] - right
     if np.abs(left).max() < 1e-9:
         found = set_point(plant, np.array(y))
-        np.testing.assert_allclose(plant.field(found.x_d[:, 0], found.u_ff[0, :, 0]), 0.0, atol=1e-9)
-        np.testing.assert_allclose(plant.C @ found.x_d[:, 0], y, atol=1e-9)
+        np.testing.assert_allclose(plant.field(found.x_d[0, :, 0], found.u_ff[0, :, 0]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(plant.C @ found.x_d[0, :, 0], y, atol=1e-9)
     else:
         with pytest.raises(
             OutsideTheory, match="no equilibrium has the wanted outputs: none at all in cell 'everywhere'"
@@ -360,7 +360,7 @@ def test_a_set_point_is_the_same_in_all_units(exponents: list[int], y: float, re
         C=[[d[0], 0]],
     )
     found = set_point(plant, np.array([y]))
-    x, u = found.x_d[:, 0] * d, found.u_ff[0, :, 0] * e
+    x, u = found.x_d[0, :, 0] * d, found.u_ff[0, :, 0] * e
     np.testing.assert_allclose(x, [y, 0], atol=1e-12)
     assert u.sum() == pytest.approx(y + 4 * max(0.0, y - 1), abs=1e-9)
 
@@ -376,7 +376,7 @@ def test_a_set_point_on_the_border_of_every_cell_that_has_one_is_found() -> None
         states=["p", "q"],
     )
     for s, p in ((1.0, None), (1.0 + 2e-9, 1e-9), (3.0, 1.0)):
-        x = set_point(plant, np.array([s])).x_d[:, 0]
+        x = set_point(plant, np.array([s])).x_d[0, :, 0]
         np.testing.assert_allclose([x[1] - abs(x[0]), x.sum()], [1.0, s], atol=1e-12)
         assert x[0] <= 1e-12 if p is None else x[0] == pytest.approx(p, abs=1e-12)
     with pytest.raises(OutsideTheory, match="none at all in cell 'left'; those of cell 'right' lie outside it"):
@@ -395,7 +395,7 @@ def test_a_set_point_in_the_corner_of_a_cell_is_found() -> None:
         B=[[0], [0]],
         C=[[0, 0]],
     )
-    np.testing.assert_allclose(set_point(plant, np.array([0.0])).x_d[:, 0], [c, 0.0], atol=1e-12)
+    np.testing.assert_allclose(set_point(plant, np.array([0.0])).x_d[0, :, 0], [c, 0.0], atol=1e-12)
 
 
 def response(plant: PWASystem, text: str, start: list[float], horizon: float, end: float | None = None) -> bool:

@@ -278,7 +278,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
     scale = exact.scale(limited.left)
     loop = closed_loop(controller, Conditions(limits=limited.limits))
     eta = np.array([0.2, 0.0])
-    x_d = controller.trajectory.x_d @ np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]])
+    x_d = controller.trajectory.state(np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]]))
     seen = []
     for signs in product((-1.0, 1.0), repeat=4):
         x = x_d + scale * exact.G @ np.array(signs)

@@ -1,73 +1,136 @@
-"""What the theory can do for a plant, before any inequality is solved."""
+"""What the theory can do for a plant, before an inequality is solved: all routes, and the one design takes."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pwatrack.arrays import number_text
-from pwatrack.errors import OutsideTheory
-from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.control.goal import DEFAULT
+from pwatrack.control.modes import check_modes
+from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, stable
+from pwatrack.errors import OutsideTheory, PwatrackError
+from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
+from pwatrack.rational import is_hurwitz
+
+_OUTPUT: frozenset[Tracking] = frozenset({"output"})
+
+
+def _alone(facts: Facts) -> Answer:
+    if len(facts.plant.A) == 1 and is_hurwitz(facts.plant.exact.A[0].centre):
+        return Yes("its one cell is stable")
+    eigenvalues = np.linalg.eigvals(facts.plant.A).astype(complex)
+    then = Needs("(7)", "every cell by itself is stable")
+    return stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
+
+
+def _state(facts: Facts) -> Answer:
+    return No(facts.stuck) if facts.stuck else Needs("(8) and (9), and an x_d that satisfies (3)")
+
+
+def _theorem_3(facts: Facts) -> Answer:
+    if facts.form is not None and (facts.plant.B.shape[1] > 1 or len(facts.plant.tracked) > 1):
+        m, p = facts.plant.B.shape[1], len(facts.plant.tracked)
+        return No(f"it is about one input and one output, the plant has {m} and tracks {p}")
+    return _kinked_or(facts, kinked=False)
+
+
+def _several(facts: Facts) -> Answer:
+    if facts.plant.B.shape[1] == 1 and len(facts.plant.tracked) == 1:
+        return No("there is one input and one tracked output")
+    return _kinked_or(facts, kinked=False)
+
+
+def _kinked(facts: Facts) -> Answer:
+    return _kinked_or(facts, kinked=True)
+
+
+def _kinked_or(facts: Facts, *, kinked: bool) -> Answer:
+    """Judge output tracking with last derivatives that depend on the cell, or with none that does."""
+    if facts.form is None:
+        assert facts.refusal is not None
+        return No(facts.refusal.problems[0].message)
+    names = zip(facts.plant.tracked_names, facts.form.piecewise, strict=True)
+    bent = [name for name, piecewise in names if piecewise]
+    if kinked and not bent:
+        return No("no last derivative is another form of the state in other cells")
+    if bent and not kinked:
+        return No(f"the last derivative of {', '.join(bent)} is another form of the state in other cells")
+    if facts.stuck:
+        return No(facts.stuck)
+    assert facts.zero_dynamics is not None
+    if not facts.zero_dynamics.shape[1]:
+        return Needs("(8) and (9)", "there are no zero dynamics")
+    then = Needs("(8), (9) and (17)", "every cell by itself is minimum phase")
+    return stable(facts.plant, facts.zero_dynamics, then, "the zero dynamics do not converge")
+
+
+ROUTES: tuple[Route, ...] = (
+    Route(name="Theorem 1", judge=_alone),
+    Route(name="Theorem 2", judge=_state, takes=frozenset({"state"})),
+    Route(name="Theorem 3", judge=_theorem_3, takes=_OUTPUT),
+    Route(name="several outputs", judge=_several, takes=_OUTPUT),
+    Route(name="kinked derivative", judge=_kinked, takes=_OUTPUT),
+)
+"""In the order in which `design` tries them. A new one is a module with its Route, and a line here."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Applicability:
-    """Which theorems apply to a plant, and why not where they do not.
+class Applicability(Facts):
+    """Which routes there are for a plant, and why not where there are none.
 
     Attributes:
-        plant: The system (1); that it is one has been proved.
-        form: Its normal form (11), or None.
-        refusal: Why there is no normal form, else None.
-        zero_dynamics: Eigenvalues of A_η in each cell, (l, n − r); None without a normal form.
+        tracking: What was asked for.
+        answers: Of each of the routes.
     """
 
-    plant: PWASystem
-    form: NormalForm | None
-    refusal: OutsideTheory | None
-    zero_dynamics: NDArray[np.complex128] | None
+    tracking: Tracking
+    answers: tuple[tuple[Route, Answer], ...]
 
-    def theorems(self) -> dict[str, str]:
-        """Say of each theorem whether it applies, and under which inequalities.
+    def routes(self) -> dict[str, str]:
+        """Say of each route whether it can be gone, and under which inequalities.
 
         Example:
             >>> from pwatrack import load_spec
             >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-            >>> applicability(plant).theorems()["Theorem 3"]
-            'applies if (8), (9) and (17) are feasible; every cell by itself is minimum phase'
+            >>> applicability(plant).routes()["Theorem 3"]
+            'needs (8), (9) and (17); every cell by itself is minimum phase'
         """
-        open_loop = np.linalg.eigvals(self.plant.A).real.max(axis=1)
-        first = _stable(self.plant, open_loop, "applies if (7) is feasible; every cell by itself is stable")
-        if self.refusal is not None:
-            third = f"does not apply: {self.refusal.problems[0].message}"
-        else:
-            assert self.zero_dynamics is not None
-            abscissa = self.zero_dynamics.real.max(axis=1, initial=-np.inf)
-            feasible = "applies if (8), (9) and (17) are feasible; every cell by itself is minimum phase"
-            third = _stable(self.plant, abscissa, feasible)
-        return {"Theorem 1": first, "Theorem 2": "applies if (8) and (9) are feasible", "Theorem 3": third}
+        return {route.name: answer.text for route, answer in self.answers}
+
+    @property
+    def taken(self) -> str:
+        """Which of them `design` takes, the next one where the inequalities of the one before are refused."""
+        open_ = [
+            route.name for route, answer in self.answers if self.tracking in route.takes and not isinstance(answer, No)
+        ]
+        return ", else ".join(open_) or "none: design refuses, with the reason"
 
 
-def applicability(plant: PWASystem) -> Applicability:
+def applicability(plant: PWASystem, *, tracking: Tracking = "output", sizes: Sizes | None = None) -> Applicability:
     """Return what the theory can do for a plant.
+
+    Args:
+        plant: The system (1).
+        tracking: What is asked for.
+        sizes: Those of its signals; those that balance it by default.
 
     Example:
         >>> from pwatrack import load_spec
-        >>> applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant).form.r
-        2
+        >>> found = applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant)
+        >>> found.form.degrees, found.taken
+        ((2,), 'Theorem 3')
     """
+    sizes, stuck = sizes or Sizes.of(plant), ""
     try:
-        form = normal_form(plant)
-    except OutsideTheory as error:
-        return Applicability(plant=plant, form=None, refusal=error, zero_dynamics=None)
-    return Applicability(
-        plant=plant, form=form, refusal=None, zero_dynamics=np.linalg.eigvals(form.Psi).astype(complex)
-    )
-
-
-def _stable(plant: PWASystem, abscissa: NDArray[np.float64], then: str) -> str:
-    worst = int(np.argmax(abscissa))
-    if abscissa[worst] < 0:
-        return then
-    size = number_text(abscissa[worst], "+.4g")
-    return f"does not apply: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'"
+        check_modes(plant, DEFAULT, DEFAULT, sizes)
+    except PwatrackError as refusal:
+        stuck = refusal.problems[0].message
+    try:
+        form = normal_form(plant, input_sizes=sizes.input)
+        zeros = np.linalg.eigvals(form.Psi).astype(complex)
+        facts = Facts(plant=plant, form=form, refusal=None, zero_dynamics=zeros, stuck=stuck)
+    except OutsideTheory as refusal:
+        facts = Facts(plant=plant, form=None, refusal=refusal, zero_dynamics=None, stuck=stuck)
+    answers = tuple((route, route.judge(facts)) for route in ROUTES)
+    return Applicability(**vars(facts), tracking=tracking, answers=answers)

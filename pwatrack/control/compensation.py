@@ -1,15 +1,16 @@
 """What makes up for unknown loads in the desired trajectory, and how the errors of their estimates drive it.
 
 With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ; (9) for [A_i, E; 0, S] and [C, 0] proves ŝ → s. For
-output tracking differentiate y along f(x) + B u + E s: with g_0 = 0, g_{k+1} = c_k E + g_k S
+output tracking differentiate y along f(x) + B u + E s: with g_0 = 0, g_{k+1} = c_k E + g_k S for each output
 
-    ξ = (c_k x + o_k + g_k s),  η = N x,  so  x = T⁻¹ ([ξ; η] − o − G s),  G = [g; 0],
+    ξ = (c_k x + o_k + g_k s),  η = N x,  so  x = T_i⁻¹ ([ξ; η] − o_i − G s),  G = [g; 0],
 
-and with X = −T⁻¹ G (c_0 X = 0, since g_0 = 0) and W_i = T (A_i X + E) + G S
+and with X = −T_i⁻¹ G (c_0 X = 0, since g_0 = 0) and W_i = T_i (A_i X + E) + G S
 
-    y⁽ʳ⁾ = (11) + row r of W_i s,        η' = (14) + the rows below r of W_i s.
+    y⁽ʳ⁾ = (11) + the last rows of W_i s,        η' = (14) + the rows below r of W_i s.
 
-So the desired trajectory takes x_d + X ŝ, u_ff − W_i[r] ŝ / δ and η̂' + W_i[η] ŝ. As ŝ' = S ŝ + L_s C Δ, Δ = x̂ − x, and
+So the desired trajectory takes x_d + X ŝ, u_ff − (right inverse of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ. X is to be the
+same in all cells, as it is unless a last derivative is piecewise affine. As ŝ' = S ŝ + L_s C Δ, Δ = x̂ − x, and
 c_0 X = 0, y_d = c_0 x_d stays exact, ẋ_d = f(x_d) + B u_ff + E ŝ + X L_s C Δ, and for e = x − x_d, σ = ŝ − s
 
     e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ):
@@ -19,12 +20,15 @@ is given: loads must be matched then, X = 0 and u_ff − U ŝ.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, above, beside
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
+from pwatrack.causes import Part
 from pwatrack.control.realisable import pseudo_inverse
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
@@ -38,11 +42,13 @@ class Compensation:
         X: x_d + X ŝ, (n, p), exactly.
         u_ff: u_ff + u_ff[i] ŝ, (l, m, p).
         rate: η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given.
+        guards: What ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`.
     """
 
     X: BallMatrix
     u_ff: Array
     rate: Array
+    guards: Array
 
 
 def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Compensation:
@@ -52,28 +58,61 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
         plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
         filtered: For state tracking: how many η̂ there are.
+
+    Raises:
+        OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]
     if loads is None or form is None:
         needed = np.zeros((m, p)) if loads is None else -pseudo_inverse(plant.B) @ loads.E.floats
         u_ff = np.broadcast_to(needed, (cells, m, p))
-        return Compensation(X=BallMatrix.of(np.zeros((n, p)), (n, p)), u_ff=u_ff, rate=np.zeros((cells, filtered, p)))
-    r, T, exact = form.r, form.exact.T, form.plant.exact
-    G = loads_in_derivatives(loads, T, r)
-    X = BallMatrix.of(np.zeros((n, p)), (n, p)) - T.inverse() @ G
-    W = np.array([(T @ (A_i @ X + loads.E) + G @ loads.S).floats for A_i in exact.A])
-    return Compensation(X=X, u_ff=-W[:, r - 1 : r] / form.delta, rate=W[:, r:])
+        hyperplanes = len(plant.partition.h if form is None else form.boundary.h)
+        return Compensation(
+            X=BallMatrix.of(np.zeros((n, p)), (n, p)),
+            u_ff=u_ff,
+            rate=np.zeros((cells, filtered, p)),
+            guards=np.zeros((hyperplanes, p)),
+        )
+    T, exact, nothing = form.exact.T, form.plant.exact, BallMatrix.of(np.zeros((n, p)), (n, p))
+    G = loads_in_derivatives(loads, form)
+    shifts = different(each(lambda inverse: nothing - inverse @ G, form.exact.inverse))
+    if len(shifts) > 1:
+        raise _bent(form, G)
+    X = shifts[0]
+    W = np.array([(T_i @ (A_i @ X + loads.E) + G @ loads.S).floats for T_i, A_i in zip(T, exact.A, strict=True)])
+    last = np.cumsum(form.degrees) - 1
+    return Compensation(
+        X=X, u_ff=-form.right_inverse @ W[:, last], rate=W[:, form.r :], guards=-form.boundary.H @ G.floats
+    )
 
 
-def loads_in_derivatives(loads: Loads, T: BallMatrix, r: int) -> BallMatrix:
-    """Return G = [g_0; …; g_{r−1}; 0]: what the loads add to y, …, y⁽ʳ⁻¹⁾, (n, p)."""
+def loads_in_derivatives(loads: Loads, form: NormalForm) -> BallMatrix:
+    """Return G: what the loads add to ξ, g_0 … g_{r−1} of each output, and to η, nothing, (n, p)."""
     n, p = loads.E.shape
-    G = g = BallMatrix.of(np.zeros((1, p)), (1, p))
-    for k in range(r - 1):
-        g = T.part([k], range(n)) @ loads.E + g @ loads.S
-        G = above(G, g)
-    return above(G, BallMatrix.of(np.zeros((n - r, p)), (n - r, p))) if r < n else G
+    nothing, T, G = BallMatrix.of(np.zeros((1, p)), (1, p)), form.exact.T[0], list[BallMatrix]()
+    for r in form.degrees:
+        G.append(nothing)
+        for _ in range(r - 1):
+            G.append(T.part([len(G) - 1], range(n)) @ loads.E + G[-1] @ loads.S)
+    return reduce(above, G + [nothing] * (n - form.r))
+
+
+def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:
+    """Return the refusal of loads that move a derivative which is another form of the state in other cells."""
+    assert form.plant.loads is not None
+    last = dict(zip(form.plant.tracked_names, np.cumsum(form.degrees) - 1, strict=True))
+    bent = [name for name, piecewise in zip(last, form.piecewise, strict=True) if piecewise]
+    moved = [name for name in bent if G.floats[last[name]].any()]
+    name = (moved or bent)[0]
+    return OutsideTheory(
+        Problem(
+            message=f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
+            "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
+            subject=(Part.ESTIMATE,),
+            hint="estimate loads that enter where inputs do",
+        )
+    )
 
 
 def coupling(plant: PWASystem, K: BallMatrix, L: BallMatrix, X: BallMatrix) -> BallMatrix:

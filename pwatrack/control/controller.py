@@ -69,9 +69,8 @@ class Controller:
     @property
     def error_sizes(self) -> Array:
         """What each entry of the tracking error counts in a norm of them all: its size; 1 where it is the only one."""
-        if self.generator is not None:
-            return np.ones(1)
-        return np.ones(1) if len(self.sizes.state) == 1 else self.sizes.state
+        sizes = self.sizes.state if self.generator is None else self.sizes.tracked
+        return np.ones(1) if len(sizes) == 1 else sizes
 
     @property
     def promises(self) -> tuple[Promise, ...]:

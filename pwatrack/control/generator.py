@@ -23,7 +23,7 @@ class TrajectoryGenerator:
 
     Attributes:
         form: The normal form (11) it is made from; its cells are those of the plant at x̂_d.
-        A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + 1).
+        A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + p) for p outputs.
         shift: M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none.
         certificate: What shows (17): a common P, or a polynomial that takes its place.
     """
@@ -37,19 +37,22 @@ class TrajectoryGenerator:
 
     @property
     def r(self) -> int:
-        """Relative degree."""
+        """How many ξ there are: the sum of the relative degrees."""
         return self.form.r
 
     def feedforward(self) -> tuple[Array, Array, Array]:
-        """Return F_ξ (l, r + 1), F_η (l, n − r), f (l,) with û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f: (16)."""
-        form = self.form
-        top = np.ones((len(form.alpha), 1))
-        return np.hstack([-form.alpha, top]) / form.delta, -form.beta / form.delta, -form.gamma / form.delta
+        """Return F_ξ (l, m, r + p), F_η (l, m, n − r), f (l, m) with û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f: (16)."""
+        form, X = self.form, self.form.right_inverse
+        return (
+            np.concatenate([-X @ form.alpha, X], axis=2),
+            -X @ form.beta,
+            -np.einsum("lmp,lp->lm", X, form.gamma),
+        )
 
     def state(self) -> tuple[Array, Array, Array]:
-        """Return X_ξ (n, r), X_η (n, n − r), x_0 (n,) with x̂_d = X_ξ ξ_d + X_η η̂ + x_0 in the plant's coordinates."""
+        """Return X_ξ (l, n, r), X_η (l, n, n − r), x_0 (l, n) with x̂_d = X_ξ ξ_d + X_η η̂ + x_0 for the plant."""
         T = self.form.T_inverse
-        return T[:, : self.r], T[:, self.r :], -T @ self.form.offset
+        return T[:, :, : self.r], T[:, :, self.r :], -np.einsum("lij,lj->li", T, self.form.offset)
 
 
 def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> TrajectoryGenerator:
@@ -77,17 +80,18 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
         A_eta=A_eta,
         b_eta=b_eta,
         B_eta=B_eta,
-        shift=assumption_2_shift(A_eta, B_eta[:, :, :-1]),
+        shift=assumption_2_shift(A_eta, B_eta[:, :, : form.r]),
         certificate=certificate,
     )
 
 
 def tracking_dynamics(form: NormalForm) -> tuple[Array, Array, Array]:
-    """Return A_η (l, n − r, n − r), B_η (l, n − r, r + 1) and b_η (l, n − r) of (14).
+    """Return A_η (l, n − r, n − r), B_η (l, n − r, r + p) and b_η (l, n − r) of (14).
 
     Because u does not enter η̇ in `form`, it reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i.
     """
-    return form.Psi, readonly(np.concatenate([form.chi, np.zeros((*form.chi.shape[:2], 1))], axis=2)), form.sigma
+    unused = np.zeros((*form.chi.shape[:2], len(form.degrees)))
+    return form.Psi, readonly(np.concatenate([form.chi, unused], axis=2)), form.sigma
 
 
 def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:

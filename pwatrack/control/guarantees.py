@@ -88,7 +88,7 @@ class Guarantees:
         return np.asarray(np.min(bounds, axis=0) * _ABOVE)
 
     def tracking_error(self, t: Array, start: Array, observer_start: Array, *, output: bool) -> Array:
-        """Return a bound of |x − x_d|, in sizes where there are several states, or of |y − y_d|, at the times t.
+        """Return a bound of |x − x_d| or |y − y_d|, in sizes where there are several states or outputs, at the times t.
 
         ‖e(t)‖_c ≤ e^(−αt) ‖e(0)‖_c + drive ‖Δ(0)‖_o ∫ e^(−α(t−s)) e^(−βs) ds with the rates α of (8), β of (9).
 
@@ -167,11 +167,12 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
             Contraction(degree=proof.degree, rate=proof.rate, share=share, gauge=gauge, from_norm=from_norm)
         )
     controller, observer, generator = (tuple(part) for part in parts.values())
+    length = Norm.in_sizes(sizes.tracked) if q > 1 else Norm.euclidean(q)
     return Guarantees(
         controller=controller,
         observer=observer,
         generator=generator,
-        output=tuple(_size(exact.tracked, c.gauge.below, Norm.euclidean(q)) for c in controller),
+        output=tuple(_size(exact.tracked, c.gauge.below, length) for c in controller),
         drive=tuple(tuple(_size(drives, o.gauge.below, c.gauge.driven) for o in observer) for c in controller),
         loads=seen.C.shape[1] - len(plant.B),
     )

@@ -63,7 +63,7 @@ def prove_design(
         proofs += prove_inequality(role, closed, certificate, solver, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1]:
         M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
-        internal = np.sqrt((generator.form.T[generator.r :] ** 2) @ sizes.state**2)
+        internal = np.sqrt((generator.form.T[0, generator.r :] ** 2) @ sizes.state**2)
         proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, sizes=1 / internal)
     return tuple(proofs)
 

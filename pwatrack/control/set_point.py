@@ -173,7 +173,8 @@ def _moved(found: _Solutions, s: Array) -> Rational:
 
 def _constant(plant: PWASystem, x_d: Array, u_ff: Array) -> DesiredTrajectory:
     cells, n = plant.A.shape[:2]
-    return DesiredTrajectory(
+    return DesiredTrajectory.linear(
+        plant,
         exosystem=exosystem([]),
         names=(),
         to_eta=np.zeros((0, n)),

@@ -20,7 +20,8 @@ def state_trajectory(plant: PWASystem, x_d: Exosystem) -> DesiredTrajectory:
     """
     cells, n = plant.A.shape[:2]
     Q, Q_rate = x_d.derivative_rows(1)
-    return DesiredTrajectory(
+    return DesiredTrajectory.linear(
+        plant,
         exosystem=x_d,
         names=(),
         to_eta=np.zeros((0, n)),
@@ -40,7 +41,8 @@ def input_trajectory(plant: PWASystem, u_ff: Exosystem, start: Array | None) -> 
     rate[:, :, :n], rate[:, :, n : n + s], rate[:, :, -1] = plant.A, plant.B @ u_ff.Q, plant.b
     inputs = np.zeros((plant.B.shape[1], n + s + 1))
     inputs[:, n : n + s] = u_ff.Q
-    return DesiredTrajectory(
+    return DesiredTrajectory.linear(
+        plant,
         exosystem=u_ff,
         names=plant.states,
         to_eta=np.eye(n),

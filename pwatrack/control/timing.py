@@ -64,16 +64,17 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if not system.resets:
         return 0.0, 0.0
-    rows = trajectory.x_d[:, p:-1]
-    times, jumps = [0.0], [np.zeros(len(rows))]
+    rows = trajectory.x_d[:, :, p:-1]
+    times, jumps = [0.0], [np.zeros(len(plant.B))]
     for where, t, _ in system.pieces():
         rates = system.states(t) @ system.S.T
-        off = rates[:, where] @ rows[:, where].T * (EPS * t[:, None])  # ẋ_d ε t
-        for k in sorted(set(np.abs(off).argmax(axis=0).tolist())):
-            times.append(float(t[k]))
-            jumps.append(off[k])
+        for X in np.unique(rows, axis=0):
+            off = rates[:, where] @ X[:, where].T * (EPS * t[:, None])  # ẋ_d ε t
+            for k in sorted(set(np.abs(off).argmax(axis=0).tolist())):
+                times.append(float(t[k]))
+                jumps.append(off[k])
     breaks = np.unique([0.0, *(reset.t for reset in system.resets)])
-    wanted = system.states(breaks) @ (outputs @ rows).T
+    wanted = system.states(breaks) @ (outputs @ rows[0]).T
     size = np.maximum(np.ptp(wanted, axis=0), EPS * np.abs(wanted).max(axis=0))
     with np.errstate(all="ignore"):
         relative = _largest(plant, K, outputs, np.array(jumps).T) / size[:, None]

@@ -1,12 +1,14 @@
 """The desired trajectory x_d(t) with its feedforward u_ff(t), as the machine makes it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.errors import Problem
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
 
@@ -14,15 +16,18 @@ from pwatrack.model.reference import Exosystem
 class DesiredTrajectory:
     """A filter with state η̂ driven by an exosystem with state w; s = (η̂, w, 1).
 
-    In the cell of x_d:  η̂' = rate s,  x_d = x_d s,  u_ff = u_ff s.
+    In the cell of x_d:  η̂' = rate s,  x_d = x_d s,  u_ff = u_ff s. x_d is continuous; where a last derivative of the
+    output is piecewise affine (see `NormalForm`), its rows depend on the cell, and u_ff jumps from cell to cell.
 
     Attributes:
         exosystem: Where w comes from.
         names: What each η̂ is.
         to_eta, eta_offset: η = to_eta x + eta_offset is the plant's part that η̂ is for, (p, n) and (p,).
         rate: (l, p, S) where S = p + len(w) + 1.
-        x_d: (n, S).
+        x_d: (l, n, S).
         u_ff: (l, m, S).
+        guards: Rows g with g s = 0 where a cell ends, (k, S).
+        signs: Side of each of these that a cell is on, 0 where that does not bound it, (l, k).
         eta0: η̂(0) where it is fixed by the trajectory, else None.
         until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
         bounded: Whether x_d is proved to stay bounded.
@@ -36,38 +41,60 @@ class DesiredTrajectory:
     rate: Array
     x_d: Array
     u_ff: Array
+    guards: Array
+    signs: IntArray
     eta0: Array | None = None
     until: float | None = None
     bounded: bool = True
     growth: Problem | None = None
 
+    def state(self, s: Array) -> Array:
+        """Return x_d (n,) for s = (η̂, w, 1), (S,)."""
+        inside = (self.signs * np.sign(self.guards @ s) >= 0).all(axis=1)
+        return np.asarray(self.x_d[int(np.argmax(inside))] @ s)
+
+    @classmethod
+    def linear(cls, plant: PWASystem, *, x_d: Array, **rest: Any) -> "DesiredTrajectory":
+        """Return the trajectory whose x_d has the same rows (n, S) in all cells: then these are cut by the plant's."""
+        guards = plant.partition.H @ x_d
+        guards[:, -1] += plant.partition.h
+        rows = np.broadcast_to(x_d, (len(plant.A), *x_d.shape))
+        return cls(x_d=rows, guards=guards, signs=plant.partition.signs, **rest)
+
 
 def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> DesiredTrajectory:
-    """Return x̂_d of (15) and û_ff of (16) for a reference y_d, any η̂(0)."""
+    """Return x̂_d of (15) and û_ff of (16) for references y_d, one per tracked output, any η̂(0)."""
     r, form = generator.r, generator.form
-    cells, p = generator.A_eta.shape[:2]
-    n, s = len(form.T), len(y_d.w0)
+    p, n, s = generator.A_eta.shape[1], form.T.shape[1], len(y_d.w0)
     w, size = slice(p, p + s), p + s + 1
 
-    xi_d = np.zeros((r + 1, size))  # ξ_d and y_d⁽ʳ⁾
-    xi_d[:, w] = y_d.derivative_rows(r)[:, 0]
+    rows = y_d.derivative_rows(max(form.degrees))
+    xi_d = np.zeros((r + len(form.degrees), size))  # ξ_d and y_d⁽ʳ⁾
+    xi_d[:r, w] = np.vstack([rows[:degree, j] for j, degree in enumerate(form.degrees)])
+    xi_d[r:, w] = [rows[degree, j] for j, degree in enumerate(form.degrees)]
     X_xi, X_eta, x_0 = generator.state()
     x_d = X_xi @ xi_d[:r]
-    x_d[:, :p] += X_eta
-    x_d[:, -1] += x_0
+    x_d[:, :, :p] += X_eta
+    x_d[:, :, -1] += x_0
     F_xi, F_eta, f = generator.feedforward()
     u_ff = F_xi @ xi_d
-    u_ff[:, :p] += F_eta
-    u_ff[:, -1] += f
+    u_ff[:, :, :p] += F_eta
+    u_ff[:, :, -1] += f
     rate = generator.B_eta @ xi_d
     rate[:, :, :p] += generator.A_eta
     rate[:, :, -1] += generator.b_eta
+    boundary = form.boundary
+    guards = boundary.H[:, :r] @ xi_d[:r]
+    guards[:, :p] += boundary.H[:, r:]
+    guards[:, -1] += boundary.h
     return DesiredTrajectory(
         exosystem=y_d,
         names=form.eta_names,
-        to_eta=form.T[r:].reshape(n - r, n),
-        eta_offset=form.offset[r:],
-        rate=rate.reshape(cells, p, size),
+        to_eta=form.T[0, r:].reshape(n - r, n),
+        eta_offset=form.offset[0, r:],
+        rate=rate,
         x_d=x_d,
-        u_ff=u_ff[:, None, :],
+        u_ff=u_ff,
+        guards=guards,
+        signs=boundary.signs,
     )

@@ -1,50 +1,62 @@
-"""The normal form (11)–(12): relative degree, the coordinates ξ and η, the change of state."""
+"""The normal form (11)–(12): vector relative degree, the coordinates ξ and η, the change of state.
+
+Tracked outputs y_j with relative degrees r_j give ξ_j = (y_j, …, y_j⁽ʳ⁻¹⁾). All of these are linear in the state but
+the last, which may be another affine form c_i x + d_i in each cell i. With C_i these last rows, D_i = C_i B, and Z
+(m, p) the directions that inputs take, u = Z (D_i Z)⁻¹ v makes y⁽ʳ⁾ = C_i (A_i x + b_i) + v. η = N x with N B Z = 0, so
+v does not enter η̇ either.
+
+All coordinates but the last of each ξ_j are linear, and constant along B Z. Along B Z the last ones are continuous and
+piecewise linear with the slopes D_i Z, and where no matrix in the hull of these is singular two points have different
+values: their difference is such a matrix times that of the points. So Φ: x → (ξ, η) is one-to-one, and onto. That hull
+is free of singular matrices if sym(S D_i Z D⁻¹ S⁻¹) ≻ 0 in all cells, D the mean of all D_i Z and S some diagonal
+matrix; for one output and input that says that all δ_i have one sign.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 
 import numpy as np
 
-from pwatrack.arrays import EPS, TINY, Array, balancing, number_text, readonly
+from pwatrack.arrays import TINY, Array, IntArray, balancing, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, stack
-from pwatrack.causes import Part, Remedy, Way
-from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.continuity import Repair
+from pwatrack.model.decoupling import check_independent, input_directions, one_to_one, too_few_inputs
+from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, output_derivatives, unsure
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
-from pwatrack.rational import Rational, floats
+from pwatrack.rational import floats, fraction_of
 
-_STATE_TRACKING = "state tracking (Theorem 2) needs no form (11), only (8) and (9)"
-_ZERO = 0.25  # of the worst rounding error, below which δ counts as 0
 _FRESH = 0.3  # part of a state that the rows chosen so far must leave over for it to be taken as an η
-_ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
 
 @dataclass(frozen=True, kw_only=True)
 class NormalForm:
-    """A SISO system in the coordinates [ξ; η] = T x + offset of eq. (11).
+    """A system in the coordinates [ξ; η] = T_i x + o_i in cell i of eq. (11), p tracked outputs after each other in ξ.
 
-    In cell i, with relative degree r:
+    With relative degrees r_1 … r_p and r their sum:
 
-        ξ̇_j = ξ_{j+1} for j < r,   ξ̇_r = α_iᵀ ξ + β_iᵀ η + γ_i + δ u,
-        η̇ = χ_i ξ + Ψ_i η + σ_i,   y = ξ_1.
-
-    η is chosen so that u does not enter its equation (ν = 0).
+        ξ̇_jk = ξ_j(k+1) for k < r_j,   (ξ̇_jr_j)_j = α_i ξ + β_i η + γ_i + D_i u,
+        η̇ = χ_i ξ + Ψ_i η + σ_i  for u = Z v,   y_j = ξ_j1.
 
     Attributes:
         plant: The system this is the normal form of, exactly: where c_k A_i differ between cells by rounding, or
             c_k B is rounding, the plant given is repaired.
-        r: Relative degree, 1 … n.
-        exact: T (n, n), the offset (n, 1), and A_ηi, N A_i restricted to η, exactly.
-        T, offset: Change of state, (n, n) and (n,).
-        T_inverse: Its inverse, x = T_inverse ([ξ; η] − offset).
-        alpha, beta, gamma: (l, r), (l, n − r), (l,).
-        delta: The scalar δ ≠ 0.
+        degrees: Relative degree of each tracked output, p of them.
+        piecewise: Of each tracked output, whether its last derivative in ξ is another form in other cells.
+        exact: T_i, o_i and A_ηi, exactly.
+        T, offset: Change of state, (l, n, n) and (l, n).
+        T_inverse: Its inverse, x = T_inverse_i ([ξ; η] − o_i), (l, n, n).
+        alpha, beta, gamma: (l, p, r), (l, p, n − r), (l, p).
+        D: Decoupling matrix, (l, p, m).
+        right_inverse: Z (D_i Z)⁻¹, (l, m, p): inputs that make one of y⁽ʳ⁾ 1, and nothing else.
         chi, Psi, sigma: (l, n − r, r), (l, n − r, n − r), (l, n − r).
         eta_names: What each η is, in the names of the states.
+        boundary: The cells of the plant, as those of (ξ, η).
     """
 
     plant: PWASystem
-    r: int
+    degrees: tuple[int, ...]
+    piecewise: tuple[bool, ...]
     exact: "ExactForm"
     T: Array
     offset: Array
@@ -52,11 +64,27 @@ class NormalForm:
     alpha: Array
     beta: Array
     gamma: Array
-    delta: float
+    D: Array
+    right_inverse: Array
     chi: Array
     Psi: Array
     sigma: Array
     eta_names: tuple[str, ...]
+
+    @property
+    def r(self) -> int:
+        """How many ξ there are: the sum of the relative degrees."""
+        return sum(self.degrees)
+
+    @property
+    def degrees_text(self) -> str:
+        """The relative degree, of several outputs as a vector."""
+        return str(self.degrees[0]) if len(self.degrees) == 1 else str(self.degrees)
+
+    @cached_property
+    def boundary(self) -> "Boundary":
+        """What bounds the cells in (ξ, η)."""
+        return _boundary(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,120 +92,173 @@ class ExactForm:
     """What of a normal form proofs are about.
 
     Attributes:
-        T, offset: [ξ; η] = T x + offset, (n, n) and (n, 1).
+        T, offset: [ξ; η] = T x + offset, (n, n) and (n, 1), one per cell.
+        inverse: Those of T.
+        directions: Z, (m, p).
+        scales: The diagonal of S.
+        internal: The states j of the rows N = e_j − (B Z (D_1 Z)⁻¹)_j C_1 of T, n − r of them.
         A_eta: (n − r, n − r), one per cell.
-        internal: The states j of the rows N = e_j − (B_j / δ) c_{r−1} of T, n − r of them.
     """
 
-    T: BallMatrix
-    offset: BallMatrix
-    A_eta: tuple[BallMatrix, ...]
+    T: tuple[BallMatrix, ...]
+    offset: tuple[BallMatrix, ...]
+    inverse: tuple[BallMatrix, ...]
+    directions: BallMatrix
+    scales: tuple[float, ...]
     internal: tuple[int, ...]
+    A_eta: tuple[BallMatrix, ...] = ()
 
 
-def normal_form(plant: PWASystem) -> NormalForm:
-    """Bring a SISO system to the form (11) by a linear change of state.
+@dataclass(frozen=True, kw_only=True)
+class Boundary:
+    """Hyperplanes of (ξ, η) that bound cells: H [ξ; η] + h = 0.
+
+    Where a last derivative is piecewise affine, a hyperplane of x is one of several pieces here.
+
+    Attributes:
+        H, h: (k, n) and (k,).
+        signs: Side of each that a cell is on, 0 where that does not bound it, (l, k).
+    """
+
+    H: Array
+    h: Array
+    signs: IntArray
+
+
+def normal_form(
+    plant: PWASystem, *, input_sizes: Array | None = None, directions: BallMatrix | None = None
+) -> NormalForm:
+    """Bring a system to the form (11) by a change of state, linear but for the last derivatives.
+
+    Args:
+        plant: The system (1).
+        input_sizes: Of the inputs, (m,); where there are more than tracked outputs, u_ff is the least in them.
+        directions: Z, (m, p), instead.
 
     Raises:
-        OutsideTheory: If the plant is not SISO, or y, ẏ, … depend on the cell
-            before the input appears, or the input never appears.
+        OutsideTheory: If there are fewer inputs than tracked outputs; y, ẏ, … depend on the cell before the inputs
+            appear, or these never appear; or inputs do not act on the outputs independently, in each cell or in some
+            mean of them.
     """
-    if plant.B.shape[1] != 1 or len(plant.tracked) != 1:
-        one_of_many = plant.B.shape[1] == 1 and len(plant.tracked) > 1
-        raise OutsideTheory(
-            Problem(
-                message=f"output tracking (Theorem 3) needs one input and one tracked output, the plant has "
-                f"{plant.B.shape[1]} and {len(plant.tracked)}",
-                subject=(Part.PLANT,),
-                hint="say which one follows the reference" if one_of_many else _STATE_TRACKING,
-                remedy=Remedy(Way.TRACKED, (plant.tracked_names[0],)) if one_of_many else Remedy(Way.STATE_TRACKING),
-            )
-        )
-    rows, delta = _output_derivatives(plant)
-    r, n = len(rows), plant.A.shape[1]
+    if len(plant.tracked) > plant.B.shape[1]:
+        raise too_few_inputs(plant)
+    found = [output_derivatives(plant, j) for j in range(len(plant.tracked))]
+    Z = directions or input_directions(plant, found, input_sizes)
+    check_independent(plant, found, Z)
+    last, n = last_rows(found), plant.A.shape[1]
     try:
-        internal = _complement(plant, rows, delta)
-        T, offset = _coordinates(plant.exact, r, internal)
-        plant, inverse = _repaired(plant, T, offset, r), T.inverse()
+        internal = _complement(plant, found, Z.floats)
+        plant = _repaired(plant, found, Z, internal)
+        T, offset = _coordinates(plant.exact, found, Z, internal)
+        inverse = each(BallMatrix.inverse, T)
+        D = each(lambda T_i: T_i.part(last, range(n)) @ plant.exact.B, T)
+        right_inverse = each(lambda D_i: Z @ (D_i @ Z).inverse(), D)
     except ZeroDivisionError:
-        raise _unsure(r, delta, abs(delta)) from None
-    exact = plant.exact
-    whole = each(lambda A_i: T @ A_i @ inverse, exact.A)
-    A, o = stack(whole), offset.floats[:, 0]
-    b = stack([T @ b_i - A_i @ offset for b_i, A_i in zip(exact.b, whole, strict=True)])[:, :, 0]
-    etas = range(r, n)
+        raise unsure("C A^(r - 1) B, known to within a radius,", 0.0) from None
+    exact = ExactForm(
+        T=tuple(T),
+        offset=tuple(offset),
+        inverse=tuple(inverse),
+        directions=Z,
+        scales=one_to_one(plant, found, [D_i @ Z for D_i in D]),
+        internal=tuple(internal),
+    )
+    return _form(plant, found, exact, stack(D), stack(right_inverse))
+
+
+def _form(
+    plant: PWASystem, found: Sequence[Derivatives], coordinates: ExactForm, D: Array, right_inverse: Array
+) -> NormalForm:
+    """Return the plant in these coordinates, given its decoupling matrix and that one's right inverse in each cell."""
+    exact, T, o, inverse = plant.exact, coordinates.T, coordinates.offset, coordinates.inverse
+    place = {id(A_i): i for i, A_i in enumerate(exact.A)}
+    whole = each(lambda A_i: T[place[id(A_i)]] @ A_i @ inverse[place[id(A_i)]], exact.A)
+    b = stack([T_i @ b_i - M @ o_i for T_i, b_i, M, o_i in zip(T, exact.b, whole, o, strict=True)])[:, :, 0]
+    last, r, A = last_rows(found), sum(d.degree for d in found), stack(whole)
+    etas = range(r, A.shape[1])
     return NormalForm(
         plant=plant,
-        r=r,
-        exact=ExactForm(
-            T=T, offset=offset, A_eta=tuple(each(lambda A_i: A_i.part(etas, etas), whole)), internal=tuple(internal)
-        ),
-        T=T.floats,
-        offset=readonly(o),
-        T_inverse=inverse.floats,
-        alpha=readonly(A[:, r - 1, :r]),
-        beta=readonly(A[:, r - 1, r:]),
-        gamma=readonly(b[:, r - 1]),
-        delta=float((T @ exact.B).floats[r - 1, 0]),
+        degrees=tuple(d.degree for d in found),
+        piecewise=tuple(d.piecewise for d in found),
+        exact=replace(coordinates, A_eta=tuple(each(lambda A_i: A_i.part(etas, etas), whole))),
+        T=stack(T),
+        offset=readonly(stack(o)[:, :, 0]),
+        T_inverse=stack(inverse),
+        alpha=readonly(A[:, last, :r]),
+        beta=readonly(A[:, last, r:]),
+        gamma=readonly(b[:, last]),
+        D=D,
+        right_inverse=right_inverse,
         chi=readonly(A[:, r:, :r]),
         Psi=readonly(A[:, r:, r:]),
         sigma=readonly(b[:, r:]),
-        eta_names=tuple(linear_form_text(row, plant.states) for row in T.floats[r:]),
+        eta_names=tuple(linear_form_text(row, plant.states) for row in T[0].floats[r:]),
     )
 
 
-def _coordinates(exact: Matrices, r: int, internal: Sequence[int]) -> tuple[BallMatrix, BallMatrix]:
-    """Return T and the offset: the rows c_k of the first cell, then e_j − (B_j / δ) c_{r−1} for some states j."""
-    n = exact.A[0].shape[0]
-    row, T, offset = exact.tracked, exact.tracked, BallMatrix.of([[0]])
-    for _ in range(r - 1):
-        offset = above(offset, row @ exact.b[0])
-        row = row @ exact.A[0]
-        T = above(T, row)
-    share = exact.B @ (row @ exact.B).inverse()  # B / δ
-    for j in internal:
-        unit = BallMatrix.of(np.eye(n)[[j]])
-        T = above(T, unit - share.part([j], [0]) @ row)
-        offset = above(offset, BallMatrix.of([[0]]))
-    return T, offset
+def _kept(found: Sequence[Derivatives]) -> list[int]:
+    """Return which rows c of T have c A_i as their next one in every cell."""
+    bent = {k - 1 for k, d in zip(last_rows(found), found, strict=True) if d.piecewise}
+    return [k for k in range(last_rows(found)[-1]) if k not in last_rows(found) and k not in bent]
 
 
-def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PWASystem:
-    """Return the plant with c_k A_i = c_{k+1}, c_k b_i = o_{k+1} and c_k B = 0 for k < r − 1, exactly.
+def _coordinates(
+    exact: Matrices, found: Sequence[Derivatives], Z: BallMatrix, internal: Sequence[int]
+) -> tuple[list[BallMatrix], list[BallMatrix]]:
+    """Return T and the offset of each cell: the rows c_k of each output, then e_j − (B Z (D Z)⁻¹)_j C for states j."""
+    n, last = exact.A[0].shape[0], last_rows(found)
+    before, offsets = exact_rows(exact, found)
+    C = _stacked([before[k] for k in last])
+    share = exact.B @ Z @ (C @ exact.B @ Z).inverse()
+    units = BallMatrix.of(np.eye(n))
+    N = [units.part([j], range(n)) - share.part([j], range(len(last))) @ C for j in internal]
+    nothing = [BallMatrix.of([[0]])] * len(internal)
+    bent = [k for k, d in zip(last, found, strict=True) if d.piecewise]
 
-    With S the columns of T⁻¹ that belong to c_0 … c_{r−2}, Ã_i = A_i − S (c A_i − c₊) and so on. The difference of two
+    def assembled(rows: list[BallMatrix], X: BallMatrix, below: list[BallMatrix]) -> BallMatrix:
+        """Put the rows c X of a cell in the place of the last derivatives that differ from cell to cell."""
+        return _stacked([before[k - 1] @ X if k in bent else row for k, row in enumerate(rows)] + below)
+
+    if not bent:
+        return [_stacked(before + N)] * len(exact.A), [_stacked(offsets + nothing)] * len(exact.A)
+    T = each(lambda A_i: assembled(before, A_i, N), exact.A)
+    return T, each(lambda b_i: assembled(offsets, b_i, nothing), exact.b)
+
+
+def _stacked(rows: Sequence[BallMatrix]) -> BallMatrix:
+    """Return matrices below each other."""
+    return reduce(above, rows)
+
+
+def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, internal: Sequence[int]) -> PWASystem:
+    """Return the plant with c_k A_i = c_{k+1} and c_k b_i = o_{k+1} wherever they are to be, and c_k B = 0, exactly.
+
+    With S the columns of T⁻¹ that belong to these c_k, Ã_i = A_i − S (c A_i − c₊) and so on. The difference of two
     cells is multiplied by I − S c then, so that what was continuous stays so.
     """
-    n, first, following = plant.A.shape[1], range(r - 1), range(1, r)
-    c = BallMatrix(T.part(first, range(n)).centre)
-    c_next, o_next = T.part(following, range(n)).centre, offset.part(following, [0]).centre
-    S = BallMatrix(T.centre.inv()).part(range(n), first)
-    exact = plant.exact
-    missed_A = [c.centre * A_i.centre - c_next for A_i in exact.A]
-    missed_b = [c.centre * b_i.centre - o_next for b_i in exact.b]
-    missed_B = c.centre * exact.B.centre
+    exact, n = plant.exact, plant.A.shape[1]
+    T, offset = (X[0] for X in _coordinates(exact, found, Z, internal))
+    kept, free = _kept(found), [k for k in range(last_rows(found)[-1]) if k not in last_rows(found)]
+    following = [k + 1 for k in kept]
+    c, c_next, o_next = T.part(kept, range(n)).centre, T.part(following, range(n)).centre, offset.part(following, [0])
+    c_free, inverse = T.part(free, range(n)).centre, BallMatrix(T.centre.inv())
+    S, S_free = inverse.part(range(n), kept).centre, inverse.part(range(n), free).centre
+    missed_A = [c * A_i.centre - c_next for A_i in exact.A]
+    missed_b = [c * b_i.centre - o_next.centre for b_i in exact.b]
+    missed_B = c_free * exact.B.centre
     if not any(any(X.entries()) for X in (*missed_A, *missed_b, missed_B)):
         return plant
 
-    def mended(X: BallMatrix, missed: Rational) -> BallMatrix:
-        return BallMatrix(X.centre - S.centre * missed, X.radius)
-
     new = Matrices(
-        A=tuple(mended(X, missed) for X, missed in zip(exact.A, missed_A, strict=True)),
-        b=tuple(mended(X, missed) for X, missed in zip(exact.b, missed_b, strict=True)),
-        B=mended(exact.B, missed_B),
+        A=tuple(BallMatrix(X.centre - S * off, X.radius) for X, off in zip(exact.A, missed_A, strict=True)),
+        b=tuple(BallMatrix(X.centre - S * off, X.radius) for X, off in zip(exact.b, missed_b, strict=True)),
+        B=BallMatrix(exact.B.centre - S_free * missed_B, exact.B.radius),
         C=exact.C,
         tracked=exact.tracked,
     )
-    A, b = (np.abs([floats(S.centre * X) for X in missed]).max(axis=0) for missed in (missed_A, missed_b))
-    B = np.abs(floats(S.centre * missed_B))
-    d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
-    shares = [np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, TINY)]
-    for change, given in ((b, plant.b.T), (B, plant.B)):
-        rates = np.abs(given) / d[:, None]
-        shares.append(change / d[:, None] / max(rates.max(), TINY))
-    relative = max(float(share.max()) for share in shares)
-    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=readonly(B), relative=relative)
+    A, b = (np.abs([floats(S * off) for off in missed]).max(axis=0) for missed in (missed_A, missed_b))
+    B = np.abs(floats(S_free * missed_B))
+    repair = Repair(A=readonly(A), b=readonly(b[:, 0]), B=readonly(B), relative=_relative(plant, A, b, B))
     remark = (
         f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
     )
@@ -185,78 +266,60 @@ def _repaired(plant: PWASystem, T: BallMatrix, offset: BallMatrix, r: int) -> PW
     return replace(whole, repair=repair.and_then(plant.repair), remarks=(*plant.remarks, remark))
 
 
-def _output_derivatives(plant: PWASystem) -> tuple[Array, float]:
-    """Return rows c_k with y⁽ᵏ⁾ = c_k x + o_k for k < r, and δ = c_{r−1} B, decided with a bound on rounding."""
-    c = plant.tracked[0]
-    where = Part.C if plant.tracked_names == plant.outputs else Part.TRACKED
-    rows = [c]
-    size_A, n = np.abs(plant.A).max(axis=0), plant.A.shape[1]
-    rounding = 4 * n * EPS
-    error = np.zeros(n)  # bounds how far rounding may have moved the entries of c
-    for _ in range(n):
-        B = plant.B[:, 0]
-        delta = float(c @ B)
-        doubt = float((error + rounding * np.abs(c)) @ np.abs(B))
-        if abs(delta) > doubt:
-            return np.array(rows), delta
-        if abs(delta) > _ZERO * doubt:
-            raise _unsure(len(rows), delta, doubt)
-        following = c @ plant.A
-        error = error @ size_A + rounding * (np.abs(c) @ size_A)
-        if not B.any():
-            break
-        differs = np.abs(following - following[0]) > np.maximum(_ROUNDING * (np.abs(c) @ size_A), 2 * error)
-        if differs.any():
-            cell, column = np.argwhere(differs)[0]
-            one, other = plant.cell_names[0], plant.cell_names[cell]
-            raise OutsideTheory(
-                Problem(
-                    message=f"not of form (11): row C A^{len(rows)} differs between cells '{one}' and '{other}' "
-                    f"before the input enters: entry '{plant.states[column]}' is "
-                    f"{number_text(following[0, column], '.6g')} and {number_text(following[cell, column], '.6g')}",
-                    subject=(where,),
-                    hint=f"another output may have the same derivatives in every cell; {_STATE_TRACKING}",
-                    remedy=Remedy(Way.STATE_TRACKING),
-                )
-            )
-        c = following[0]
-        if not (np.abs(c) > 2 * error).any():
-            break
-        rows.append(c)
-    raise OutsideTheory(
-        Problem(
-            message=f"no relative degree in cell '{plant.cell_names[0]}': the input never reaches the output "
-            f"'{plant.tracked_names[0]}'",
-            subject=(Part.B,),
-            hint=f"track another output or add an actuator; {_STATE_TRACKING}",
-            remedy=Remedy(Way.STATE_TRACKING),
-        )
-    )
+def _relative(plant: PWASystem, A: Array, b: Array, B: Array) -> float:
+    """Return how large changes of a plant are beside its own numbers."""
+    d, size = balancing(plant.A), np.abs(plant.A).max(axis=0)
+    shares = [np.where(A.any(axis=1), A @ d, 0.0) / np.maximum(size @ d, TINY)]
+    for change, given in ((b, plant.b.T), (B, plant.B)):
+        rates = np.abs(given) / d[:, None]
+        shares.append(change / d[:, None] / max(rates.max(), TINY))
+    return max(float(share.max()) for share in shares)
 
 
-def _unsure(r: int, delta: float, doubt: float) -> OutsideTheory:
-    return OutsideTheory(
-        Problem(
-            message=f"the relative degree is not sure: C A^{r - 1} B = {delta:.3g} may be rounding, "
-            f"which can reach {doubt:.3g}",
-            subject=(Part.B,),
-            hint="write the plant in states of similar size that act on each other directly",
-        )
-    )
+def _boundary(form: NormalForm) -> Boundary:
+    """Return H_k T_i⁻¹ [ξ; η] + h_k − H_k T_i⁻¹ o_i = 0 for each hyperplane k that bounds a cell i, each once."""
+    partition, exact = form.plant.partition, form.exact
+    planes = BallMatrix.of(partition.exact_H, (len(partition.h), len(form.T[0])))
+    constants = BallMatrix.of([[v] for v in partition.exact_h], (len(partition.h), 1))
+    turned = each(lambda T_inverse: planes @ T_inverse, exact.inverse)
+    places: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
+    numbers: dict[tuple[int, tuple[str, ...]], int] = {}
+    rows, found = list[tuple[Array, float]](), list[list[int]]()
+    for H, o in zip(turned, exact.offset, strict=True):
+        if (id(H), id(o)) not in places:
+            here, h = list[int](), (constants - H @ o).centre.entries()
+            for k, (line, constant) in enumerate(zip(H.centre.tolist(), h, strict=True)):
+                size = next(abs(v) for v in line if v)
+                here.append(numbers.setdefault((k, tuple(str(v / size) for v in (*line, constant))), len(rows)))
+                if here[-1] == len(rows):
+                    rows.append((H.floats[k], float(fraction_of(constant))))
+            places[id(H), id(o)] = here
+        found.append(places[id(H), id(o)])
+    signs = np.zeros((len(partition.signs), len(rows)), dtype=np.int64)
+    for own, here, side in zip(signs, found, partition.signs, strict=True):
+        own[here] = side
+    kept = np.flatnonzero(signs.any(axis=0)).tolist()  # a hyperplane may bound no cell with some T
+    rows, signs = [rows[k] for k in kept], signs[:, kept]
+    H_all = np.array([row for row, _ in rows]).reshape(len(rows), len(form.T[0]))
+    return Boundary(H=readonly(H_all), h=readonly([h for _, h in rows]), signs=signs)
 
 
-def _complement(plant: PWASystem, rows: Array, delta: float) -> list[int]:
+def _complement(plant: PWASystem, found: Sequence[Derivatives], Z: Array) -> list[int]:
     """Return n − r states j for the rows of N, with [rows; N] invertible; those that are η themselves come first.
 
-    State j itself qualifies if B_j = 0; otherwise x_j − (B_j / δ) c_{r−1} x does.
+    State j itself qualifies if (B Z)_j = 0; otherwise x_j − (B Z (D Z)⁻¹)_j C x does.
     """
-    n, B = rows.shape[1], plant.B[:, 0]
-    if len(rows) == n:
+    rows = np.vstack([d.rows for d in found])
+    n, last = rows.shape[1], rows[last_rows(found)]
+    if len(rows) >= n:
         return []
+    BZ = plant.B @ Z
+    BZ[(plant.exact.B @ BallMatrix.of(Z)).floats == 0] = 0.0
+    share = BZ @ np.linalg.inv(last @ BZ)
     d = balancing(plant.A)
     unit = np.eye(n)
-    states = [j for j in range(n) if B[j] == 0] + [j for j in range(n) if B[j] != 0]
-    candidates = [(j, unit[j] - B[j] / delta * rows[-1]) for j in states]
+    states = [j for j in range(n) if not BZ[j].any()] + [j for j in range(n) if BZ[j].any()]
+    candidates = [(j, unit[j] - share[j] @ last) for j in states]
     candidates = [(j, v) for j, v in candidates if v.any()]
     directions = np.array([v for _, v in candidates]) * d
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -18,18 +18,18 @@ from pwatrack.model.signal import Signal
 
 @dataclass(frozen=True)
 class OutputReference:
-    """A wanted output y_d, the sum of some courses: output tracking (Theorem 3)."""
+    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3)."""
 
-    courses: tuple[Course, ...]
+    courses: tuple[tuple[Course, ...], ...]
 
-    def signal(self, r: int) -> Signal:
-        """Return y_d, with r continuous derivatives where rounding was asked for."""
-        return total_signal(self.courses, r)
+    def signals(self, degrees: Sequence[int]) -> list[Signal]:
+        """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""
+        return [total_signal(courses, r) for courses, r in zip(self.courses, degrees, strict=True)]
 
     @property
     def smooth(self) -> float | None:
         """The shortest time in s over which corners are rounded, or None if none are."""
-        return _shortest(self.courses)
+        return _shortest([course for courses in self.courses for course in courses])
 
 
 @dataclass(frozen=True)

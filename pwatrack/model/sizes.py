@@ -24,6 +24,7 @@ class Sizes:
 
     Attributes:
         state, input, output, load: (n,), (m,), (q,), (p,), positive; the last of the states of unknown loads.
+        tracked: Of what follows a reference, where there is a plant that says what that is.
         speed: In 1/s: a state moves by about its size in 1 / speed.
         origins: By name of the signal, where its size is from.
 
@@ -41,6 +42,7 @@ class Sizes:
     speed: float
     origins: Mapping[str, Origin] = field(default_factory=dict)
     load: Array = field(default_factory=lambda: np.zeros(0))
+    tracked: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
@@ -63,9 +65,18 @@ class Sizes:
         state, input_, output = ([known.get(name, (np.nan, "balanced"))[0] for name in names] for names in kinds)
         found = cls.balanced(plant.A, plant.B, plant.C, state=state, input_=input_, output=output, tempo=tempo)
         names = [name for kind in kinds for name in kind]
+        forms = np.linalg.norm(plant.tracked * found.state, axis=1)
+        outputs = dict(zip(plant.outputs, found.output.tolist(), strict=True))
+        tracked = [
+            known[name][0] if name in known else outputs.get(name, size)
+            for name, size in zip(plant.tracked_names, forms.tolist(), strict=True)
+        ]
         load = np.zeros(0) if plant.loads is None else plant.loads.sizes(found.state, found.speed, known)
         return replace(
-            found, load=load, origins={name: known[name][1] if name in known else "balanced" for name in names}
+            found,
+            load=load,
+            tracked=readonly(tracked),
+            origins={name: known[name][1] if name in known else "balanced" for name in names},
         )
 
     @classmethod

@@ -16,12 +16,14 @@ from pwatrack.control.goal import Given
 from pwatrack.control.limits import Promise
 from pwatrack.control.robust import Robust
 from pwatrack.lmi.audit.certificate import FORMAT
+from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
 
 CLAIM = (
@@ -79,14 +81,34 @@ def corner_content(spec: Spec, corners: Sequence[Matrices]) -> dict[str, Any]:
     }
 
 
-def subject_content(spec: Spec) -> dict[str, Any]:
-    """Return the part of either that the spec alone decides: what is proved something of."""
-    form = normal_form(spec.problem.plant) if spec.problem.tracking == "output" else None
+def subject_content(spec: Spec, directions: Any = None) -> dict[str, Any]:
+    """Return the part of either that the spec alone decides: what is proved something of.
+
+    Args:
+        spec: What was asked.
+        directions: Of the inputs, where they are given: see `NormalForm`.
+    """
+    form = output_form(spec, directions) if spec.problem.tracking == "output" else None
     return {
         "tracking": spec.problem.tracking,
         "plant": _plant(spec.problem.plant if form is None else form.plant),
         "generator": None if form is None else _generator(form),
     }
+
+
+def output_form(spec: Spec, directions: Any = None) -> NormalForm:
+    """Return the normal form of a spec, for directions of the inputs as a certificate has them, or those of a design.
+
+    Raises:
+        ValueError: If these are not of its shape.
+    """
+    plant = spec.problem.plant
+    if directions is None:
+        return spec_form(spec)
+    m, p = plant.B.shape[1], len(plant.tracked)
+    if [len(row) for row in directions] != [p] * m:
+        raise ValueError("the directions of the inputs do not fit the plant")
+    return normal_form(plant, directions=BallMatrix.of([[number(v) for v in row] for row in directions], (m, p)))
 
 
 def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
@@ -98,7 +120,7 @@ def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
     """
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     return {
-        "relative_degree": form.r,
+        "relative_degrees": list(form.degrees),
         "eta": list(form.eta_names),
         "T": form.T.tolist(),
         "offset": form.offset.tolist(),
@@ -109,7 +131,7 @@ def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
         "alpha": form.alpha.tolist(),
         "beta": form.beta.tolist(),
         "gamma": form.gamma.tolist(),
-        "delta": form.delta,
+        "right_inverse": form.right_inverse.tolist(),
         "shift": None if shift is None else shift.tolist(),
         "loads": _compensation_content(form),
     }
@@ -206,10 +228,12 @@ def _radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
 
 def _generator(form: NormalForm) -> dict[str, Any]:
     return {
-        "relative_degree": form.r,
+        "relative_degrees": list(form.degrees),
+        "directions": form.exact.directions.texts,
+        "scales": [text(Fraction(v)) for v in form.exact.scales],
         "internal": list(form.exact.internal),
         "eta": list(form.eta_names),
-        "T": form.exact.T.texts,
+        "T": [T.texts for T in form.exact.T],
         "A_eta": [X.texts for X in form.exact.A_eta],
     }
 

@@ -27,7 +27,7 @@ def print_plant(
     sizes: Sizes | None = None,
     remarks: Sequence[str] = (),
 ) -> None:
-    """Say what the plant is, which theorems apply, what is known of the reference, and which sizes are in force.
+    """Say what the plant is, which routes there are, what is known of the reference, and which sizes are in force.
 
     Of many cells, facets or signals only the first ones.
     """
@@ -41,10 +41,12 @@ def print_plant(
     _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
     if form is not None:
         table.add_row(
-            "form (11)", f"relative degree {form.r}, internal states η = {', '.join(form.eta_names) or 'none'}"
+            "form (11)",
+            f"relative degree {form.degrees_text}, internal states η = {', '.join(form.eta_names) or 'none'}",
         )
-    for theorem, answer in report.theorems().items():
-        table.add_row(theorem, answer)
+    for route, answer in report.routes().items():
+        table.add_row(route, answer)
+    table.add_row("design takes", report.taken)
     if reference:
         table.add_row("reference", reference)
     for k, text in enumerate(size_texts(sizes, _MOST_SHOWN) if sizes else ()):
@@ -99,13 +101,14 @@ def plant_json(
         ],
         "continuous": True,
         "form_11": form is not None,
-        "relative_degree": None if form is None else form.r,
+        "relative_degrees": None if form is None else list(form.degrees),
         "eta": [] if form is None else list(form.eta_names),
         "zero_dynamics": {
             cell: [[float(v.real), float(v.imag)] for v in row]
             for cell, row in zip(plant.cell_names, values, strict=False)
         },
-        "theorems": report.theorems(),
+        "routes": report.routes(),
+        "design_takes": report.taken,
         "reference": reference or None,
         "sizes": sizes and {k: {"size": v, "from": sizes.origins[k]} for k, v in sizes.by_name.items()},
         "speed": sizes and sizes.speed,

@@ -18,9 +18,15 @@ from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
-from pwatrack.model.normal_form import normal_form
 from pwatrack.report.bounds import BOUNDS
-from pwatrack.report.certificate import CLAIM, corner_content, decimals, generator_content, subject_content
+from pwatrack.report.certificate import (
+    CLAIM,
+    corner_content,
+    decimals,
+    generator_content,
+    output_form,
+    subject_content,
+)
 from pwatrack.report.run_folder import INDEX, REFUSAL
 from pwatrack.sizing import spec_sizes
 from pwatrack.spec.corners import corners
@@ -97,7 +103,7 @@ def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
 
 def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     """Return what of a certificate is not what the spec asks for."""
-    subject = subject_content(spec)
+    subject = subject_content(spec, (content["generator"] or {}).get("directions"))
     faults = [
         f"{name} is not that of {spec.path}"
         for name in ("tracking", "plant", "generator")
@@ -169,9 +175,9 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
         subject = content["generator"] or {}
         same = all(_same(generator.get(name), subject.get(name)) for name in ("T", "A_eta"))
         if spec is not None and same:
-            form = normal_form(spec.problem.plant)
+            form = output_form(spec, subject.get("directions"))
             A_eta, B_eta, _ = tracking_dynamics(form)
-            same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, :-1]))
+            same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, : form.r]))
         yield "generator.json", "" if same else "generator.json is not that of this plant"
     if (bounds := _json(folder / BOUNDS)) is not None:
         gains = [list(signal["peak_gain"]) for signal in _signals(bounds) if "peak_gain" in signal]

@@ -27,8 +27,7 @@ class ClosedLoop:
         conditions: What is not as the theorems assume.
         at: Where everything sits in z.
         flow: ż = F(mode) z, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator).
-        x_d: Rows with x_d = x_d z, (n, N).
-        u_ff, u: Rows with u_ff = u_ff[cell of x_d] z, (l, m, N); likewise u, before its limits.
+        x_d, u_ff, u: Rows with x_d = x_d[cell of x_d] z, (l, n, N); likewise u_ff, and u before its limits, (l, m, N).
     """
 
     controller: Controller
@@ -70,7 +69,7 @@ class ClosedLoop:
         z, at = trace.z, self.at
         cell = trace.modes[:, [part.name for part in self.flow.parts].index("generator")]
         trajectory, limits = self.controller.trajectory, self.conditions.limits
-        x, x_d = z[:, at.x], z @ self.x_d.T
+        x, x_d = z[:, at.x], _switched(self.x_d, cell, z)
         loads = self.controller.plant.loads
         running, designed = self.plant, self.controller.plant
         tracked, tracked_d = x @ running.tracked.T, x_d @ designed.tracked.T
@@ -114,11 +113,14 @@ class ClosedLoop:
 
     @property
     def tracking_error(self) -> Array:
-        """Rows with e = rows z for what goes to 0: y − y_d for output tracking, x − x_d for state tracking, (q, N)."""
+        """Rows with e = rows z for what goes to 0: y − y_d for output tracking, x − x_d for state tracking, (q, N).
+
+        They are the same in all cells: of x_d, only last derivatives of y are not.
+        """
         x = np.eye(self.at.order)[self.at.x]
         if self.controller.generator is None:
-            return np.asarray(x - self.x_d)
-        return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d)
+            return np.asarray(x - self.x_d[0])
+        return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d[0])
 
     def generator_flow(self) -> Flow:
         """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled and with no load estimated."""
@@ -200,30 +202,28 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     added, s_hat = controller.compensation, z[at.s_hat]
     shift = added.X.floats @ s_hat
     x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat
-    u_fb = K @ z[at.x_hat] - K @ x_d
+    u_x, law = K @ z[at.x_hat], u_ff - K @ x_d  # the input is their sum
     y = plant.C @ z[at.x] + (z[at.v] if conditions.noise else 0.0)
-
     F0 = np.zeros_like(z)
     F0[at.w, at.w] = trajectory.exosystem.S
     if conditions.disturbance is not None:
         F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    steady, switched, seen = u_fb, u_ff, y  # the input, as a sum, and the output that the observer sees
+    steady, switched, seen = u_x, law, y  # the input, as a sum, and the output that the observer sees
     if sampling:  # both are held
         steady, switched, seen = z[at.u], np.zeros_like(u_ff), z[at.y]
-        F0[at.w_held, at.w_held] = trajectory.exosystem.S
+        F0[at.w_held, at.w_held] = F0[at.w, at.w]
     F0 += at.driven(steady, plant, model) + _loads(model, at)
     F0[at.observer] += L @ (model.C @ z[at.x_hat] - seen)
-    F_generator = np.zeros((len(model.A), *z.shape))
-    F_generator[:, at.eta_hat] = trajectory.rate @ reference + added.rate @ s_hat
-    F_generator += [at.driven(rows, plant, model) for rows in switched]
+    F_generator = np.array([at.driven(rows, plant, model) for rows in switched])
+    F_generator[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
+    guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
         SwitchedPart.of("plant", plant, z[at.x], _affine(plant, at.x, z)),
         SwitchedPart.of("observer", model, z[at.x_hat], _affine(model, at.x_hat, z)),
-        SwitchedPart.of("generator", model, x_d, F_generator),
+        SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F_generator),
     ]
-    u = switched + steady
     if conditions.limits is not None:
-        meant = switched + z[at.computed] if sampling else u
+        meant = switched + (z[at.computed] if sampling else steady)
         parts += actuators(conditions.limits, meant, parts[-1], plant, model, at)
     if conditions.rates is not None and sampling:
         parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
@@ -232,10 +232,10 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
         controller=controller,
         conditions=conditions,
         at=at,
-        flow=sampled(flow, conditions, at, measured=y, law=u_ff + u_fb) if sampling else flow,
+        flow=sampled(flow, conditions, at, measured=y, law=u_x + law) if sampling else flow,
         x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]) + shift,
         u_ff=u_ff,
-        u=u,
+        u=switched + steady,
     )
 
 

@@ -58,13 +58,15 @@ def feedforward_peak(
         if start is None and p:
             return None
         try:
-            t, z, cell, crossed = _walked(plant, trajectory, np.zeros(0) if start is None else start, duration, steps)
+            t, z, cell, crossed, entered = _walked(
+                plant, trajectory, np.zeros(0) if start is None else start, duration, steps
+            )
         except (CheckFailed, Undecided):
             return None
         values = np.einsum("kms,ks->km", trajectory.u_ff[cell], z)
         breaks = np.unique(np.concatenate([breaks, crossed[crossed < t[-1]]]))
         nodes = np.sort(np.concatenate([breaks, np.nextafter(breaks, 0.0)]))
-        at_nodes = _between(plant, trajectory, (t, z, cell), nodes)
+        at_nodes = _between(trajectory, (t, z, cell), (crossed, entered), nodes)
     columns = [_ends(t, values[:, k], breaks, nodes, at_nodes[:, k]) for k in range(values.shape[1])]
     ends = np.array(columns).reshape(-1, 2, 2)
     return Peak(low=ends[:, 0, 0], high=ends[:, 1, 0], times=ends[:, :, 1])
@@ -78,16 +80,21 @@ def _of_w(trajectory: DesiredTrajectory, t: Array) -> Array:
 
 def _walked(
     plant: PWASystem, trajectory: DesiredTrajectory, start: Array, duration: float, steps: int
-) -> tuple[Array, Array, IntArray, Array]:
-    """Return times, (η̂, w, 1) and the cell of x_d there, and the times at which x_d changes its cell."""
+) -> tuple[Array, Array, IntArray, Array, IntArray]:
+    """Return times, (η̂, w, 1) and the cell of x_d there; the times at which x_d changes its cell, and all its cells."""
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     found = list(blocks(plant, trajectory, z0, duration, steps=steps))
     t, z, cell = (np.concatenate(part) for part in zip(*((b.t, b.z, b.modes[:, 0]) for b in found), strict=True))
-    return t, z, cell, np.array([event.t for block in found for event in block.events])
+    events = [event for block in found for event in block.events]
+    cells = np.array([cell[0], *(event.after[0] for event in events)])
+    return t, z, cell, np.array([event.t for event in events]), cells
 
 
 def _between(
-    plant: PWASystem, trajectory: DesiredTrajectory, walked: tuple[Array, Array, IntArray], times: Array
+    trajectory: DesiredTrajectory,
+    walked: tuple[Array, Array, IntArray],
+    crossings: tuple[Array, IntArray],
+    times: Array,
 ) -> Array:
     """Return u_ff between samples, (K, m): w is known at all times, η̂ by the cubic through its values and slopes."""
     (t, z, cell), p = walked, trajectory.rate.shape[1]
@@ -98,9 +105,8 @@ def _between(
     parts = (z[k, :p], h[:, None] * slope[k], z[k + 1, :p], h[:, None] * slope[k + 1])
     eta: Array = np.sum([c[:, None] * part for c, part in zip(cubic, parts, strict=True)], axis=0)
     here = np.column_stack([eta, trajectory.exosystem.states(times), np.ones(len(times))])
-    cells = cell[k].copy()
-    for j in np.flatnonzero(cell[k] != cell[k + 1]).tolist():  # u_ff is the same in both cells on their facet
-        cells[j] = plant.partition.locate(trajectory.x_d @ here[j])
+    crossed, entered = crossings
+    cells = entered[np.searchsorted(crossed, times, side="right")]  # where u_ff jumps, each side counts
     return np.asarray(np.einsum("kms,ks->km", trajectory.u_ff[cells], here))
 
 

@@ -117,7 +117,7 @@ class SampleMaps:
         if self.controller.plant.loads is None:
             return K
         p = trajectory.rate.shape[1]
-        of_eta = trajectory.u_ff[cell][:, :p] - K @ trajectory.x_d[:, :p]
+        of_eta = trajectory.u_ff[cell][:, :p] - K @ trajectory.x_d[cell][:, :p]
         return np.hstack([K, added.u_ff[cell] - K @ added.X.floats, of_eta])
 
     def _generator(self, cell: int, h: float) -> Array:

@@ -42,7 +42,8 @@ def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
     F0 = block_diag(np.zeros((p, p)), system.S, np.zeros((1, 1)))
     F = np.zeros((len(plant.A), *F0.shape))
     F[:, :p] = trajectory.rate
-    return Flow(F0=F0, parts=(SwitchedPart.of("x_d", plant, trajectory.x_d, F),))
+    part = SwitchedPart(name="x_d", cells=plant.cell_names, guards=trajectory.guards, signs=trajectory.signs, F=F)
+    return Flow(F0=F0, parts=(part,))
 
 
 def blocks(

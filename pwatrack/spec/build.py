@@ -29,7 +29,7 @@ from pwatrack.real import Real
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.design_section import LoadSection
 from pwatrack.spec.plant_section import DeadZoneSection, SpringSection, SystemSection
-from pwatrack.spec.signal_section import ReferenceSection
+from pwatrack.spec.signal_section import CourseSection, ReferenceSection
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
@@ -107,26 +107,33 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
 
     Args:
         section: The section of the file, with exactly one kind of reference.
-        tracked: Names of what follows the reference, for a set-point.
+        tracked: Names of what follows the reference.
         folder: Where table files are looked for.
         horizon: Up to when a course that repeats is laid out, in s.
 
     Raises:
         InvalidSpec: If a table cannot be read, or a course ends before the horizon.
     """
-    if section.output is not None:
-        return OutputReference(build_courses(section.output, folder, horizon, ("reference", "output")))
     if section.setpoint is not None:
         return SetPoint(readonly([section.setpoint[name] for name in tracked]))
-    kind = "state" if section.state is not None else "input"
+    kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
+    given, signals = getattr(section, kind), list[tuple[CourseSection, Subject]]()
+    if isinstance(given, CourseSection):
+        signals = [(given, ())]
+    elif isinstance(given, dict):
+        signals = [(given[name], (name,)) for name in tracked]
+    else:
+        signals = [(signal, (k,)) for k, signal in enumerate(given)]
     courses, problems = list[tuple[Course, ...]](), list[Problem]()
-    for k, signal in enumerate(getattr(section, kind)):
+    for signal, where in signals:
         try:
-            courses.append(build_courses(signal, folder, horizon, ("reference", kind, k)))
+            courses.append(build_courses(signal, folder, horizon, ("reference", kind, *where)))
         except InvalidSpec as error:
             problems += error.problems
     if problems:
         raise InvalidSpec(*problems)
+    if kind == "output":
+        return OutputReference(tuple(courses))
     if kind == "state":
         return StateReference(tuple(courses))
     return InputReference(tuple(courses), readonly(section.start) if section.start else None)

@@ -11,6 +11,7 @@ from pwatrack.spec.entries import Context
 from pwatrack.spec.names import unknown_names
 from pwatrack.spec.plant_section import CellSection, HyperplaneSection, SystemSection
 from pwatrack.spec.schema import SpecFile
+from pwatrack.spec.signal_section import CourseSection
 from pwatrack.spec.simulation_section import SimulationSection
 from pwatrack.spec.wording import shown
 
@@ -128,7 +129,34 @@ def reference_problems(file: SpecFile) -> list[Problem]:
     if reference.input is not None and reference.start is None:
         message = "reference.start is missing: x_d(0), or 'periodic'"
         problems.append(Problem(message=message, subject=("reference",)))
+    if reference.output is not None and given == fitting:
+        problems += _output_problems(reference.output, file.system.tracked)
     if reference.setpoint is not None and set(reference.setpoint) != set(file.system.tracked):
         message = f"setpoint must give every output: {', '.join(file.system.tracked)}"
         problems.append(Problem(message=message, subject=("reference", "setpoint")))
+    return problems
+
+
+def _output_problems(output: CourseSection | Mapping[str, CourseSection], tracked: Sequence[str]) -> list[Problem]:
+    """Check that there is a signal for each tracked output, and none for anything else."""
+    where: Subject = ("reference", "output")
+    if isinstance(output, CourseSection):
+        if len(tracked) == 1:
+            return []
+        message = f"reference.output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
+        first = tracked[0]
+        hint = f"give each its own, output: {{{first}: …}}, or say which one follows the reference: track: [{first}]"
+        return [Problem(message=message, subject=where, hint=hint)]
+    problems = [
+        Problem(
+            message=f"reference.output.{name}: {shown(name)} is no tracked output ({', '.join(tracked)}){meant}",
+            subject=(*where, name),
+            hint=f"entries of a signal are {', '.join(CourseSection.model_fields)}",
+        )
+        for name, meant in unknown_names(output, tracked)
+    ]
+    missing = [name for name in tracked if name not in output]
+    if missing and not problems:
+        message = f"reference.output must give every tracked output, and leaves out {', '.join(missing)}"
+        problems.append(Problem(message=message, subject=where))
     return problems

@@ -44,6 +44,7 @@ class Context:
         states, inputs, outputs: The names declared under `system`.
         tracked: Those of what is to follow a reference, where they are declared for that.
         loads: Those of the loads to be estimated, with how many states each has.
+        chosen: Those of the outputs that are to follow a reference, where some are named.
     """
 
     parameters: Mapping[str, Real | None]
@@ -52,6 +53,12 @@ class Context:
     outputs: tuple[str, ...]
     tracked: tuple[str, ...] = ()
     loads: Mapping[str, int] = field(default_factory=dict)
+    chosen: tuple[str, ...] = ()
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """What is to follow a reference: all outputs where nothing is said."""
+        return self.tracked or self.chosen or self.outputs
 
     @property
     def states_and_estimates(self) -> tuple[str, ...]:

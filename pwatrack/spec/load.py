@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
+from pwatrack.real import Real
 from pwatrack.spec.box import box_problems
 from pwatrack.spec.build import build_loads, build_plant, build_reference
 from pwatrack.spec.consistency import load_problems, plant_problems, reference_problems, sampling_problems
@@ -53,12 +54,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     if too_much := size_problems(document.data):
         raise located(InvalidSpec(*document.problems, *too_much), document.places).sorted()
     values, problems = evaluated(document.data.get("parameters", {}), parameters or {})
-    context = Context(
-        parameters=values,
-        **{name: _declared(document.data, name) for name in ("states", "inputs", "outputs")},
-        loads=declared_loads(document.data),
-        tracked=tuple(tracked) if isinstance(tracked := at_path(document.data, ("system", "track")), dict) else (),
-    )
+    context = _context(document.data, values)
     requirements, missing = read_requirements(document.data.get("require"), context)
     file = _checked(document, context, [*problems, *missing])
     simulation, folder = file.simulation, path.parent
@@ -208,6 +204,18 @@ def _content(path: Path) -> bytes:
             return file.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise InvalidSpec(Problem(message=f"cannot read {path}: {getattr(error, 'strerror', None) or error}")) from None
+
+
+def _context(data: dict[str, Any], values: Mapping[str, Real | None]) -> Context:
+    """Return what the sections of a raw tree are read with."""
+    tracked, outputs = at_path(data, ("system", "track")), _declared(data, "outputs")
+    return Context(
+        parameters=values,
+        **{name: _declared(data, name) for name in ("states", "inputs", "outputs")},
+        loads=declared_loads(data),
+        tracked=tuple(tracked) if isinstance(tracked, dict) else (),
+        chosen=tuple(filter(outputs.__contains__, tracked)) if isinstance(tracked, list) else (),
+    )
 
 
 def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:

@@ -143,7 +143,7 @@ def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str 
         return [(None, _limit(value, quantity, context))]
     if quantity.per is None:
         raise ValueError("one number is expected: this figure is not one of a signal")
-    names = getattr(context, quantity.per)
+    names = context.inputs if quantity.per == "inputs" else context.followed
     if not value:
         raise ValueError(f"nothing is given: a number, or one for some of the {quantity.per} by name")
     for signal in value:

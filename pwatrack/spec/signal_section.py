@@ -1,11 +1,12 @@
 """Signals of time as pydantic models, and the section `reference`."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from pwatrack.spec.entries import (
     TEXT_OR_VALUE,
+    Name,
     NotNegative,
     Number,
     Or,
@@ -94,10 +95,22 @@ class CourseSection(Section):
 Signal = Annotated[CourseSection, BeforeValidator(as_course), TEXT_OR_VALUE]
 
 
-class ReferenceSection(Section):
-    """What to track: an output, or for state tracking one of state, input, setpoint."""
+def _signal_kind(value: Any) -> str:
+    """A mapping with none of the entries of a signal is one of signals by name."""
+    several = isinstance(value, dict) and value and not set(value) & set(CourseSection.model_fields)
+    return "by name" if several else "one"
 
-    output: Signal | None = None
+
+Signals = Annotated[
+    Annotated[Signal, Tag("one")] | Annotated[dict[Name, Signal], Tag("by name")], Discriminator(_signal_kind)
+]
+
+
+class ReferenceSection(Section):
+    """What to track: outputs, or for state tracking one of state, input, setpoint."""
+
+    output: Signals | None = None
+    """Of one tracked output, or of each by its name."""
     state: list[Signal] | None = None
     input: list[Signal] | None = None
     start: PeriodicOrVector | None = None

@@ -7,8 +7,11 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
   opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
   fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
-- The normal form (11): c_0 is the tracked row, c_k+1 = c_k A_i in all cells, c_k B = 0 for k < r - 1, and N = e_j -
-  B_j / delta c_r-1 for the internal states j give T = [c; N], and A_eta_i is the lower right part of T A_i T^-1.
+- The normal form (11): c_0 is a tracked row, c_k+1 = c_k A_i, the same in all cells but for the last one, and c_k B = 0
+  for k < r - 1. With C the last rows of all outputs, Z the directions of the inputs and D = C B Z of each cell,
+  sym(S D M S^-1) > 0 for M the inverse of the mean of all D and S the scales: no matrix in the hull of the D is
+  singular. N = e_j - (B Z D_1^-1)_j C_1 for the internal states j give T_i = [c; N], and A_eta_i is the lower right
+  part of T_i A_i T_i^-1.
 - A design has P_jk = integers_jk * 2**(exponents_j + exponents_k), P > 0 and -(M_i P + P M_i^T) - 2 rate P - margin I
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in

@@ -15,7 +15,7 @@ from .proofs import check, cost, refuted
 from .reading import matrix, number
 from .starts import near
 
-FORMAT = "pwatrack certificate 7"
+FORMAT = "pwatrack certificate 8"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",

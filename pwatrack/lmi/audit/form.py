@@ -1,64 +1,114 @@
 """The normal form (11) of a plant, and what estimated loads shift."""
 
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial, reduce
 from typing import Any
 
-from .balls import Ball, inverse, less, negative, part, plus, stacked, times
-from .matrices import Fault, Matrix, product
+from .balls import Ball, inverse, less, negative, part, plus, stacked, times, unlike
+from .matrices import Fault, added, definite, inverted, product, transposed
 from .plant import Plant
-from .reading import matrix
+from .reading import matrix, number
 
 
 def normal_form(plant: Plant, generator: Any) -> tuple[list[Ball], Ball | None]:
     """Return A_eta of (17), and by what loads shift x_d, after checking that the plant has the form that is claimed."""
-    n, r = len(plant.B[0]), int(generator["relative_degree"])
-    internal = [int(j) for j in generator["internal"]]
-    if len(plant.tracked[0]) != 1 or len(plant.B[0][0]) != 1 or not 1 <= r <= n or len(internal) != n - r:
+    n, degrees = len(plant.B[0]), [int(r) for r in generator["relative_degrees"]]
+    r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
+    internal, Z = [int(j) for j in generator["internal"]], matrix(generator["directions"])
+    fits = len(internal) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
+    if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
         raise Fault("the form (11) does not fit the plant")
-    derivatives = tracked_derivatives(plant, r)
-    last = part(derivatives, r - 1)
-    delta, T = times(last, plant.B), derivatives
+    outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
+    C = [joined([part(rows, len(rows[0]) - 1) for rows in cell]) for cell in zip(*outputs, strict=True)]
+    BZ = times(plant.B, (Z, []))
+    one_to_one([times(C_i, BZ) for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
+    share, N = times(BZ, inverse(times(C[0], BZ))), list[Ball]()
     for j in internal:
-        share = times(part(plant.B, j), inverse(delta))
-        own = [[Fraction(int(j == k)) for k in range(n)]]
-        T = stacked(T, less((own, []), times(share, last)))
-    back, found = inverse(T), list[Ball]()
-    for cell in plant.A:
-        X, R = times(times(T, cell), back)
+        own: Ball = [[Fraction(int(j == k)) for k in range(n)]], []
+        N.append(less(own, times(part(share, j), C[0])))
+    T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
+    found, backs = list[Ball](), once(inverse, T)
+    for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
+        X, R = times(times(T_i, A_i), back)
         found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
-    if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found] or matrix(generator["T"]) != T[0]:
-        raise Fault("A_eta or T is not that of the plant")
-    return found, shift(plant, derivatives, back)
+    if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
+        raise Fault("A_eta is not that of the plant")
+    if [matrix(X) for X in generator["T"]] != [X for X, _ in T]:
+        raise Fault("T is not that of the plant")
+    return found, shift(plant, degrees, T[0], backs)
 
 
-def tracked_derivatives(plant: Plant, r: int) -> Ball:
-    """Return the rows c_k of the derivatives of what is tracked, k < r, of which B reaches the last one alone."""
-    row, rows = plant.tracked, plant.tracked
-    for k in range(r):
-        following, reached = times(row, plant.A[0]), product(row[0], plant.B[0])[0][0]
-        if (reached == 0) != (k < r - 1):
-            raise Fault(f"the relative degree is not {r}")
+def tracked_derivatives(plant: Plant, j: int, degree: int) -> list[Ball]:
+    """Return in each cell the rows c_k of the derivatives of a tracked output, k < degree.
+
+    B reaches none but the last of them, which alone may differ between cells.
+    """
+    row = rows = part(plant.tracked, j)
+    for k in range(degree - 1):
+        if any(product(row[0], plant.B[0])[0]):
+            raise Fault(f"the relative degree is not {degree}")
+        if k == degree - 2:
+            return once(partial(_extended, rows), plant.A)
+        following = times(row, plant.A[0])
         for (A, _), (b, _) in zip(plant.A, plant.b, strict=True):
-            if k < r - 1 and (
-                product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0])
-            ):
+            if product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0]):
                 raise Fault("the derivatives of the output differ between cells before the input enters")
-        if k < r - 1:
-            row = following
-            rows = stacked(rows, row)
-    return rows
+        row = following
+        rows = stacked(rows, row)
+    return [rows] * len(plant.A)
 
 
-def shift(plant: Plant, rows: Ball, back: Ball) -> Ball | None:
-    """Return X = -T^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; 0]."""
+def _extended(rows: Ball, A: Ball) -> Ball:
+    """Return the rows c_k of a cell, the last of which is c A of the one before."""
+    return stacked(rows, times(part(rows, len(rows[0]) - 1), A))
+
+
+def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
+    """Check sym(S D_i M S^-1) > 0 for M the inverse of the mean of these D_i and S the diagonal of the scales.
+
+    Then no matrix in the hull of the D_i is singular: along the directions of the inputs, last derivatives that differ
+    between cells are one-to-one all the same, and they are a change of state with the other coordinates.
+    """
+    if any(v <= 0 for v in scales):
+        raise Fault("a scale is not positive")
+    total = reduce(added, (X for X, _ in D))
+    mean = inverted([[v / len(D) for v in row] for row in total])
+    for X, _ in D:
+        ratios = [[a / b for b in scales] for a in scales]
+        Q = [[v * w for v, w in zip(*rows, strict=True)] for rows in zip(product(X, mean), ratios, strict=True)]
+        if not definite(added(Q, transposed(Q))):
+            raise Fault("the last derivatives of the outputs are not moved the same way in all cells")
+
+
+def shift(plant: Plant, degrees: list[int], T: Ball, backs: list[Ball]) -> Ball | None:
+    """Return X = -T_i^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; 0]."""
     if plant.loads is None:
         return None
     E, S = plant.loads
-    p = len(E[0][0])
-    g: Ball = [[Fraction(0)] * p], []
-    G = g
-    for k in range(len(rows[0]) - 1):
-        g = plus(times(part(rows, k), E), times(g, S))
-        G = stacked(G, g)
-    below: Matrix = [[Fraction(0)] * p for _ in range(len(E[0]) - len(G[0]))]
-    return negative(times(back, stacked(G, (below, []))))
+    nothing: Ball = [[Fraction(0)] * len(E[0][0])], []
+    G = list[Ball]()
+    for degree in degrees:
+        G.append(nothing)
+        for _ in range(degree - 1):
+            G.append(plus(times(part(T, len(G) - 1), E), times(G[-1], S)))
+    whole = joined(G + [nothing] * (len(E[0]) - len(G)))
+    shifts = unlike(once(lambda back: negative(times(back, whole)), backs))
+    if len(shifts) > 1:
+        raise Fault("loads move a derivative that differs between cells")
+    return shifts[0][1]
+
+
+def joined(rows: list[Ball]) -> Ball:
+    """Return matrices below each other."""
+    return reduce(stacked, rows)
+
+
+def once(function: Callable[[Ball], Ball], balls: list[Ball]) -> list[Ball]:
+    """Apply a function to each, to those that are equal once."""
+    found: dict[Any, Ball] = {}
+    keys = [tuple(tuple(map(tuple, X)) for X in ball) for ball in balls]
+    for key, ball in zip(keys, balls, strict=True):
+        if key not in found:
+            found[key] = function(ball)
+    return [found[key] for key in keys]

@@ -1,0 +1,99 @@
+"""Ways to a controller, each judged before an inequality is solved: yes, no with the reason, or what it needs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pwatrack.arrays import number_text
+from pwatrack.errors import OutsideTheory
+from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.pwa import PWASystem
+
+Tracking = Literal["output", "state", "practical"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What routes are judged by.
+
+    Attributes:
+        plant: The system (1); that it is one has been proved.
+        form: Its normal form (11), or None.
+        refusal: Why there is no normal form, else None.
+        zero_dynamics: Eigenvalues of A_η in each cell, (l, n − r); None without a normal form.
+        stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
+    """
+
+    plant: PWASystem
+    form: NormalForm | None
+    refusal: OutsideTheory | None
+    zero_dynamics: NDArray[np.complex128] | None
+    stuck: str = ""
+
+
+@dataclass(frozen=True)
+class Yes:
+    """It can be gone, whatever an inequality says."""
+
+    remark: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"yes{self.remark and '; '}{self.remark}"
+
+
+@dataclass(frozen=True)
+class No:
+    """It cannot be gone, and why."""
+
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"no: {self.reason}"
+
+
+@dataclass(frozen=True)
+class Needs:
+    """It can be gone if some inequalities have a solution, which is not tried here."""
+
+    inequalities: str
+    remark: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"needs {self.inequalities}{self.remark and '; '}{self.remark}"
+
+
+Answer = Yes | No | Needs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """A way to a controller.
+
+    Attributes:
+        name: In a few words.
+        takes: For which kinds of tracking `design` goes it; nothing where it is only of interest.
+        judge: What can be said of it.
+    """
+
+    name: str
+    takes: frozenset[Tracking] = frozenset()
+    judge: Callable[[Facts], Answer]
+
+
+def stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
+    """Return `then` if all eigenvalues (l, k) are in the left half plane, else no, with the worst one and its cell."""
+    abscissa = eigenvalues.real.max(axis=1, initial=-np.inf)
+    worst = int(np.argmax(abscissa))
+    if abscissa[worst] < 0:
+        return then
+    size = number_text(abscissa[worst], "+.4g")
+    return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")

@@ -1,0 +1,59 @@
+"""What check says of every route, against what design does."""
+
+from pathlib import Path
+
+import pytest
+
+from pwatrack import PwatrackError, design, load_spec
+from pwatrack.control.applicability import ROUTES, Applicability, applicability
+from pwatrack.control.route import Needs, No
+from pwatrack.sizing import spec_sizes
+from tests.conftest import SPECS
+
+TAKEN = {
+    "two_mass_backlash": "Theorem 3",
+    "gallery/gantry": "several outputs",
+    "gallery/three_tanks_pumps": "several outputs",
+    "gallery/kinked_tanks": "kinked derivative",
+    "gallery/two_rooms": "Theorem 2",
+}
+NONE = {
+    "refused/kink_upstream": ("Theorem 3", "before an input enters"),
+    "refused/output_upstream_of_input": ("Theorem 3", "no input ever reaches the output 'y'"),
+    "refused/runaway_upstream": ("Theorem 2", "no gain moves the eigenvalue 0.01 in cell 'reaction linear'"),
+}
+
+
+def judged(name: str) -> Applicability:
+    spec = load_spec(SPECS / f"{name}.yaml")
+    return applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=spec_sizes(spec))
+
+
+@pytest.mark.parametrize(("name", "route"), TAKEN.items())
+def test_the_route_that_check_names_is_the_one_that_design_goes(name: str, route: str) -> None:
+    found = judged(name)
+    assert found.taken.split(", else ")[0] == route
+    controller = design(load_spec(SPECS / f"{name}.yaml"))
+    assert (controller.generator is None) == (route == "Theorem 2")
+    if controller.generator is not None:
+        form = controller.generator.form
+        several, kinked = max(form.D.shape[1:]) > 1, any(form.piecewise)
+        assert (several and not kinked, kinked) == (route == "several outputs", route == "kinked derivative")
+
+
+@pytest.mark.parametrize(("name", "reason"), NONE.items())
+def test_where_there_is_no_route_each_says_why_and_design_refuses(name: str, reason: tuple[str, str]) -> None:
+    found = judged(name)
+    assert reason[1] in found.routes()[reason[0]]
+    with pytest.raises(PwatrackError):
+        design(load_spec(SPECS / f"{name}.yaml"))
+
+
+def test_every_route_is_judged_for_every_plant_with_a_reason() -> None:
+    """No route is left out, and each that is closed says why."""
+    for path in sorted(Path(SPECS / "gallery").glob("*tank*.yaml")):
+        spec = load_spec(path)
+        answers = applicability(spec.problem.plant).answers
+        assert [route.name for route, _ in answers] == [route.name for route in ROUTES]
+        for _, answer in answers:
+            assert answer.reason if isinstance(answer, No) else isinstance(answer, Needs)
