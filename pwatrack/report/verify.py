@@ -218,7 +218,7 @@ def _signals(told: Any) -> list[Any]:
 def _peaks(content: dict[str, Any], spec: Spec) -> list[list[float]]:
     """Return the peak gains of the gains of a certificate, in the order of the table."""
     output = spec.problem.tracking == "output"
-    form = normal_form(spec.problem.plant) if output else None
+    form = output_form(spec, (content["generator"] or {}).get("directions")) if output else None
     plant = spec.problem.plant if form is None else form.plant
     K, L = (BallMatrix.of([[number(v) for v in row] for row in content[letter]]) for letter in ("K", "L"))
     loops = Loops(plant, K, L, (), compensation(plant, form, 0).X, output=output)
