@@ -134,14 +134,15 @@ def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMa
 
 
 def different(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
-    """Return the matrices without repetitions: equal cells say the same."""
+    """Return the matrices without repetitions, in their order: equal cells say the same."""
     matrices = list({id(X): X for X in matrices}.values())
-    alike: dict[bytes, list[BallMatrix]] = {}
+    alike, found = dict[bytes, list[BallMatrix]](), list[BallMatrix]()
     for X in matrices:
         others = alike.setdefault(X.floats.tobytes(), [])
         if not any(X.centre == Y.centre and X.radius == Y.radius for Y in others):
             others.append(X)
-    return [X for others in alike.values() for X in others]
+            found.append(X)
+    return found
 
 
 def stack(matrices: Sequence[BallMatrix]) -> Array:

@@ -30,6 +30,10 @@ Out = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Run folder.", show_default="runs/<name of the spec>"),
 ]
+Plots = Annotated[
+    Literal["all", "failed", "none"],
+    typer.Option("--plots", help="Which runs have pictures: all, those that do not end as expected, none."),
+]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
 
@@ -57,6 +61,7 @@ def check(
     """Say what the plant is, which theorems apply, and whether the reference is one that they are about."""
     with refusals():
         from pwatrack.control.applicability import applicability
+        from pwatrack.control.modes import check_modes
         from pwatrack.errors import PwatrackError
         from pwatrack.report.plant import check_json, print_plant
         from pwatrack.sizing import spec_sizes
@@ -70,6 +75,8 @@ def check(
             name, report = spec.name, applicability(spec.problem.plant)
             reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
             sizes = spec_sizes(spec)
+            with spec.located():
+                check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:
@@ -110,37 +117,58 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")
     ] = None,
+    plots: Plots = "all",
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
         raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
     chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, **chosen)
+    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, plots=plots, **chosen)
 
 
-@app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --junit report.xml")
+@app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")
 def batch(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the specs are.", show_default=False)],
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="PATH…", help="Specs, and folders of them.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="A run folder for each spec goes in here.")] = Path(
         "runs"
     ),
+    pattern: Annotated[
+        str | None,
+        typer.Option("--glob", metavar="PATTERN", help="What specs are named like.", show_default="*.yaml, *.yml"),
+    ] = None,
+    parameters: Set = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time.")] = 1,
-    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write a JUnit XML report.")] = None,
     timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
+    memory: Annotated[
+        float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
+    ] = None,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Begin no other once one has failed.")] = False,
+    plots: Plots = "all",
+    reports: Annotated[
+        list[Path] | None, typer.Option("--report", metavar="FILE", help="Write a report: .xml for JUnit.")
+    ] = None,
+    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write a JUnit XML report.")] = None,
 ) -> None:
-    """Design and simulate every spec of a folder, each in a process of its own."""
-    if isnan(timeout):
-        raise typer.BadParameter("it is no number", param_hint="--timeout")
+    """Design and simulate many specs, each by itself: one that crashes or hangs stops no other."""
+    for name, value in (("--timeout", timeout), ("--memory", memory)):
+        if value is not None and isnan(value):
+            raise typer.BadParameter("it is no number", param_hint=name)
     with refusals():
-        from pwatrack.batch.run import run_batch
-        from pwatrack.report.batch import print_batch, print_left_out, write_junit
+        from pwatrack.batch.command import batch
+        from pwatrack.batch.run import Options
 
-        print_left_out(folder)
-        outcomes = run_batch(folder, out, jobs=jobs, timeout=timeout)
-        print_batch(outcomes)
-        if junit:
-            write_junit(outcomes, junit)
-        raise SystemExit(max(outcome.code for outcome in outcomes))
+        options = Options(
+            pattern=pattern,
+            parameters=tuple(parameters or ()),
+            plots=plots,
+            jobs=jobs,
+            timeout=timeout,
+            memory=memory,
+            fail_fast=fail_fast,
+        )
+        raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
 
 
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
@@ -166,7 +194,7 @@ def _run(
     **options: Any,
 ) -> None:
     with refusals():
-        from pwatrack.batch.run import run_name
+        from pwatrack.batch.find import run_name
         from pwatrack.report.session import run
 
         run(path, out or Path("runs") / run_name(path), parameters or [], solver, **options)

@@ -1,12 +1,10 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Subject
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.goal import LeastCost
@@ -16,6 +14,7 @@ from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
 from pwatrack.outcome import Outcome, Watch
@@ -26,14 +25,14 @@ from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sample_map import check_sample_time
 from pwatrack.simulation.spool import Spool
-from pwatrack.simulation.startup import measured_start, steady_start
+from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.sizing import spec_sizes
 from pwatrack.spec.box import Box
 from pwatrack.spec.corners import corners
-from pwatrack.spec.spec import Measured, Spec, Steady
-from pwatrack.spec.wording import guess, shown
+from pwatrack.spec.spec import Measured, Spec
+from pwatrack.starting import generator_start, initial_values
 from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
@@ -48,7 +47,8 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs hold, and the theorem does not speak of it. For a look at how it grows.
 
     Raises:
-        OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable.
+        OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable, or takes
+            more than the limits of the inputs.
         Infeasible: If (8), (9) or (17) is proved to have no solution.
         Undecided: If neither is proved.
         CheckFailed: If x_d, the response to given inputs, is seen to grow without bound, unless `growing`.
@@ -65,6 +65,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, solver = spec.objectives, spec.objectives.solver
         sizes = spec_sizes(spec)
+        limited = room_within_limits(spec, trajectory, generator, sizes)
         gains = synthesize(  # (8), (9)
             plant, controller=goals.controller, observer=goals.observer, sizes=sizes, solver=solver
         )
@@ -78,6 +79,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
+            limited=None if limited is None else limited.promising(plant, gains, proofs),
         )
     box = goals.uncertain
     return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
@@ -105,11 +107,13 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         fixed, initial = controller.trajectory.eta0, spec.scenario.initial
         if initial.generator is not None and start_fixed(spec, controller):
             raise start_given_twice(("simulation", "initial", "generator"))
-        x, observer = _initial(initial.plant, n, "plant"), initial.observer
+        x, observer = initial_values(initial.plant, n, "plant"), initial.observer
         start = loop.start(
             plant=x,
-            observer=measured_start(loop, x) if isinstance(observer, Measured) else _initial(observer, n, "observer"),
-            generator=_generator_start(initial.generator, controller) if fixed is None else fixed,
+            observer=measured_start(loop, x)
+            if isinstance(observer, Measured)
+            else initial_values(observer, n, "observer"),
+            generator=generator_start(spec, controller.trajectory, controller.generator) if fixed is None else fixed,
         )
         steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
         if steady_state is not None and starts_periodic(spec):
@@ -175,38 +179,6 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
         raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
-
-
-def _generator_start(given: Array | Mapping[str, float] | Steady | None, controller: Controller) -> Array:
-    """Return η̂(0), in order or by the names of the states of the generator."""
-    names, subject = controller.trajectory.names, ("simulation", "initial", "generator")
-    if isinstance(given, Steady):
-        return steady_start(controller)
-    if not isinstance(given, Mapping):
-        return _initial(given, len(names), "generator")
-    unknown = [
-        Problem(
-            message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
-            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
-            subject=(*subject, name),
-        )
-        for name in given
-        if name not in names
-    ]
-    if unknown:
-        raise InvalidSpec(*unknown)
-    return np.array([given.get(name, 0.0) for name in names])
-
-
-def _initial(values: Array | None, length: int, part: str) -> Array:
-    if values is None:
-        return np.zeros(length)
-    if len(values) != length:
-        subject: Subject = ("simulation", "initial", part)
-        raise InvalidSpec(
-            Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
-        )
-    return values
 
 
 def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:

@@ -46,7 +46,7 @@ def run(loop: ClosedLoop, x0: Array, duration: float, sample_time: float) -> Res
 
 
 def proofs_of(loop: ClosedLoop, of: str) -> list[Proof]:
-    return [proof for proof in loop.controller.proofs if proof.role.name == of]
+    return [proof for proof in loop.controller.proofs if proof.role.name == of and isinstance(proof, Proof)]
 
 
 def root_of_norm(proof: Proof) -> Array:

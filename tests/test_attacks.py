@@ -308,7 +308,7 @@ def test_the_auditor_alone_says_what_is_proved_and_what_a_refusal_refuses(proved
     code, said = audited(tmp_path / "out" / "refusal.json")
     assert (code, "(8) controller: " in said, "impossible" in said, "observer" in said) == (0, True, True, False)
     (tmp_path / "short.json").write_text(
-        json.dumps({"format": "pwatrack certificate 6", "claim": "", "proofs": [], "K": [["0"]], "L": [["0"]]})
+        json.dumps({"format": "pwatrack certificate 7", "claim": "", "proofs": [], "K": [["0"]], "L": [["0"]]})
     )
     code, said = audited(tmp_path / "short.json")
     assert (code, said.startswith("wrong: "), "proved" in said) == (6, True, False)

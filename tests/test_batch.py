@@ -1,44 +1,33 @@
 import os
+import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from junitparser import JUnitXml
 from typer.testing import CliRunner
 
-import pwatrack.batch.run as batch
-from pwatrack.batch.run import Outcome, called, find_specs, run_batch
+from pwatrack.batch.command import batch
+from pwatrack.batch.find import find_specs
+from pwatrack.batch.junit import write_junit
+from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.run import Options, run_batch
+from pwatrack.batch.work import Ended
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.batch import write_junit
 from pwatrack.report.run_folder import read_index
 from pwatrack.spec.load import expected_exit, load_spec
+from tests.stand_ins import work
 
 Stand = Callable[..., Path]
 
-PROGRAMS = {
-    "killed": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
-    "slow": "import time; time.sleep(30)",
-    "noisy": "import sys; sys.stderr.buffer.write(b'\\x1b[31mred\\x00 \\xff <&>]]>'); sys.exit(1)",
-}
-
 
 @pytest.fixture
-def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
-    """Return a function that makes a folder of specs, each run by a stand-in that its name chooses.
-
-    `exit3 …` ends with 3; the names in PROGRAMS run those.
-    """
-    call = batch.called
-
-    def stand_in(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
-        (path,) = (part for part in command if part.lower().endswith((".yaml", ".yml")))
-        kind = Path(path).stem.split(" ")[0].lower()
-        program = PROGRAMS.get(kind) or f"import sys; sys.exit({kind.removeprefix('exit')})"
-        return call([sys.executable, "-S", "-c", program], timeout)
+def stand(tmp_path: Path) -> Stand:
+    """Return a function that makes a folder of specs, whose names say to `work` how they end."""
 
     def make(**names: str) -> Path:
         folder = tmp_path / "specs"
@@ -47,7 +36,6 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
             (folder / f"{name.replace('_', ' ')}.yaml").write_text(content, encoding="utf-8")
         return folder
 
-    monkeypatch.setattr(batch, "called", stand_in)
     return make
 
 
@@ -88,7 +76,7 @@ MIXED = [
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_spec_ends_the_same_however_many_run_at_a_time(mixed: Path, tmp_path: Path, jobs: int) -> None:
-    outcomes = run_batch(mixed, tmp_path / "out", jobs=jobs)
+    outcomes = run_batch(mixed, tmp_path / "out", Options(jobs=jobs, plots="none"))
     assert ends(outcomes) == MIXED
     assert [bool(o.figures) for o in outcomes] == [True, False, True, False, False, False]
     assert "sample_tim" in outcomes[3].messages
@@ -100,7 +88,8 @@ def test_every_spec_ends_the_same_however_many_run_at_a_time(mixed: Path, tmp_pa
 
 def test_the_command_line_prints_every_spec_and_ends_with_the_largest_code(mixed: Path, tmp_path: Path) -> None:
     report = tmp_path / "reports" / "junit.xml"
-    arguments = ["batch", str(mixed), "--out", str(tmp_path / "out"), "--jobs", "2", "--junit", str(report)]
+    arguments = ["batch", str(mixed), "--out", str(tmp_path / "out"), "--jobs", "2", "--plots", "none"]
+    arguments += ["--junit", str(report)]
     run = CliRunner().invoke(app, arguments)
     assert run.exit_code == 3, run.output
     assert "4 passed, 2 failed" in run.stdout
@@ -116,20 +105,38 @@ def test_the_command_line_prints_every_spec_and_ends_with_the_largest_code(mixed
     assert all(case.time >= 0 for case in suite)
 
 
-def test_a_spec_whose_process_is_killed_stops_no_other(stand: Stand, tmp_path: Path) -> None:
-    outcomes = run_batch(stand(exit0_a="", killed="", exit0=""), tmp_path / "out")
-    assert [o.spec.stem for o in outcomes] == ["exit0 a", "exit0", "killed"]
-    killed = outcomes[2]
-    assert (killed.exit, killed.passed, killed.code, killed.verdict) == (-9, False, 1, "killed by signal 9")
-    assert [o.passed for o in outcomes[:2]] == [True, True]
+LOST = {
+    "killed": (-9, 1, "killed by signal 9"),
+    "segfault": (-11, 1, "killed by signal 11"),
+    "slow": (None, 6, "given up after 2 s"),
+    "stubborn": (None, 6, "given up after 2 s"),
+    "hungry": (None, 6, "out of memory: it may take 500 MB"),
+    "leaves": (None, 6, "ended by itself with 7"),
+}
 
 
-def test_a_spec_that_runs_out_of_time_stops_no_other(stand: Stand, tmp_path: Path) -> None:
-    outcomes = run_batch(stand(slow="", exit0="", exit3=expecting(3)), tmp_path / "out", timeout=1.5)
-    slow = next(o for o in outcomes if o.spec.stem == "slow")
-    assert (slow.exit, slow.passed, slow.code, slow.verdict) == (None, False, 6, "out of time")
-    assert "1.5 s" in slow.messages
-    assert {o.spec.stem for o in outcomes if o.passed} == {"exit0", "exit3"}
+def test_what_kills_hangs_or_fills_a_worker_fails_one_spec_of_forty(stand: Stand, tmp_path: Path) -> None:
+    folder = stand(**{f"exit0_{k}": "" for k in range(34)}, **dict.fromkeys(LOST, ""))
+    outcomes = run_batch(folder, tmp_path / "out", Options(jobs=2, timeout=2, memory=500), work=work)
+    failed = {o.spec.stem: o for o in outcomes if not o.passed}
+    assert {name: (o.exit, o.code, o.verdict) for name, o in failed.items()} == LOST
+    assert len(outcomes) == 40
+    assert "about to crash" in failed["segfault"].messages
+    assert [o.spec for o in outcomes] == sorted(o.spec for o in outcomes)
+
+
+def test_a_spec_that_is_given_up_may_clean_up(stand: Stand, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (outcome,) = run_batch(stand(tidy=""), tmp_path / "out", Options(timeout=1), work=work)
+    assert outcome.reason == "given up after 1 s"
+    assert (tmp_path / "out" / "tidy").is_file()
+
+
+def test_none_is_begun_after_one_has_failed_if_so_asked(stand: Stand, tmp_path: Path) -> None:
+    folder = stand(exit0="", exit3="", exit4="", exit5="")
+    outcomes = run_batch(folder, tmp_path / "out", Options(fail_fast=True), work=work)
+    assert [o.result for o in outcomes] == ["pass", "FAIL", "skipped", "skipped"]
+    assert [o.code for o in outcomes] == [0, 3, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -150,46 +157,47 @@ def test_a_spec_that_runs_out_of_time_stops_no_other(stand: Stand, tmp_path: Pat
     ],
 )
 def test_a_batch_ends_with_the_largest_code_of_those_that_failed(
-    stand: Stand, tmp_path: Path, names: dict[str, str], code: int
+    stand: Stand, tmp_path: Path, names: dict[str, str], code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = CliRunner().invoke(app, ["batch", str(stand(**names)), "--out", str(tmp_path / "out")])
-    assert run.exit_code == code, run.output
-    assert f"{len(names)} passed, 0 failed" in run.stdout or code
+    assert batch([stand(**names)], tmp_path / "out", Options(), work=work) == code
+    assert f"{len(names)} passed, 0 failed" in capsys.readouterr().out or code
 
 
 def test_the_outcomes_come_in_order_of_the_paths_with_several_jobs(stand: Stand, tmp_path: Path) -> None:
     names = {f"exit{code}_{k}": expecting(code) for k in range(3) for code in (0, 3, 4)}
     folder = stand(**names)
-    one, many = (run_batch(folder, tmp_path / "out", jobs=jobs) for jobs in (1, 4))
+    one, many = (run_batch(folder, tmp_path / "out", Options(jobs=jobs), work=work) for jobs in (1, 4))
     assert ends(one) == ends(many)
     assert [o.spec for o in one] == sorted(o.spec for o in one)
     assert all(o.passed for o in one)
 
 
-@pytest.mark.parametrize("name", ["missing", "empty", "file"])
+@pytest.mark.parametrize("name", ["missing", "empty"])
 def test_a_folder_without_specs_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "notes.txt").touch()
     (tmp_path / "empty" / "folder.yaml").mkdir()
-    (tmp_path / "file").touch()
-    with pytest.raises(InvalidSpec, match=r"no \.yaml file|is no folder"):
-        find_specs(tmp_path / name)
+    with pytest.raises(InvalidSpec, match=r"no \.yaml file|is no folder and no file"):
+        find_specs([tmp_path / name])
 
 
-def test_two_specs_that_differ_in_the_ending_only_have_a_run_folder_each(
-    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = stand(exit0="")
-    (folder / "exit0.yml").touch()
-    seen: list[str] = []
+def test_each_spec_has_a_run_folder_of_its_own(tmp_path: Path) -> None:
+    names = ["a/x.yaml", "a/x.yml", "b/x.yaml", "b/x.yml", "b/..yaml", "b/...yaml", "b/....yml", "b/below/x.yaml"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "b" / "again.yaml").symlink_to(tmp_path / "b" / "x.yaml")
+    found = find_specs([tmp_path / "a", tmp_path / "b", tmp_path / "b" / "x.yaml", tmp_path])
+    assert len(found) == len(set(found.values())) == len(names)
+    assert not any(place == Path() or ".." in place.parts for place in found.values())
 
-    def note(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
-        seen.append(command[list(command).index("--out") + 1])
-        return 0, ""
 
-    monkeypatch.setattr(batch, "called", note)
-    run_batch(folder, tmp_path / "out")
-    assert len(set(seen)) == 2
+def test_a_pattern_says_which_specs_are_meant(stand: Stand) -> None:
+    folder = stand(exit0="", exit3="", other="")
+    (folder / "below").mkdir()
+    (folder / "below" / "exit4.txt").touch()
+    assert [p.name for p in find_specs([folder], "exit*")] == ["exit4.txt", "exit0.yaml", "exit3.yaml"]
+    assert [p.name for p in find_specs([folder], "below/*")] == ["exit4.txt"]
 
 
 def test_a_spec_whose_name_looks_like_an_option_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,26 +208,46 @@ def test_a_spec_whose_name_looks_like_an_option_is_read(tmp_path: Path, monkeypa
     assert "system is missing" in outcome.messages
 
 
-def test_an_earlier_result_is_not_reported_for_a_run_that_failed(stand: Stand, tmp_path: Path) -> None:
-    earlier = tmp_path / "out" / "exit4"
-    earlier.mkdir(parents=True)
-    (earlier / "run.json").write_text('{"figures": {"norm_K": 1.0}}')
-    (outcome,) = run_batch(stand(exit4=""), tmp_path / "out")
-    assert outcome.figures == {}
+def test_an_earlier_result_is_not_reported_for_a_run_that_failed(mixed: Path, tmp_path: Path) -> None:
+    for name in ("good", "invalid"):
+        (tmp_path / f"{name}.yaml").write_text((mixed / f"{name}.yaml").read_text())
+    (first,) = run_batch(tmp_path / "good.yaml", tmp_path / "out", Options(plots="none"))
+    (tmp_path / "invalid.yaml").rename(tmp_path / "good.yaml")
+    (second,) = run_batch(tmp_path / "good.yaml", tmp_path / "out")
+    assert first.figures
+    assert (second.exit, second.figures) == (2, {})
+
+
+def test_parameters_are_set_in_every_spec(mixed: Path, tmp_path: Path) -> None:
+    (outcome,) = run_batch(mixed / "good.yaml", tmp_path, Options(parameters=("k2=0.35",), plots="none"))
+    index = read_index(outcome.folder)
+    assert index is not None
+    assert index["parameters"]["k2"] == 0.35
+    assert not list(outcome.folder.glob("*.png"))
+
+
+@pytest.mark.parametrize(("code", "drawn"), [(0, False), (6, True)])
+def test_pictures_only_of_what_fails(mixed: Path, tmp_path: Path, code: int, drawn: bool) -> None:
+    text = (mixed / "good.yaml").read_text() + ("" if code == 0 else "require: {final_error: 1e-12}\n")
+    (tmp_path / "good.yaml").write_text(text)
+    (outcome,) = run_batch(tmp_path / "good.yaml", tmp_path / "out", Options(plots="failed"))
+    assert (outcome.exit, bool(list(outcome.folder.glob("*.png")))) == (code, drawn)
 
 
 def test_the_junit_report_parses_whatever_a_failing_run_said(stand: Stand, tmp_path: Path) -> None:
-    write_junit(run_batch(stand(noisy="", exit0=""), tmp_path / "out"), tmp_path / "junit.xml")
+    folder = stand(noisy="", exit0="", slow="")
+    (folder / os.fsdecode(b"exit0 \x1b\xff \xef\xbf\xbe.yaml")).touch()
+    write_junit(run_batch(folder, tmp_path / "out", Options(timeout=1), work=work), tmp_path / "junit.xml")
     (suite,) = JUnitXml.fromfile(str(tmp_path / "junit.xml"))
-    assert (suite.tests, suite.failures) == (2, 1)
-    (failure,) = next(case.result for case in suite if case.result)
-    assert "red" in failure.text
-    assert "<&>]]>" in failure.text
+    assert (suite.tests, suite.failures) == (4, 2)
+    noisy = next(case.result[0] for case in suite if "noisy" in case.name)
+    assert "red" in noisy.text
+    assert "<&>]]>" in noisy.text
 
 
-def test_a_report_that_cannot_be_written_ends_with_2_after_the_table(stand: Stand, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_written_ends_with_2_after_the_table(mixed: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    arguments = ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out")]
+    arguments = ["batch", str(mixed / "jump.yaml"), "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(app, [*arguments, "--junit", str(tmp_path / "file" / "junit.xml")])
     assert run.exit_code == 2
     assert "1 passed, 0 failed" in run.stdout
@@ -227,13 +255,23 @@ def test_a_report_that_cannot_be_written_ends_with_2_after_the_table(stand: Stan
     assert "Traceback" not in run.output
 
 
-def test_a_name_with_brackets_is_printed_as_it_is(stand: Stand, tmp_path: Path) -> None:
+def test_a_report_of_an_unknown_kind_is_refused_before_anything_runs(mixed: Path, tmp_path: Path) -> None:
+    run = CliRunner().invoke(app, ["batch", str(mixed), "--out", str(tmp_path / "out"), "--report", "report.doc"])
+    assert run.exit_code == 2
+    assert "report.doc" in run.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_name_with_brackets_and_control_characters_is_printed_as_text(
+    stand: Stand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = stand(exit3="")
-    (folder / "exit3.yaml").rename(folder / "exit3 [red][b].yaml")
-    run = CliRunner().invoke(app, ["batch", str(folder), "--out", str(tmp_path / "out")])
-    assert run.exit_code == 3
-    assert "[red][b]" in run.stdout.replace("\n", "")
-    assert "exit3 [red][b].yaml: outside the theory, exit 3, expected 0" in run.stderr
+    (folder / "exit3.yaml").rename(folder / "exit3 [red][b]\x1b[2J.yaml")
+    assert batch([folder], tmp_path / "out", Options(), work=work) == 3
+    said = capsys.readouterr()
+    assert "[red][b]" in said.out.replace("\n", "")
+    assert "exit3 [red][b]\\x1b[2J.yaml: outside the theory, exit 3, expected 0" in said.err
+    assert "\x1b" not in said.out + said.err
 
 
 def test_a_run_that_is_told_to_stop_leaves_nothing_behind(specs: Path, tmp_path: Path) -> None:
@@ -248,17 +286,6 @@ def test_a_run_that_is_told_to_stop_leaves_nothing_behind(specs: Path, tmp_path:
         process.terminate()
     assert process.returncode == 143
     assert not list(out.glob("*"))
-
-
-def test_a_run_that_is_given_up_may_clean_up(tmp_path: Path) -> None:
-    program = f"""
-import pathlib, signal, sys, time
-signal.signal(signal.SIGTERM, lambda *_: (pathlib.Path({str(tmp_path / "cleaned")!r}).touch(), sys.exit()))
-time.sleep(60)
-"""
-    code, message = called([sys.executable, "-S", "-c", program], 2.0)
-    assert (code, message) == (None, "given up after 2 s")
-    assert (tmp_path / "cleaned").exists()
 
 
 @pytest.mark.parametrize("said", ["expect: {exit: 2}", "expect:\n  exit: 2"])
@@ -278,75 +305,50 @@ def test_a_crash_is_never_as_it_should_be(tmp_path: Path, specs: Path) -> None:
 
 
 @pytest.mark.parametrize(("timeout", "code"), [("inf", 0), ("1e300", 0), ("nan", 2)])
-def test_any_time_is_a_time_limit(stand: Stand, tmp_path: Path, timeout: str, code: int) -> None:
-    arguments = ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out"), "--timeout", timeout]
+def test_any_time_is_a_time_limit(mixed: Path, tmp_path: Path, timeout: str, code: int) -> None:
+    arguments = ["batch", str(mixed / "jump.yaml"), "--out", str(tmp_path / "out"), "--timeout", timeout]
     run = CliRunner().invoke(app, arguments)
     assert run.exit_code == code, run.output
     assert "bug" not in run.output
 
 
-ODD = {
-    "text": '{"exit": 0, "figures": {"norm_K": "large", "norm_L": null, "final_error": true}}',
-    "list": '{"exit": 0, "figures": [1, 2], "remarks": "no list", "simulation": [], "verdict": 3}',
-    "words": '{"exit": 0, "remarks": [1, {}], "simulation": {"outcome": "off", "said": 4}}',
-    "deep": "[" * 100_000,
-    "other": "3",
-    "digits": '{"exit": 0, "figures": {"norm_K": ' + "9" * 5000 + "}}",
-    "large": '{"exit": 0, "figures": {"norm_K": ' + "9" * 400 + "}}",
-    "old": '{"figures": {"norm_K": 1.0}}',
+ODD: dict[str, dict[str, object]] = {
+    "text": {"exit": 0, "figures": {"norm_K": "large", "norm_L": None, "final_error": True}},
+    "list": {"exit": 0, "figures": [1, 2], "remarks": "no list", "simulation": [], "verdict": 3},
+    "words": {"exit": 0, "remarks": [1, {}], "simulation": {"outcome": "off", "said": 4}},
+    "large": {"exit": 0, "figures": {"norm_K": 10**400}},
 }
 
 
 @pytest.mark.parametrize("index", ODD.values(), ids=ODD)
-def test_an_index_of_another_kind_gives_no_figures(stand: Stand, tmp_path: Path, index: str) -> None:
-    (tmp_path / "out" / "exit0").mkdir(parents=True)
-    (tmp_path / "out" / "exit0" / "run.json").write_text(index)
-    run = CliRunner().invoke(app, ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out")])
-    assert run.exit_code == 0, run.output
-    (outcome,) = run_batch(tmp_path / "specs", tmp_path / "out")
+def test_an_index_of_another_kind_gives_no_figures(index: dict[str, object]) -> None:
+    outcome = Outcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
     assert (outcome.figures, outcome.notes) == ({}, ())
 
 
-def test_remarks_and_outcomes_are_noted(stand: Stand, tmp_path: Path) -> None:
-    (tmp_path / "out" / "exit0").mkdir(parents=True)
-    index = '{"exit": 0, "simulation": {"outcome": "off", "said": "off: by 3"}, "remarks": ["a cell is left out"]}'
-    (tmp_path / "out" / "exit0" / "run.json").write_text(index)
-    run = CliRunner().invoke(app, ["batch", str(stand(exit0="")), "--out", str(tmp_path / "out")])
-    assert "exit0.yaml: off: by 3\n" in run.stdout
-    assert "exit0.yaml: a cell is left out\n" in run.stdout
+def test_remarks_and_outcomes_are_noted() -> None:
+    index = {"exit": 0, "simulation": {"outcome": "off", "said": "off: by 3"}, "remarks": ["a cell is left out"]}
+    outcome = Outcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
+    assert outcome.notes == ("off: by 3", "a cell is left out")
 
 
-def test_what_is_named_like_a_spec_and_is_none_is_said_to_be_left_out(stand: Stand, tmp_path: Path) -> None:
+def test_what_is_named_like_a_spec_and_is_none_is_said_to_be_left_out(
+    stand: Stand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = stand(exit0="")
     (folder / "EXIT4.YAML").touch()
     (folder / "gone.yaml").symlink_to(folder / "nowhere")
     os.mkfifo(folder / "pipe.yml")
     (folder / "link.yaml").symlink_to(folder / "pipe.yml")
     (folder / "folder.yaml").mkdir()
-    assert [path.name for path in find_specs(folder)] == ["EXIT4.YAML", "exit0.yaml"]
-    run = CliRunner().invoke(app, ["batch", str(folder), "--out", str(tmp_path / "out")])
-    assert [line.split("specs/")[1] for line in run.stderr.splitlines() if "left out" in line] == [
+    assert [path.name for path in find_specs([folder])] == ["EXIT4.YAML", "exit0.yaml"]
+    batch([folder], tmp_path / "out", Options(), work=work)
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split("specs/")[1] for line in said if "left out" in line] == [
         "gone.yaml: left out: no file of this name is where the link leads",
         "link.yaml: left out: no file",
         "pipe.yml: left out: no file",
     ]
-
-
-def test_specs_whose_names_are_dots_stay_in_folders_of_their_own(
-    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, seen = stand(), list[Path]()
-    for name in ("..yaml", "...yaml", "....yml"):
-        (folder / name).touch()
-
-    def note(command: Sequence[str], timeout: float) -> tuple[int | None, str]:
-        seen.append(Path(command[list(command).index("--out") + 1]))
-        return 0, ""
-
-    monkeypatch.setattr(batch, "called", note)
-    run_batch(folder, tmp_path / "out")
-    assert {path.resolve().relative_to(tmp_path / "out") for path in seen} == {
-        Path("..yaml"),
-        Path("...yaml"),
-        Path("....yml"),
-    }
+    assert [line for line in said if line.startswith("[")] == [
+        line for line in said if re.fullmatch(r"\[[12]/2\] (pass|FAIL) .*exit[04]\.yaml.* \(\d+\.\d s\)", line, re.I)
+    ]

@@ -33,6 +33,7 @@ EXTRA = {
     "required": "reference: {output: {constant: 0.01}}\nrequire: {rate: 99, norm_K: 1e-9, norm_L: 1e9, overshoot: 99}",
     "loads": "design: {estimate: {push: {into: {v: 1}}, hum: {into: {v: 1}, frequency: 3}}}\nreference: {output: 0.1}",
     "uncertain": "parameters: {m: 1}\ndesign: {uncertain: {m: 5%}}\nreference: {output: 0.1*sin(t)}\n",
+    "polynomials": "design: {controller: {K: [[0, 0]]}, observer: {L: [[0], [0]]}}\nreference: {output: 0.1*sin(t)}",
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
@@ -82,6 +83,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         "two_mass_goals",
         "two_mass_machine",
         "gallery/dc_motor_brushes",
+        "gallery/two_mass_stiff_springs",
         "gallery/robust_positioning",
     ):
         yield specs / f"{name}.yaml"
@@ -91,6 +93,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
     for name, wishes in EXTRA.items():
         slope = "1.001" if name == "rounded" else "1"
         push = "1/m" if name == "uncertain" else "1"
+        damping = "0.3" if name == "polynomials" else "1"
         limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
         path = tmp_path / f"{name}.yaml"
         path.write_text(
@@ -102,8 +105,8 @@ system:
   B: [[0], [{push}]]
   C: [[1, 0]]
   cells:
-    - {{name: free, where: ["z <= 0.05"], A: [[0, 1], [-1, -1]]}}
-    - {{name: touching, where: ["z >= 0.05"], A: [[0, 1], [-2, -1]], b: [0, {slope}*0.05]}}
+    - {{name: free, where: ["z <= 0.05"], A: [[0, 1], [-1, -{damping}]]}}
+    - {{name: touching, where: ["z >= 0.05"], A: [[0, 1], [-2, -{damping}]], b: [0, {slope}*0.05]}}
 {wishes}
 simulation: {{duration: 10, sample_time: 0.1, initial: {{plant: [0.2, 0]}}, {limits}}}
 """

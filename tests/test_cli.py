@@ -18,7 +18,7 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.cli import app
 from pwatrack.report.run_folder import read_index
 
-STIFF = ("--set", "k2=0.7", "--set", "k3=0.7")
+STIFF = ("--set", "k2=1.2", "--set", "k3=1.2")
 
 
 def call(*arguments: object) -> Run:

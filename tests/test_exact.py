@@ -188,7 +188,7 @@ def test_a_malformed_proof_is_refused_at_once(run: Path, change: dict[str, Any])
     assert audit(json.dumps(content))[1] != []
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b'{"format": "pwatrack certificate 6"}', None])
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b'{"format": "pwatrack certificate 7"}', None])
 def test_the_auditor_alone_says_what_is_wrong_with_a_file_and_shows_no_traceback(
     tmp_path: Path, content: bytes | None
 ) -> None:

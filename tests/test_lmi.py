@@ -293,9 +293,9 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
     assert norm(theirs) <= norm(last) * (1 + 1e-3)
 
 
-@pytest.mark.parametrize(("n", "m", "cells"), [(3, 1, 2), (4, 1, 3), (8, 2, 8), (12, 3, 16)])
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_each_further_program_of_a_sequence_takes_at_most_ten_iterations(
+@pytest.mark.parametrize(("n", "m", "cells"), [(3, 1, 2), (4, 1, 3), (5, 1, 2), (8, 2, 8), (12, 3, 16)])
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     monkeypatch: pytest.MonkeyPatch, seed: int, n: int, m: int, cells: int
 ) -> None:
     """Margins at one rate after the other, and closer bounds of the norm, as a design solves them."""
@@ -317,7 +317,7 @@ def test_each_further_program_of_a_sequence_takes_at_most_ten_iterations(
     assert found is not None
     assert search.smallest(0.9 * found[1].rate) is not None
     assert len(counts) >= 2
-    assert max(counts) <= 10
+    assert max(counts) <= 8
 
 
 @given(seed=seeds, n=st.integers(2, 8), m=st.integers(1, 3), cells=st.integers(2, 6))

@@ -221,12 +221,13 @@ def test_a_batch_fails_on_what_grows_and_says_what(tmp_path: Path) -> None:
 
 
 def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path: Path) -> None:
-    path = cart(tmp_path, "actuator: {limits: {u: [-0.01, 0.01]}}", reference="0.08*sin(t)")
+    limits, push = "actuator: {limits: {u: [-0.1, 0.1]}}", "disturbance: {v: {constant: 0.5}}"
+    path = cart(tmp_path, limits, push, reference="0.08*sin(t)")
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     _, first, second, *_ = lines(run.stdout)
     assert re.match(r"simulated 20 s: off: \|y − y_d\| up to \S+ m in the last tenth of the time", first)
-    assert second == "proofs are about the loop without: u limited to [-0.01, 0.01]"
+    assert second == "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt"
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "off"
 
 

@@ -195,11 +195,16 @@ def test_seven_is_not_feasible_because_the_gap_has_a_zero_eigenvalue(paper_spec:
         prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names)
 
 
-def test_seventeen_turns_infeasible_between_068_and_070(specs: Path) -> None:
+def test_seventeen_has_a_common_P_up_to_069_and_a_polynomial_up_to_1113(specs: Path) -> None:
     path = specs / "two_mass_backlash.yaml"
-    assert generator_of(design(load_spec(path, {"k2": 0.68, "k3": 0.68}))).certificate.rate > 0
-    with pytest.raises(Infeasible, match=r"\(17\).*infeasible"):
-        design(load_spec(path, {"k2": 0.70, "k3": 0.70}))
+
+    def degrees(k: str) -> set[int]:
+        proofs = design(load_spec(path, {"k2": k, "k3": k})).guarantees.generator
+        return {proof.degree for proof in proofs}
+
+    assert [degrees(k) for k in ("0.68", "0.70", "1.112")] == [{2}, {4}, {10}]
+    with pytest.raises(Infeasible, match=r"\(17\).*infeasible.* no polynomial of degree 4, 6, 8 or 10 was found"):
+        design(load_spec(path, {"k2": "1.12", "k3": "1.12"}))
 
 
 def test_the_designed_gains_are_small_and_track(specs: Path) -> None:

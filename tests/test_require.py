@@ -336,7 +336,7 @@ def test_the_band_of_an_output_can_be_given(tmp_path: Path) -> None:
 
 
 def test_run_json_stays_readable_where_a_time_never_comes(tmp_path: Path) -> None:
-    path = stage(tmp_path, "{settling_time: 5}", "actuator: {limits: {u: [-1e-4, 1e-4]}}", reference=BACK)
+    path = stage(tmp_path, "{settling_time: 5}", "disturbance: {v: {constant: 1}}", reference=BACK)
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 6, run.output
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))

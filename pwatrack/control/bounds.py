@@ -38,6 +38,7 @@ from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid
 from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity
@@ -95,7 +96,7 @@ class Bounds:
 
 
 def signal_bounds(
-    plant: PWASystem, design: Design, proofs: Sequence[Proof], X: BallMatrix, *, output: bool
+    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
 ) -> tuple[Bounds, ...]:
     """Bound every signal for every disturbance and noise by itself, each proved exactly.
 
@@ -130,7 +131,7 @@ class Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals."""
 
     def __init__(
-        self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[Proof], X: BallMatrix, *, output: bool
+        self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
     ) -> None:
         exact, seen, n, N = plant.exact, plant.observed, plant.exact.B.shape[0], L.shape[0]
         A, B, drive = different(exact.A), exact.B, coupling(plant, K, L, X)
@@ -152,9 +153,12 @@ class Loops:
         self.driven_as: Literal["disturbance", "input"] = "disturbance" if plant.loads else "input"
         loads = () if plant.loads is None else plant.loads.where
         self.estimates: list[Form] = [("estimate", k) for k in (*range(n), *(n + k for k in loads))]
+        quadratic = [
+            proof for proof in proofs if isinstance(proof, Proof)
+        ]  # where (8) or (9) has none, no ellipsoid is
         self.inners: dict[Loop, list[Inner]] = {
-            "controller": [_inner(proof, invert=False) for proof in proofs if proof.role is CONTROLLER],
-            "observer": [_inner(proof, invert=True) for proof in proofs if proof.role is OBSERVER],
+            "controller": [_inner(proof, invert=False) for proof in quadratic if proof.role is CONTROLLER],
+            "observer": [_inner(proof, invert=True) for proof in quadratic if proof.role is OBSERVER],
         }
         if few:
             nothing = BallMatrix.of(np.zeros((N, n)))
@@ -199,6 +203,8 @@ class Loops:
         g = self.drive(loop, channel)
         if not signals or (g.radius is None and not any(g.centre.entries())):
             return dict.fromkeys(signals, 0.0), ()
+        if not self.inners[loop]:
+            return {}, ()
         rows = reduce(above, (self.row(loop, signal) for signal in signals))
         tries = 3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2
         found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
@@ -245,7 +251,7 @@ def _inner(proof: Proof, *, invert: bool) -> Inner:
 def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:
     """Return [κ Q_c, 0; 0, Q_o] for the first proofs and the last ones; by the Schur complement κ is large enough."""
     found = []
-    for place in (0, -1):
+    for place in (0, -1) if inners["controller"] and inners["observer"] else ():
         c, o = inners["controller"][place], inners["observer"][place]
         most = min(c.most, o.most)
         with suppress(np.linalg.LinAlgError):

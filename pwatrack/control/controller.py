@@ -11,10 +11,11 @@ from pwatrack.control.bounds import Bounds, signal_bounds
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
+from pwatrack.control.limits import Limited, Promise
 from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -36,16 +37,18 @@ class Controller:
         sizes: Of all signals of the plant: what the gains were weighed with.
         costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
         robust: What is proved for uncertain parameters, where some are.
+        limited: What is known of inputs that have limits, where some have.
     """
 
     plant: PWASystem
     design: Design
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
-    proofs: tuple[Proof, ...]
+    proofs: tuple[AnyProof, ...]
     sizes: Sizes
     costs: Mapping[str, Array] = field(default_factory=dict)
     robust: Robust | None = None
+    limited: Limited | None = None
 
     @property
     def form(self) -> NormalForm | None:
@@ -69,6 +72,11 @@ class Controller:
         if self.generator is not None:
             return np.ones(1)
         return np.ones(1) if len(self.sizes.state) == 1 else self.sizes.state
+
+    @property
+    def promises(self) -> tuple[Promise, ...]:
+        """From which starts inputs that have limits stay near their feedforward."""
+        return () if self.limited is None else self.limited.promises
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:

@@ -6,15 +6,17 @@ from functools import partial
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
-from pwatrack.lmi.presolve import extreme
+from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
+from pwatrack.lmi.presolve import distinct, extreme
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
@@ -153,8 +155,10 @@ def prove_convergence(
     solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
     remedy: Remedy | None = None,
-) -> Certificate:
+) -> Found:
     """Prove M_i P + P M_iᵀ ≺ 0 for all cells, or say why not. With M_i = A_iᵀ this is (7).
+
+    Where there is no such P, a polynomial that decays may take its place: see `lmi.polynomial`.
 
     Args:
         M: (l, n, n).
@@ -168,7 +172,7 @@ def prove_convergence(
         hint, remedy: What to do where a cell is unstable by itself.
 
     Raises:
-        Infeasible: If it is proved that no P exists.
+        Infeasible: If it is proved that no P exists, and no polynomial is found.
         Undecided: If neither is proved.
 
     Example:
@@ -182,24 +186,46 @@ def prove_convergence(
     doubtful = (abscissa > -_DOUBTFUL * np.linalg.norm(M, axis=(1, 2))).any()
     no_input = np.zeros((M.shape[1], 0))
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
-    refutation = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None
+    refutation, tried = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
         best = best_certificate(M, sizes=sizes, solver=solver)
         if best is not None:
             return best
+        instead, tried = _polynomial(M, role, exact, sizes)
+        if instead is not None:
+            return instead
         refutation = refutation or refute(M, no_input, solver=solver, exact=numbers)
     if refutation is None:
-        raise _undecided(claim, abscissa, cells, subject)
+        raise _undecided(claim, abscissa, cells, subject, tried)
     if not refutation.eigenvalues:
-        hint = "they differ too much for one quadratic Lyapunov function: bring them closer, or damp them more"
+        hint = "they differ too much for one Lyapunov function: bring them closer, or damp them more"
         remedy = None
-    tell = partial(_conflict_text, claim, refutation, abscissa, cells)
+    tell = partial(_conflict_text, claim, refutation, abscissa, cells, tried)
     problem = Problem.of_many(tell, subject=subject, hint=hint, remedy=remedy)
     raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
 
 
-def _undecided(claim: str, abscissa: Array, cells: Sequence[str], subject: Subject) -> Undecided:
-    said = f"{claim} is undecided: found neither a common P nor a proof that none exists; "
+def _polynomial(
+    M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None
+) -> tuple[Polynomial | None, tuple[int, ...]]:
+    """Return the polynomial of the lowest degree that is proved for all cells, and the degrees that were tried."""
+    A = distinct(role.oriented(M))[0]
+    if not np.linalg.eigvals(A).real.max() < 0:
+        return None, ()
+    numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
+    near, tried = _near(A.swapaxes(1, 2), None, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
+    for degree in degrees(A.shape[1], len(A)):
+        found = best_polynomial(A, degree, near)
+        tried.append(degree)
+        if found is not None and prove_polynomial(role, numbers, found) is not None:
+            return found, tuple(tried)
+    return None, tuple(tried)
+
+
+def _undecided(
+    claim: str, abscissa: Array, cells: Sequence[str], subject: Subject, tried: tuple[int, ...]
+) -> Undecided:
+    said = f"{claim} is undecided: found neither a common P nor a proof that none exists{_tried_text(tried)}; "
     return Undecided(
         Problem.of_many(
             lambda most: said + eigenvalue_text(abscissa, cells, most),
@@ -209,11 +235,28 @@ def _undecided(claim: str, abscissa: Array, cells: Sequence[str], subject: Subje
     )
 
 
-def _conflict_text(claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], most: int | None) -> str:
+def _conflict_text(
+    claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], tried: tuple[int, ...], most: int | None
+) -> str:
     """Return why a claim is infeasible: cells that are unstable by themselves, or whose conflict is proved."""
     names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
     if names:
         reason = f"{names} not stable"
     else:
         reason = f"{conflict_text(proof, cells, most)}, no common P exists for them, though each is stable by itself"
+        reason += _tried_text(tried)
     return f"{claim} is infeasible: {reason}; {eigenvalue_text(abscissa, cells, most)}"
+
+
+def _tried_text(degrees: tuple[int, ...]) -> str:
+    """Say which polynomials were looked for in vain.
+
+    Example:
+        >>> _tried_text((4, 6)), _tried_text(())
+        (', and no polynomial of degree 4 or 6 was found to take its place', '')
+    """
+    if not degrees:
+        return ""
+    *some, last = map(str, degrees)
+    named = f"{', '.join(some)} or {last}" if some else last
+    return f", and no polynomial of degree {named} was found to take its place"

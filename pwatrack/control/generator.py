@@ -8,7 +8,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import each
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
@@ -25,7 +25,7 @@ class TrajectoryGenerator:
         form: The normal form (11) it is made from; its cells are those of the plant at x̂_d.
         A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + 1).
         shift: M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none.
-        certificate: Proof of (17).
+        certificate: What shows (17): a common P, or a polynomial that takes its place.
     """
 
     form: NormalForm
@@ -33,7 +33,7 @@ class TrajectoryGenerator:
     b_eta: Array
     B_eta: Array
     shift: Array | None
-    certificate: Certificate
+    certificate: Found
 
     @property
     def r(self) -> int:

@@ -25,6 +25,8 @@ from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.exact import Proof, unsure
+from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.gauge import Gauge
 from pwatrack.lmi.norm import Norm, largest_gain
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.model.pwa import PWASystem
@@ -36,19 +38,22 @@ _ABOVE = 1 + 1e-9  # more than the rounding of the few operations and exponentia
 
 @dataclass(frozen=True, kw_only=True)
 class Contraction:
-    """One proof, read as a norm in which an error shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d.
+    """One proof, read as a measure ‖·‖ of an error that shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d.
 
     Attributes:
+        degree: Of the proof: 2, or that of a polynomial that takes the place of a common P.
         rate: α in 1/s.
         share: Every entry of the gain may differ from that printed by less than this share of it, and be another at
-            every time: the norm shrinks at this rate still. 0 for (17), which has no gain.
-        norm: ‖·‖, exact.
+            every time: the norm shrinks at this rate still. 0 for (17), which has no gain, and where nothing is proved
+            of it, for a polynomial.
+        gauge: The norms that ‖e‖ and ‖d‖ lie between, exact; of a quadratic form they are one.
         from_norm: |e| ≤ from_norm ‖e‖, with |e| in sizes; of the generator in the units given.
     """
 
+    degree: int
     rate: float
     share: float
-    norm: Norm
+    gauge: Gauge
     from_norm: float
 
 
@@ -79,7 +84,7 @@ class Guarantees:
             start: x̂(0) − x(0), (n,).
         """
         start = np.pad(start, (0, self.loads))
-        bounds = [o.from_norm * o.norm(start) * np.exp(-o.rate * t) for o in self.observer]
+        bounds = [o.from_norm * o.gauge.above(start) * np.exp(-o.rate * t) for o in self.observer]
         return np.asarray(np.min(bounds, axis=0) * _ABOVE)
 
     def tracking_error(self, t: Array, start: Array, observer_start: Array, *, output: bool) -> Array:
@@ -95,9 +100,9 @@ class Guarantees:
         """
         bounds, observer_start = [], np.pad(observer_start, (0, self.loads))
         for c, size, drives in zip(self.controller, self._sizes(output), self.drive, strict=True):
-            own = c.norm(start) * np.exp(-c.rate * t)
+            own = c.gauge.above(start) * np.exp(-c.rate * t)
             for o, drive in zip(self.observer, drives, strict=True):
-                bounds.append(size * (own + drive * o.norm(observer_start) * _convolution(c.rate, o.rate, t)))
+                bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
         return np.asarray(np.min(bounds, axis=0) * _ABOVE)
 
     @property
@@ -124,7 +129,7 @@ class Guarantees:
         return self.output if output else tuple(c.from_norm for c in self.controller)
 
 
-def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes: Sizes, X: BallMatrix) -> Guarantees:
+def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
     """Read off the exact proofs what they promise. Every number is rounded to the safe side.
 
     Args:
@@ -147,25 +152,27 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[Proof], sizes:
     drives = coupling(plant, K, L, X)
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}
     for proof in proofs:
-        norm, share, n = Norm.of(proof), 0.0, len(proof.exponents)
-        if proof.role is CONTROLLER:
+        gauge, share, n = Gauge.of(proof), 0.0, proof.order
+        if isinstance(proof, Proof) and proof.role is CONTROLLER:
             share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, BallMatrix(proof.P), design.K)
-        elif proof.role is OBSERVER:
+        elif isinstance(proof, Proof) and proof.role is OBSERVER:
             slack = [_slack((A_i + L @ seen.C).transpose(), proof) for A_i in different(seen.A)]
             share = largest_share(slack, BallMatrix(proof.P), seen.C.transpose(), design.L)
         counted = np.append(sizes.state, sizes.load)[:n]  # the observer's errors are those of its loads too
         if len(sizes.state) == 1:  # a single state is counted in its unit
             counted = counted / counted[0]
         length = Norm.euclidean(n) if proof.role is GENERATOR else Norm.in_sizes(counted)
-        from_norm = largest_gain(identity(n), norm, length)
-        parts[proof.role.name].append(Contraction(rate=proof.rate, share=share, norm=norm, from_norm=from_norm))
+        from_norm = largest_gain(identity(n), gauge.below, length)
+        parts[proof.role.name].append(
+            Contraction(degree=proof.degree, rate=proof.rate, share=share, gauge=gauge, from_norm=from_norm)
+        )
     controller, observer, generator = (tuple(part) for part in parts.values())
     return Guarantees(
         controller=controller,
         observer=observer,
         generator=generator,
-        output=tuple(_size(exact.tracked, c.norm, Norm.euclidean(q)) for c in controller),
-        drive=tuple(tuple(_size(drives, o.norm, c.norm) for o in observer) for c in controller),
+        output=tuple(_size(exact.tracked, c.gauge.below, Norm.euclidean(q)) for c in controller),
+        drive=tuple(tuple(_size(drives, o.gauge.below, c.gauge.driven) for o in observer) for c in controller),
         loads=seen.C.shape[1] - len(plant.B),
     )
 

@@ -13,9 +13,10 @@ from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Design
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
-from pwatrack.lmi.certificate import Certificate
-from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.exact_polynomial import AnyProof, Found, exactly
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.polynomial import Polynomial
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -30,7 +31,7 @@ def prove_design(
     *,
     sizes: Sizes | None = None,
     solver: Solver = "clarabel",
-) -> tuple[Proof, ...]:
+) -> tuple[AnyProof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
     The P of the best rate is ill-conditioned, so it promises little for short times and for changed
@@ -68,10 +69,10 @@ def prove_design(
 
 
 def prove_inequality(
-    role: Role, M: Sequence[BallMatrix], certificate: Certificate, solver: Solver, *, sizes: Array | None = None
-) -> list[Proof]:
-    """Return the proof of the best rate and, if there is one, that of a small overshoot."""
-    best = prove_exactly(role, M, certificate.P, certificate.rate)
+    role: Role, M: Sequence[BallMatrix], certificate: Found, solver: Solver, *, sizes: Array | None = None
+) -> list[AnyProof]:
+    """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof."""
+    best = exactly(role, M, certificate)
     if best is None:
         raise Undecided(
             Problem(
@@ -81,6 +82,8 @@ def prove_inequality(
                 remedy=other_solver(solver),
             )
         )
+    if isinstance(certificate, Polynomial):
+        return [best]
     found = least_overshoot_certificate(
         certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P, solver=solver
     )

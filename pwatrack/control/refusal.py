@@ -11,6 +11,11 @@ from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
+from pwatrack.lmi.role import CONTROLLER
+from pwatrack.rational import decimals, floats, unreachable
+
+_SEEN = 1e-9  # of the largest entry of a mode: what is smaller is rounding
+_NAMED = 3  # states that a mode is reached by, the best first
 
 
 def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: float) -> PwatrackError:
@@ -35,7 +40,7 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
     if refutation.eigenvalues:
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
         modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in worst]
-        hint = f"another actuator, or another measured output, must reach this mode{slower}"
+        hint = f"{reached_by(task, *worst[0], rate)}{slower}"
     else:
         hint = f"another actuator or another measured output may help, cells that differ less{slower}"
 
@@ -51,6 +56,39 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         Problem.of_many(tell, subject=subject, hint=hint),
         evidence=Impossibility(role=task.role, rate=rate, refutation=refutation),
     )
+
+
+def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
+    """Say which actuator would move a mode that no gain moves, or which sensor would see it.
+
+    A mode v with vᵀ A_i = λ vᵀ and vᵀ B = 0 moves with each further input b that has vᵀ b ≠ 0. The states are named in
+    the order of |v_k|, counted in sizes; for (9) all is transposed, and v is what a sensor c must see, c v ≠ 0.
+
+    Args:
+        task: The inequality.
+        cell: That of the mode.
+        eigenvalue: λ, shifted by
+        rate: in 1/s.
+
+    Example:
+        >>> task = Task(A=np.diag([3.0, -1.0])[None], B=np.array([[0.0], [1.0]]), cells=["all"], states=["p", "q"])
+        >>> reached_by(task, 0, 3.0, 0.0)
+        'another actuator must reach this mode: any that acts on dp/dt does'
+    """
+    A, B = ([decimals(A_i) for A_i in task.A], decimals(task.B)) if task.centres is None else task.centres
+    N, A_u = unreachable(A[cell], B)
+    values, vectors = np.linalg.eig(floats(A_u).T)
+    mode = floats(N).T @ vectors[:, np.argmin(np.abs(values + rate - eigenvalue))]
+    seen = np.abs(mode * task.scale.state)[: len(task.states)]
+    order = [k for k in np.argsort(-seen, kind="stable") if seen[k] > _SEEN * seen.max()]
+    acts = task.role is CONTROLLER
+    wanted = "another actuator must reach this mode" if acts else "another measured output must show this mode"
+    if not order:
+        return wanted
+    names = [f"d{task.states[k]}/dt" if acts else task.states[k] for k in order[:_NAMED]]
+    which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+    best = "" if len(names) == 1 else f", {'on' if acts else 'of'} the first most"
+    return f"{wanted}: any that acts on {which} does{best}" if acts else f"{wanted}: a sensor of {which} does{best}"
 
 
 def other_solver(solver: Solver) -> Remedy:

@@ -30,7 +30,7 @@ from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Design
 from pwatrack.errors import OutsideTheory, Problem, Undecided
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity
@@ -100,7 +100,7 @@ class Robust:
 def prove_box(
     plant: PWASystem,
     design: Design,
-    proofs: Sequence[Proof],
+    proofs: Sequence[AnyProof],
     corners: Sequence[Matrices],
     *,
     output: bool,

@@ -14,6 +14,7 @@ from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.task import Task, reaches
 from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -35,14 +36,14 @@ class Design:
     Attributes:
         K: Controller gain (m, n): u = K (x̂ − x_d) + u_ff.
         L: Observer gain (n, q): + L (ŷ − y).
-        controller: Proof that sym((A_i + B K) P_c) ≺ 0 for all cells: (8).
-        observer: Proof that sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9).
+        controller: P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial.
+        observer: P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise.
     """
 
     K: Array
     L: Array
-    controller: Certificate
-    observer: Certificate
+    controller: Found
+    observer: Found
 
 
 def synthesize(
@@ -80,7 +81,7 @@ def synthesize(
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
-def gain(task: Task, goal: Goal = DEFAULT) -> Proved:
+def gain(task: Task, goal: Goal = DEFAULT) -> tuple[Array, Found]:
     """Return a gain K for (8) that meets a goal, found or given, with the proof of its best rate.
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
@@ -111,7 +112,7 @@ def gain(task: Task, goal: Goal = DEFAULT) -> Proved:
     search = Search(task)
     match goal:
         case Given(gain=known):
-            return _given(task, task.role.oriented(known))
+            return given(task, task.role.oriented(known))
         case LeastCost(Q=Q, R=R):
             found = search.first(search.candidates.least_cost(Q, R), 0.0)
         case Fastest(bound=bound):
@@ -130,7 +131,12 @@ def gain(task: Task, goal: Goal = DEFAULT) -> Proved:
     return found
 
 
-def _given(task: Task, K: Array) -> Proved:
+def given(task: Task, K: Array) -> tuple[Array, Found]:
+    """Return a gain K (m, n), or Lᵀ, that is given, with what shows its best rate.
+
+    Raises:
+        Infeasible, Undecided: As for `prove_convergence`.
+    """
     letter = task.role.letter
     certificate = prove_convergence(
         task.closed(K),

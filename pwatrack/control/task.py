@@ -28,6 +28,7 @@ class Task:
         exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
         role: Which of the two it is.
         cells: Names of the l cells.
+        states: Names of the states of the plant, the first of the n.
         sizes: Those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
         solver: Which interior-point solver to ask.
     """
@@ -37,6 +38,7 @@ class Task:
     exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
     role: Role = CONTROLLER
     cells: Sequence[str]
+    states: Sequence[str] = ()
     sizes: Sizes | None = None
     solver: Solver = "clarabel"
 
@@ -58,6 +60,7 @@ class Task:
             exact=(each(role.exact, A), role.exact(B)),
             role=role,
             cells=plant.cell_names,
+            states=plant.states,
             sizes=sizes if role is CONTROLLER else sizes.dual(),
             solver=solver,
         )

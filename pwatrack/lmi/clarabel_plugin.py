@@ -21,6 +21,8 @@ from picos.modeling.solution import (
 from picos.solvers.solver import Solver
 from scipy import sparse
 
+from pwatrack.lmi.clarabel_solver import minimise
+
 _STATUS = {
     clarabel.SolverStatus.Solved: (SS_OPTIMAL, SS_OPTIMAL, PS_FEASIBLE),
     clarabel.SolverStatus.PrimalInfeasible: (SS_INFEASIBLE, SS_UNKNOWN, PS_INFEASIBLE),
@@ -100,23 +102,8 @@ class ClarabelSolver(Solver):  # type: ignore[misc]
     def _solve(self) -> Any:
         data: Any = self.int
         cost, G, h, cones, places = data
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
-            raise ArithmeticError("a coefficient is not finite")
-        nothing = sparse.csc_matrix((self._size, self._size))
-        try:
-            with self._stopwatch():
-                for method in ("faer", "qdldl"):  # the second is slower, and sometimes starts where the first does not
-                    settings.direct_solve_method = method
-                    answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
-                    if answer.iterations > 2:
-                        break
-        except BaseException as error:  # a panic of the Rust library is no Exception
-            if type(error).__name__ == "PanicException":
-                raise ArithmeticError(f"Clarabel failed: {error}") from None
-            raise
+        with self._stopwatch():
+            answer = minimise(cost, G, h, cones)
         primal, dual, problem = _STATUS.get(answer.status, (SS_UNKNOWN, SS_UNKNOWN, PS_UNKNOWN))
         x, z = np.array(answer.x), iter(np.split(np.array(answer.z), np.cumsum([size for _, size in places])[:-1]))
         return picos.Solution(

@@ -166,22 +166,22 @@ def _proved(
         mixed = (1 - share) * Q + share * far
         if not np.isfinite(mixed).all():
             continue
-        integers, exponents = _rounded(mixed)
+        integers, exponents = rounded(mixed)
         exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
         rest = scalar(a) * exact + square_above(g, [1 / Fraction(repr(a))], unit)
-        if is_positive_definite(exact) and all(is_positive_definite(-_change(X, exact, unit) - rest) for X in M):
-            sizes = tuple(root_above(square) for square in _squares(forms, exact))
+        if is_positive_definite(exact) and all(is_positive_definite(-change(X, exact, unit) - rest) for X in M):
+            sizes = tuple(root_above(square) for square in squares(forms, exact))
             return Ellipsoid(integers=integers, exponents=exponents, a=a, sizes=sizes)
     return None
 
 
-def _change(M: BallMatrix, Q: Rational, unit: Sequence[Fraction]) -> Rational:
+def change(M: BallMatrix, Q: Rational, unit: Sequence[Fraction]) -> Rational:
     """Return M Q + Q Mᵀ, or what is above it for every M in the ball."""
     MQ = M.centre * Q
     return MQ + MQ.transpose() + unsure(M.radius, Q, unit)
 
 
-def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
+def squares(forms: BallMatrix, Q: Rational) -> list[Any]:
     """Return c Q cᵀ for each row c, or the most that it is in the ball."""
     squares = forms @ BallMatrix(Q) @ forms.transpose()
     return [
@@ -189,7 +189,7 @@ def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
     ]
 
 
-def _rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+def rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
     """Return integers and exponents with Q_jk near integers_jk · 2^(exponents_j + exponents_k)."""
     exponents = np.round(np.log2(np.maximum(np.diag(Q), 1e-300)) / 2).astype(int) - BITS // 2
     unit = [Fraction(2) ** int(e) for e in exponents]

@@ -16,7 +16,7 @@ from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
-_GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
+GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
 BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 
 
@@ -41,6 +41,16 @@ class Proof:
     margin: float
     radius: float
 
+    @property
+    def order(self) -> int:
+        """That of the matrices it speaks of."""
+        return len(self.exponents)
+
+    @property
+    def degree(self) -> int:
+        """That of the quadratic form."""
+        return 2
+
     @cached_property
     def P(self) -> Rational:
         """The matrix, exactly."""
@@ -56,34 +66,45 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
         P: A solution in floating point, (n, n).
         rate: The rate that it proves in floating point, in 1/s.
     """
-    exponents = np.round(np.log2(np.diag(P)) / 2).astype(int) - BITS // 2
-    unit = [Fraction(2) ** int(e) for e in exponents]
-    integers = [
-        [round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True)]
-        for row, a in zip(((P + P.T) / 2).tolist(), unit, strict=True)
-    ]
-    exact_P = unpacked(integers, exponents.tolist())
+    exponents = exponents_of(P)
+    unit = [Fraction(2) ** e for e in exponents]
+    integers = whole(P, exponents)
+    exact_P = unpacked(integers, exponents)
     if not is_positive_definite(exact_P):
         return None
-    left = [_left(M_i, exact_P, unit) for M_i in M]
+    left = [left_side(M_i, exact_P, unit) for M_i in M]
     size = float(np.linalg.norm(P))
-    for shrink in _GIVEN:
-        short_rate = _rounded_down(rate * (1 - shrink), 6)
+    for shrink in GIVEN:
+        short_rate = rounded_down(rate * (1 - shrink), 6)
         slack = [S - scalar(2 * short_rate) * exact_P for S in left]
         if short_rate > 0 and all(is_positive_definite(S) for S in slack):
             margin = _margin(slack)
             return Proof(
                 role=role,
-                integers=tuple(tuple(row) for row in integers),
-                exponents=tuple(int(e) for e in exponents),
+                integers=integers,
+                exponents=exponents,
                 rate=short_rate,
                 margin=margin,
-                radius=_rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
+                radius=rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
             )
     return None
 
 
-def _left(M: BallMatrix, P: Rational, unit: Sequence[Fraction]) -> Rational:
+def exponents_of(P: Array) -> tuple[int, ...]:
+    """Return those with which P (n, n), of positive diagonal, has whole numbers of about `BITS` bits."""
+    return tuple((np.round(np.log2(np.diag(P)) / 2).astype(int) - BITS // 2).tolist())
+
+
+def whole(X: Array, exponents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Return the whole numbers nearest to X_jk / 2^(exponents_j + exponents_k), of the symmetric part of X (n, n)."""
+    unit = [Fraction(2) ** e for e in exponents]
+    return tuple(
+        tuple(round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True))
+        for row, a in zip(((X + X.T) / 2).tolist(), unit, strict=True)
+    )
+
+
+def left_side(M: BallMatrix, P: Rational, unit: Sequence[Fraction]) -> Rational:
     """Return −(M P + P Mᵀ), or what is below it for everything in the ball."""
     MP = M.centre * P
     left = -(MP + MP.transpose())
@@ -125,13 +146,13 @@ def _margin(slack: Sequence[Rational]) -> float:
     eye = identity(slack[0].nrows())
     nearest = np.array([floats(S) for S in slack])
     estimate = float(np.linalg.eigvalsh(nearest).min())
-    margin = _rounded_down(estimate / 2 if estimate > 0 else float(np.abs(nearest).max()), 3)
+    margin = rounded_down(estimate / 2 if estimate > 0 else float(np.abs(nearest).max()), 3)
     while not all(is_positive_definite(S - scalar(margin) * eye) for S in slack):
-        margin = _rounded_down(margin / 4, 3)
+        margin = rounded_down(margin / 4, 3)
     return margin
 
 
-def _rounded_down(value: float, digits: int) -> float:
+def rounded_down(value: float, digits: int) -> float:
     """Return the value with so many significant digits, not larger."""
     shown = float(f"{value:.{digits - 1}e}")
     return shown if shown <= value else float(f"{value * (1 - 10.0 ** (1 - digits)):.{digits - 1}e}")

@@ -38,8 +38,8 @@ _ROUGH, _FINE = 0.15, 0.06  # relative errors of step lengths, of the direction 
 _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
 _SHARE = (0.8, 0.99)  # of the way to the boundary, where that is short and where it is a whole step
-_CENTRED = 0.3  # of μ that the least eigenvalue of S Z has at a point that is called central
-_ROUGHLY = 1e-4  # gap from which on an answer is meant to be changed a little: then it is to be central
+_NOTHING = 1e-3  # of the objective of the program before it in a sequence: what counts as 0
+_CHANGED = 0.1  # of the largest mean of S Z that an answer has in the next program: μ that this one begins with
 _IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
 _DENSE = 2e6  # multiplications in a step, up to which one matrix for the whole program is quicker than its form
 
@@ -72,13 +72,12 @@ def solve(
         program: What is asked.
         gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
         against: A number; ends where the objective is less, and where it cannot be: `gap` is a share of the distance.
-        after: The answer to a program with constraints of the same shapes and nearly the same entries: best a central
-            one. It is begun there, and where that leads nowhere begun again.
+        after: The answer to a program with constraints of the same shapes and nearly the same entries. It is begun
+            there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
 
     Returns:
-        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a gap of more than
-        1e-4 P, Y and the multipliers are near the central path: well inside what they must satisfy, unless the
-        objective is less than that number.
+        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap P, Y
+        and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
 
     Example: the largest t ≤ 1 with −2 P ⪯ −t I, t I ⪯ P ⪯ I.
 
@@ -90,10 +89,11 @@ def solve(
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)
+        nothing = 0.0 if after is None else _NOTHING * abs(after.objective)
         continued = None if after is None else _continued(linear, after)
-        found = None if continued is None else _minimise(linear, continued, gap, against)
+        found = None if continued is None else _minimise(linear, continued, gap, against, nothing)
         if found is None or found[2]:
-            found = _minimise(linear, _start(linear), gap, against)
+            found = _minimise(linear, _start(linear), gap, against, nothing)
     if found is None:
         return None
     at, iterations, impossible = found
@@ -128,18 +128,18 @@ def _threads() -> ThreadpoolController:
 
 
 def _minimise(
-    linear: LinearMap, at: _Iterate, share: float, against: float | None
+    linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
     best, gaps = None, list[float]()
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
-    scalings, rough = _scalings(linear, at), share > _ROUGHLY
+    scalings = _scalings(linear, at)
     for number in range(_MOST):
         if scalings is None:
             break
         rest = _Rest.of(linear, at)
         gap, mu = rest.gap, rest.gap / linear.blocks.order
-        wanted = max(share * abs(rest.objective - (against or 0.0)), _LEAST_GAP)
+        wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
         if not 0 < gap < np.inf:
             break
@@ -155,14 +155,12 @@ def _minimise(
             gaps.append(gap)
             if len(gaps) > _PATIENCE and gap > _FALLEN * gaps[-1 - _PATIENCE]:
                 return at, number, False
-        done = off[0] <= _OFF and flat and gap <= wanted
-        if done and (not rough or min(float((x.d**2).min()) for x in scalings) >= _CENTRED * mu):
+        if off[0] <= _OFF and flat and gap <= wanted:
             return at, number, False
         moved = None
         with suppress(np.linalg.LinAlgError):  # a scaling is singular to working precision
             step = _Step(linear, scalings, rest)
-            least = wanted / 2 / linear.blocks.order if rough else 0.0
-            move, reach = step.centring(mu) if done else step.corrected(mu, least)
+            move, reach = step.corrected(mu, wanted / 2 / linear.blocks.order)
             moved = step.taken(at, move, reach)
         if moved is None:
             break
@@ -220,18 +218,28 @@ def _start(linear: LinearMap) -> _Iterate:
 
 
 def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
-    """Return the end of another program as the start of this one; None where it is at the boundary, or does not fit."""
+    """Return a start of this program near the end of another one; None where it does not fit.
+
+    With the slacks S that its P, Y and t have here, and its multipliers Z, it is the S' and Z' with S' − ρ Z' = S − ρ Z
+    and S' Z' = μ I: both commute, so one eigenvalue problem each has them. What is far from the boundary stays where it
+    was, and μ is as large as the change from one program to the other asks for.
+    """
     shapes = [c.constant.shape for c in last.program.constraints]
     if last.multipliers is None or shapes != [part.shape for part in linear.blocks.parts(linear.constant)]:
         return None
     mean = last.gap / linear.blocks.order
-    at = _Iterate(
-        v=linear.vector(last.P, last.Y, last.t),
-        s=linear.blocks.of(last.slacks, beside=1.0),
-        z=linear.blocks.of(last.multipliers, beside=mean),
-        y=np.zeros(len(linear.values)),
-    )
-    return None if _scalings(linear, at) is None else at
+    v = linear.vector(last.P, last.Y, last.t)
+    s, z = -linear.constant - linear.apply(v), linear.blocks.of(last.multipliers, beside=mean)
+    stacks = list(zip(linear.blocks.stacks(s), linear.blocks.stacks(z), strict=True))
+    changed = max(float(np.abs((S * Z).sum(axis=(1, 2))).max()) / S.shape[1] for S, Z in stacks)
+    ratio, mu = np.linalg.norm(s) / np.linalg.norm(z), max(mean, _CHANGED * changed)
+    for S, Z in stacks:
+        values, Q = np.linalg.eigh(S - ratio * Z)
+        far = (np.abs(values) + np.sqrt(values**2 + 4 * ratio * mu)) / 2
+        near, turned = ratio * mu / far, Q.transpose(0, 2, 1)
+        S[:] = (Q * np.where(values > 0, far, near)[:, None]) @ turned
+        Z[:] = (Q * np.where(values > 0, near, far)[:, None] / ratio) @ turned
+    return _Iterate(v=v, s=s, z=z, y=np.zeros(len(linear.values)))
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
@@ -278,11 +286,6 @@ class _Step:
                 break
             best, reach = other, further
         return self.refined(best), reach
-
-    def centring(self, mu: float) -> tuple[_Move, tuple[float, float]]:
-        """Return the direction to S Z = μ I, and how far S and Z may go."""
-        move = self.towards([_diagonal(mu / x.d - x.d) for x in self.scalings])
-        return self.refined(move), self.lengths(move, _FINE)
 
     def lengths(self, move: _Move, near: float) -> tuple[float, float]:
         """Return how far S and Z may go."""

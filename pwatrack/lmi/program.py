@@ -264,6 +264,28 @@ def least_sizes(inequality: Inequality, W: Array) -> Program:
     return Program(constraints=(inequality,), price=0.0, cost=W)
 
 
+def farthest_starts(inequality: Inequality, rows: Array, starts: Array) -> Program:
+    """Maximise t subject to F_i(P) ⪯ 0 for all cells, P ⪰ t Σ, P ⪯ 1e6 I and c P cᵀ ≤ 1 for some rows c.
+
+    What starts in √t times an ellipsoid, {z: z zᵀ ⪯ Σ}, then has |c z| ≤ 1.
+
+    Args:
+        inequality: From `lyapunov`.
+        rows: c, (s, n), of size 1 at most.
+        starts: Σ (n, n), positive semidefinite, of size 1.
+    """
+    eye = np.eye(inequality.n)
+    return Program(
+        constraints=(
+            inequality,
+            of_P(inequality, -1.0, eye, T=starts),
+            of_P(inequality, 1.0, 1e-3 * eye, constant=-eye),
+            *(of_P(inequality, 1.0, row[None], constant=-np.eye(1)) for row in rows),
+        ),
+        price=-1.0,
+    )
+
+
 def least_cost(inequality: Inequality, weight: Array) -> Program:
     """Minimise tr V P⁻¹ Vᵀ subject to F_i(P) ⪯ 0 for all cells and P ⪰ 0.
 

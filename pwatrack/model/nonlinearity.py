@@ -128,6 +128,20 @@ class Nonlinearity:
     direction: Any
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScalarForm:
+    """The field A x + b + Σ direction φ(row · x + constant).
+
+    Attributes:
+        A, b: (n, n) and (n, 1).
+        elements: The terms of the sum.
+    """
+
+    A: BallMatrix
+    b: BallMatrix
+    elements: tuple[Nonlinearity, ...]
+
+
 def drives_away(A: Array, element: Nonlinearity) -> list[int]:
     """Return the states through which an element drives what it looks at away from where it acts.
 
@@ -163,14 +177,16 @@ def generate_cells(
 ) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
     """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
 
+    A and b are sequences, or already `BallMatrix` (b as a column).
     One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
     breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
 
     Raises:
         InvalidSpec: If there are more than 20,000 cells.
     """
-    n = len(b)
-    constant, rest = BallMatrix.of(A, (n, n)), BallMatrix.of([[v] for v in b], (n, 1))
+    n = b.shape[0] if isinstance(b, BallMatrix) else len(b)
+    constant = A if isinstance(A, BallMatrix) else BallMatrix.of(A, (n, n))
+    rest = b if isinstance(b, BallMatrix) else BallMatrix.of([[v] for v in b], (n, 1))
     if not nonlinearities:
         return Partition.create(H=np.zeros((0, n)), h=[], signs=[[]], names=["everywhere"]), [constant], [rest]
     rows = [element.row for element in nonlinearities for _ in element.function.breakpoints]

@@ -15,6 +15,7 @@ from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
 from pwatrack.model.loads import Loads
+from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.offset import continuous_offset
 from pwatrack.rational import beside, on_entries
 
@@ -77,6 +78,8 @@ class PWASystem:
         repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
         states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
         loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
+        written: The field as a sum of scalar elements, where it was written so.
+        watched: The plant that the observer runs, where that is another one: that of which this one has merged cells.
         remarks: What was noticed while it was built, and changes nothing.
 
     Example: a mass against a one-sided spring of stiffness 4.
@@ -101,6 +104,8 @@ class PWASystem:
     outputs: tuple[str, ...]
     tracked_names: tuple[str, ...]
     loads: Loads | None = None
+    written: ScalarForm | None = None
+    watched: "PWASystem | None" = None
     remarks: tuple[str, ...] = ()
 
     @classmethod
@@ -203,12 +208,18 @@ class PWASystem:
             C=exact.C.floats,
             tracked=exact.tracked.floats,
             exact=exact,
+            written=None,
         )
+
+    @property
+    def model(self) -> "PWASystem":
+        """What the observer runs, but for its loads."""
+        return self.watched or self
 
     @cached_property
     def observed(self) -> Observed:
-        """What the observer runs."""
-        A, C, loads = self.exact.A, self.exact.C, self.loads
+        """What the observer runs, as matrices."""
+        A, C, loads = self.model.exact.A, self.exact.C, self.loads
         if loads is None:
             return Observed(A=A, C=C)
         shape = C.shape[0], loads.E.shape[1]

@@ -13,9 +13,10 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
+from pwatrack.control.limits import Promise
 from pwatrack.control.robust import Robust
 from pwatrack.lmi.audit.certificate import FORMAT
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.loads import Loads
@@ -29,12 +30,16 @@ CLAIM = (
     "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T, "
     "where loads are estimated with [A_i, E; 0, S] and [C, 0] in place of A_i and C; "
     "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
-    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). X bounds a cost: X > 0 and X "
+    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). With a degree 2 d: the monomials "
+    "m of degree d of z = T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - "
+    "2 d rate P - N_i > 0 for every different M_i, and m^T N_i m = 0 for all z. X bounds a cost: X > 0 and X "
     "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
     "equation or one measured output, can make of each signal. Under uncertain: for every plant whose A, b and B are "
     "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
     "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
-    "without a bound are 0. Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
+    "without a bound are 0. Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d "
+    "= starts v with x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time. Multipliers "
+    "Z_i prove, for the numbers as they are written, that no such P exists for any "
     "gain, or for the one that is given. The file can be checked with pwatrack verify, or with the folder audit of "
     "pwatrack alone."
 )
@@ -49,7 +54,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     bounds = [_bounds(bounds) for bounds in controller.bounds if bounds.sizes]
     uncertain = None if controller.robust is None else _uncertain(spec, controller.robust)
     content = _content(spec, controller.design.K, controller.design.L, proofs)
-    return content | {"bounds": bounds, "uncertain": uncertain}
+    limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
+    return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain}
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -207,14 +213,27 @@ def _generator(form: NormalForm) -> dict[str, Any]:
     }
 
 
-def _proof(proof: Proof) -> dict[str, Any]:
+def _proof(proof: AnyProof) -> dict[str, Any]:
+    if isinstance(proof, PolynomialProof):
+        return {
+            "of": proof.role.name,
+            "degree": proof.degree,
+            "rate": _decimal(proof.rate),
+            "T": decimals(proof.T),
+            "P": _packed(proof.integers, proof.exponents),
+            "N": [_packed(N, proof.N_exponents) for N in proof.N],
+        }
     return {
         "of": proof.role.name,
         "rate": _decimal(proof.rate),
         "margin": _decimal(proof.margin),
         "radius": _decimal(proof.radius),
-        "P": {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)},
+        "P": _packed(proof.integers, proof.exponents),
     }
+
+
+def _packed(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> dict[str, Any]:
+    return {"integers": [list(row) for row in integers], "exponents": list(exponents)}
 
 
 def _bounds(bounds: Bounds) -> dict[str, Any]:
@@ -223,15 +242,24 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
             "loop": part.loop,
             "channel": list(part.channel),
             "a": _decimal(part.ellipsoid.a),
-            "Q": {
-                "integers": [list(row) for row in part.ellipsoid.integers],
-                "exponents": list(part.ellipsoid.exponents),
-            },
+            "Q": _packed(part.ellipsoid.integers, part.ellipsoid.exponents),
             "signals": _sizes(zip(part.signals, part.ellipsoid.sizes, strict=True)),
         }
         for part in bounds.parts
     ]
     return {"channel": list(bounds.channel), "signals": _sizes(bounds.sizes.items()), "parts": parts}
+
+
+def _limit(promise: Promise) -> dict[str, Any]:
+    held = promise.held
+    assert held is not None
+    return {
+        "loop": promise.loop,
+        "starts": decimals(promise.G),
+        "weights": [_decimal(w) for w in held.weights],
+        "Q": {"integers": [list(row) for row in held.integers], "exponents": list(held.exponents)},
+        "signals": _sizes((("input", k), size) for k, size in zip(promise.inputs, held.sizes, strict=True)),
+    }
 
 
 def _sizes(signals: Iterable[tuple[Form, float]]) -> list[list[Any]]:

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
 )
+from pwatrack.report.limits import limit_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
@@ -39,6 +40,8 @@ from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 from pwatrack.version import __version__
+
+Plots = Literal["all", "failed", "none"]
 
 _ROWS = 10_000  # that are turned to text at a time
 
@@ -79,6 +82,7 @@ def write_design(
         }
         index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)
+        index |= limit_content(spec, controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
         if largest is not None:
@@ -96,6 +100,7 @@ def write_result(
     *,
     many: EnsembleResult | None = None,
     seconds: Mapping[str, float] | None = None,
+    plots: Plots = "all",
 ) -> Path:
     """Write the files of `write_design` and trace.csv, events.csv and the plots.
 
@@ -104,38 +109,51 @@ def write_result(
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
         seconds: As for `write_design`.
+        plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
 
     Returns and raises: as `write_design`.
     """
-    from pwatrack.report.plots import draw, fan
-
+    code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
+    index = _index(result.spec, seconds) | {"exit": int(code)} | _result_content(result)
+    if many:
+        index["ensemble"] = ensemble_measures(many)
+    index |= _requirements(required(result.spec, result.controller, result, many))
     with run_folder(folder) as run:
         _design_files(run, result.spec, result.controller)
         _signals(run, result)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
-            pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
-            for name, figure in pictures.items():
-                figure.savefig(run.place(name), format="png", dpi=150)
-        figures = gain_figures(result.controller) | figure_content(measures(result))
-        more: dict[str, Any] = {
-            "figures": figures,
-            "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
-            "conditions": result.loop.conditions.texts(result.spec.problem.plant),
-            "remarks": list(result.remarks),
-            "estimates": load_content(result),
-            "bounds": bound_content(result.spec, result.controller),
-        }
-        if (robust := result.controller.robust) is not None:
-            along = {"along_x_d": box_figures(result, robust)}
-            more["uncertain"] = robust_content(result.spec, robust) | along
+        if plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit):
+            _pictures(run, result, many)
         if many:
             _ensemble(run, many)
-            more["ensemble"] = ensemble_measures(many)
-        code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
-        index = _index(result.spec, seconds) | {"exit": int(code)} | more
-        run.commit(index | _requirements(required(result.spec, result.controller, result, many)))
+        run.commit(index)
     return Path(folder)
+
+
+def _result_content(result: Result) -> dict[str, Any]:
+    """Return what the index says of a simulation."""
+    content: dict[str, Any] = {
+        "figures": gain_figures(result.controller) | figure_content(measures(result)),
+        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
+        "conditions": result.loop.conditions.texts(result.spec.problem.plant),
+        "remarks": list(result.remarks),
+        "estimates": load_content(result),
+        "bounds": bound_content(result.spec, result.controller),
+        **limit_content(result.spec, result.controller),
+    }
+    if (robust := result.controller.robust) is not None:
+        along = {"along_x_d": box_figures(result, robust)}
+        content["uncertain"] = robust_content(result.spec, robust) | along
+    return content
+
+
+def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:
+    from pwatrack.report.plots import draw, fan
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
+        pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
+        for name, figure in pictures.items():
+            figure.savefig(run.place(name), format="png", dpi=150)
 
 
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:

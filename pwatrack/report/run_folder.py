@@ -121,7 +121,7 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
         path.mkdir(parents=True, exist_ok=True)
         stage = path / f"{_STAGE}{secrets.token_hex(8)}"
         with _alone(path):  # or another run would take the stage for one that nobody owns
-            _sweep(path)
+            sweep(path)
             stage.mkdir()
             owner = _locked(stage)
         try:
@@ -194,8 +194,8 @@ def _keep(file: Path) -> None:
         file.rename(kept)
 
 
-def _sweep(path: Path) -> None:
-    """Remove the stages of runs that were killed: nobody holds their lock."""
+def sweep(path: Path) -> None:
+    """Remove what runs that were killed left half-written in a folder: nobody holds their lock."""
     for stage in path.glob(f"{_STAGE}*"):
         with suppress(OSError):  # it has gone, or its owner is at work, or nobody can tell
             owner = os.open(stage, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

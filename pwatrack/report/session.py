@@ -17,6 +17,7 @@ from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
+from pwatrack.report.files import Plots
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, read_index
 from pwatrack.report.terminal import console
@@ -39,6 +40,8 @@ def run(
     members: int | None = None,
     over: Over = "initial",
     seed: int = 1,
+    plots: Plots = "all",
+    printed: bool = True,
 ) -> None:
     """Design, simulate if asked, write the files, and print what came out.
 
@@ -49,12 +52,14 @@ def run(
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
         members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
+        plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
+        printed: Whether anything is printed.
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
-    screen, made, many = console(), _Made(path=path, parameters=assignments(parameters)), None
+    made, many = _Made(path=path, parameters=assignments(parameters)), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
@@ -76,16 +81,11 @@ def run(
             raise
         status.update("Writing the files")
         if result is not None:
-            files.write_result(result, folder, many=many, seconds=made.seconds)
+            files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots)
         else:
             files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
-    if result is not None:
-        summary.print_result(screen, result, checked)
-    else:
-        summary.print_design(screen, spec, controller, checked, made.largest)
-    if many:
-        summary.print_ensemble(screen, many)
-    summary.print_files(screen, folder)
+    if printed:
+        made.tell(folder, result, many, checked)
     _check(spec, result, many, checked)
 
 
@@ -132,6 +132,21 @@ class _Made:
         start = time.perf_counter()
         yield
         self.seconds[step] = round(time.perf_counter() - start, 4)
+
+    def tell(
+        self, folder: Path, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]
+    ) -> None:
+        """Print what came out."""
+        screen = console()
+        assert self.spec is not None
+        assert self.controller is not None
+        if result is not None:
+            summary.print_result(screen, result, checked)
+        else:
+            summary.print_design(screen, self.spec, self.controller, checked, self.largest)
+        if many:
+            summary.print_ensemble(screen, many)
+        summary.print_files(screen, folder)
 
     def keep(self, refusal: PwatrackError, folder: Path) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""

@@ -32,6 +32,7 @@ from pwatrack.report.figures import (
     states_unit,
     up,
 )
+from pwatrack.report.limits import limit_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
@@ -73,7 +74,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         ("(8) controller", promised.controller, "K", design.K, f"{norms[0]:.4g}", spec.objectives.controller),
         ("(9) observer", promised.observer, "Lᵀ", design.L.T, f"{norms[1]:.4g} 1/s", spec.objectives.observer),
     ):
-        table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells, {_rate(proved)}")
+        table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells{_rate(proved)}")
         acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
         size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
@@ -94,6 +95,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     else:
         _generator_rows(table, generator, promised.generator)
     _promise_rows(table, controller)
+    for k, text in enumerate(limit_rows(spec, controller)):
+        table.add_row("" if k else "limits", text)
     _bound_rows(table, spec, controller)
     for k, text in enumerate(box_rows(spec, controller)):
         table.add_row("" if k else "uncertain", text)
@@ -137,7 +140,7 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
     if not proved:
         table.add_row("(17) generator", "none needed: relative degree = number of states")
     else:
-        table.add_row("(17) generator", f"proved, {_rate(proved)}; η = {', '.join(generator.form.eta_names)}")
+        table.add_row("(17) generator", f"proved{_rate(proved)}; η = {', '.join(generator.form.eta_names)}")
         if generator.shift is not None:
             table.add_row("Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}")
         else:
@@ -147,8 +150,10 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
 
 
 def _rate(proved: Sequence[Contraction]) -> str:
-    """Say the best rate that one inequality is proved for."""
-    return f"rate {down(max(p.rate for p in proved))} 1/s"
+    """Say the best rate that one inequality is proved for, and by which polynomial if it is by one."""
+    best = max(proved, key=lambda p: p.rate)
+    by = f" by a polynomial of degree {best.degree}" if best.degree > 2 else ""
+    return f"{by}, rate {down(best.rate)} 1/s"
 
 
 def _promise_rows(table: Table, controller: Controller) -> None:
@@ -161,6 +166,9 @@ def _promise_rows(table: Table, controller: Controller) -> None:
         text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"
     rate, of_K, of_L = promised.robust
     table.add_row("promise", text)
+    if any(part.degree > 2 for part in (*promised.controller, *promised.observer)):
+        table.add_row("", "by how much K and L may change is not proved: a polynomial stands for a common P")
+        return
     table.add_row(
         "",
         f"at least as fast as e^(−{down(rate)} t) with K and L changed in every entry by less than "

@@ -63,17 +63,28 @@ def refusals() -> Iterator[None]:
     """
     try:
         yield
-    except PwatrackError as error:
-        _end(error.code, *refusal_lines(error), *getattr(error, "__notes__", ()))
     except KeyboardInterrupt:
         _end(128 + signal.SIGINT)
     except Exception as error:
         if isinstance(error, OSError) and error.filename is None:  # those of files are refusals by now
             _end(ExitCode.INVALID, f"error: cannot print: {error.strerror or error}")
-        where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
-        place = f"{Path(where.filename).name}:{where.lineno}"
-        said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})"
-        _end(ExitCode.BUG, said, "  hint: please report it together with the spec")
+        code, lines = told(error)
+        _end(code, *lines)
+
+
+def told(error: Exception) -> tuple[int, list[str]]:
+    """Return the exit code of a program that ends with an exception, and what it says on stderr.
+
+    Example:
+        >>> told(PwatrackError("no proof"))
+        (<ExitCode.BUG: 1>, ['error: no proof'])
+    """
+    if isinstance(error, PwatrackError):
+        return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
+    where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
+    place = f"{Path(where.filename).name}:{where.lineno}"
+    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})"
+    return ExitCode.BUG, [said, "  hint: please report it together with the spec"]
 
 
 def _end(code: int, *messages: str) -> NoReturn:

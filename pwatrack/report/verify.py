@@ -184,7 +184,23 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
             shown = [signal["bound"] for entry in entries for signal in entry["signals"].values()]
             bounds = [float(number(size)) for entry in proofs for *_, size in entry["signals"]]
             wrong += [name] * ([float(np.nextafter(size, np.inf)) for size in shown] != bounds)
+        wrong += ["limits"] * (not _kept(index.get("limits"), content.get("limits", [])))
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
+
+
+def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:
+    """Say whether what the index tells of limits is no more than what a certificate proves."""
+    starts = told["starts"] if told else []
+    moved = [entry for entry in starts if any(entry["inputs"].values())]
+    if len(moved) != len(proved):
+        return False
+    left = {name: entry["left"] for name, entry in told["inputs"].items()} if told else {}
+    return all(
+        [float(np.nextafter(size, np.inf)) for size in entry["inputs"].values()]
+        == [float(number(size)) for *_, size in entry_proved["signals"]]
+        and all(entry["scale"] * size <= left[name] for name, size in entry["inputs"].items())
+        for entry, entry_proved in zip(moved, proved, strict=True)
+    )
 
 
 def _exact(values: Any) -> Any:

@@ -12,7 +12,7 @@ from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Infeasible, Problem, Undecided
-from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.exact_polynomial import exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
@@ -122,7 +122,7 @@ def _convergent(plant: PWASystem, solver: Solver) -> bool:
     except (Infeasible, Undecided):
         return False
     exact = [A_i.transpose() for A_i in different(plant.exact.A)]
-    return prove_exactly(PLANT, exact, found.P, found.rate) is not None
+    return exactly(PLANT, exact, found) is not None
 
 
 def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:

@@ -4,10 +4,13 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.causes import Part, Subject
-from pwatrack.control.controller import Controller
+from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.model.sizes import Sizes
+from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
+from pwatrack.simulation.visits import desired_flow
 
 _GENERATOR: Subject = (Part.GENERATOR_START,)
 _REST = "let the reference begin at rest or with sinusoids, or give eta_hat(0)"
@@ -26,12 +29,16 @@ def measured_start(loop: ClosedLoop, x: Array) -> Array:
         y = y + drawn
     if loop.conditions.quanta is not None:
         y = loop.conditions.quanta.measured(y)
-    states, outputs = loop.controller.sizes.state, loop.controller.sizes.output
-    x_hat: Array = states * (np.linalg.pinv(C * states / outputs[:, None]) @ (y / outputs))
-    return x_hat
+    return np.asarray(from_measured(loop.controller.sizes, C) @ y)
 
 
-def steady_start(controller: Controller) -> Array:
+def from_measured(sizes: Sizes, C: Array) -> Array:
+    """Return the matrix (n, q) of x̂ = X y: in sizes the smallest x̂ with C x̂ nearest to y."""
+    inverse = np.linalg.pinv(C * sizes.state / sizes.output[:, None])
+    return np.asarray(sizes.state[:, None] * inverse / sizes.output)
+
+
+def steady_start(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
     """Return η̂(0) on the steady state of the generator (15) for the reference as it begins, (p,).
 
     That is its equilibrium where the reference begins at rest, and its periodic orbit where it begins with sinusoids
@@ -41,7 +48,6 @@ def steady_start(controller: Controller) -> Array:
         InvalidSpec: If the reference begins in another way, or there is no generator with a state.
         OutsideTheory: If none is found.
     """
-    trajectory, generator = controller.trajectory, controller.generator
     if generator is None or not trajectory.names:
         what = "there is no trajectory generator" if generator is None else "the trajectory generator has no state"
         raise _refused(f"{what}, so none that starts in steady state", "leave it out")
@@ -53,9 +59,9 @@ def steady_start(controller: Controller) -> Array:
         message = f"the reference begins with a period of {period:.3g} s, {radians:.3g} rad of the fastest sinusoid"
         raise _refused(f"{message}; up to {LONGEST_PERIOD:.0e} are followed", _REST)
     if not period:  # at rest: any time is a period, and after this one deviations are clearly smaller
-        period = 1 / max(proof.rate for proof in controller.guarantees.generator)
+        period = 1 / generator.certificate.rate
     guess = np.concatenate([np.zeros(len(trajectory.names)), exosystem.w0, [1.0]])
-    flow = closed_loop(controller).generator_flow()
+    flow = desired_flow(generator.form.plant, trajectory)
     found = periodic_state(flow, guess, free=len(trajectory.names), period=period, subject=_GENERATOR, remedy=None)
     return found.z[0, : len(trajectory.names)]
 

@@ -36,8 +36,26 @@ def stays(
         yield cell, since, duration
 
 
-def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
+def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
+    """Return the flow of (η̂, w, 1), with the cells of x_d."""
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    F0 = block_diag(np.zeros((p, p)), system.S, np.zeros((1, 1)))
+    F = np.zeros((len(plant.A), *F0.shape))
+    F[:, :p] = trajectory.rate
+    return Flow(F0=F0, parts=(SwitchedPart.of("x_d", plant, trajectory.x_d, F),))
+
+
+def blocks(
+    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float, *, steps: int = STEPS
+) -> Iterator[Trace]:
     """Walk (η̂, w, 1) for a time, with the cells of x_d.
+
+    Args:
+        plant: It has the cells.
+        trajectory: What is walked.
+        z0: Where it starts.
+        duration: In s.
+        steps: From sample to sample.
 
     Raises:
         Undecided: If that would take too long.
@@ -54,10 +72,6 @@ def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration:
                 hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
             )
         )
-    F0 = block_diag(np.zeros((p, p)), system.S, np.zeros((1, 1)))
-    F = np.zeros((len(plant.A), *F0.shape))
-    F[:, :p] = trajectory.rate
-    part = SwitchedPart.of("x_d", plant, trajectory.x_d, F)
     resets = pieces(system, slice(p, p + len(system.w0)))
-    step = duration / STEPS
-    return trace_blocks(Flow(F0=F0, parts=(part,)), z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
+    flow, step = desired_flow(plant, trajectory), duration / steps
+    return trace_blocks(flow, z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)

@@ -15,7 +15,7 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course
 from pwatrack.model.loads import Load, Loads
-from pwatrack.model.nonlinearity import Nonlinearity, drives_away, generate_cells
+from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, drives_away, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import (
     InputReference,
@@ -43,9 +43,13 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
     A: Any
     b: Any
     odd: list[str] = []
+    written = None
     if system.cells is None:
         elements = _elements(system)
-        partition, A, b = generate_cells(system.A, system.b or [Real.of(0)] * len(system.states), elements)
+        n = len(system.states)
+        base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
+        written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
+        partition, A, b = generate_cells(*base, elements)
         for section, element in zip(system.nonlinearities or [], elements, strict=True):
             odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
     else:
@@ -67,7 +71,7 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         tolerance=tolerance,
         continuous=system.cells is None,
     )
-    return replace(plant, remarks=(*plant.remarks, *odd))
+    return replace(plant, written=written, remarks=(*plant.remarks, *odd))
 
 
 def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:

@@ -13,9 +13,16 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
   > 0 for every i: so every x' = A(t) x with A(t) in the convex hull of the M_i, or of their transposes, decays at least
   as fast as exp(-rate t). M_i is A_i + B K for (8), (A_i + L C)^T for (9), A_eta_i^T for (17). Where entries lie in
   balls, this and all that follows but the last holds for everything in them.
+- In place of that P a polynomial of degree 2 d may stand: V = m^T P m, m the monomials of degree d of z = T e, P > 0.
+  Along e' = X_i e, X_i the M_i that is not transposed, m' = F_i m, and F_i is linear in X_i. With -(P F_i + F_i^T P) -
+  2 d rate P - N_i > 0 and m^T N_i m = 0 for all z, V' < -2 d rate V for all X(t) in the convex hull: so e decays at
+  least as fast as exp(-rate t).
 - A bound has Q > 0 and -(M Q + Q M^T) - a Q - g g^T / a > 0 for M = [A_i + B K, B K; 0, A_j + L C] and all i, j, or for
   one of its diagonal blocks: so from z = 0 on, z' = M z + g d stays where z^T Q^-1 z <= sup |d|^2, and |c z| is at
   most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
+- Limits of inputs have starts z(0) = G v, |v_k| <= 1, and weights w > 0 with sum at most 1: Q > 0, Q - G diag(1/w) G^T
+  > 0 and -(M Q + Q M^T) > 0, so z^T Q^-1 z <= 1 at the start, by Cauchy and Schwarz, and from there on, and |c z| is at
+  most (c Q c^T)^(1/2). With loads e alone is meant: they are 0, and their estimates too.
 - Loads E s with s' = S s are estimated: then [A_i, E; 0, S] and [C, 0] stand for A_i and C in (9), Delta has the errors
   of the estimates below x_hat - x, and [B K - X L_s C, -E] stands for B K beside A_i + B K, by which noise reaches e
   too: L_s is the part of L that is below, and X = -T^-1 G, G = [g; 0], g_0 = 0, g_k+1 = c_k E + g_k S, the shift of x_d

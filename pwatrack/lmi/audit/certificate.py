@@ -10,16 +10,19 @@ from .corners import uncertain
 from .form import normal_form
 from .matrices import Fault, transposed
 from .plant import Plant
+from .polynomials import polynomial
 from .proofs import check, cost, refuted
 from .reading import matrix, number
+from .starts import near
 
-FORMAT = "pwatrack certificate 6"
+FORMAT = "pwatrack certificate 7"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
+KINDS = {"Z": refuted, "X": cost, "degree": polynomial}  # of proofs, by what they have
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -58,7 +61,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         if "X" in proof and of not in ("controller", "observer"):
             raise Fault(f"no cost is that of {NAMES[of]}")
         M, B = plant.problem(of, K, L, A_eta)
-        kind = refuted if "Z" in proof else cost if "X" in proof else check
+        kind = next((decide for name, decide in KINDS.items() if name in proof), check)
         wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
         about = centres if "Z" in proof else ""
@@ -69,6 +72,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
     if content.get("bounds"):
         said.append(f"the bounds of {len(content['bounds'])} disturbances and noises are proved")
+    for number_, entry in enumerate(content.get("limits", []), 1):
+        faults += [f"starts {number_}: {fault}" for fault in near(loop, entry)]
+    if content.get("limits"):
+        said.append(f"the bounds of inputs from {len(content['limits'])} boxes of starts are proved")
     if (box := content.get("uncertain")) is not None:
         wrong, sentence = uncertain(content["plant"], box, K or [], L or [])
         faults += [f"uncertain parameters: {fault}" for fault in wrong]
@@ -88,7 +95,7 @@ def misplaced(content: Any) -> list[str]:
     """Return what does not belong into the proof of a refusal."""
     proof, *more = content["proofs"]
     of = proof["of"]
-    extra = more or content.get("bounds") or content.get("uncertain")
+    extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain"))
     faults = ["a refusal has one proof, and no bounds"] if extra else []
     if of == "plant" or (of == "generator" and number(proof["rate"])):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
@@ -105,7 +112,8 @@ def claim(proof: Any, cells: list[str]) -> str:
     if "Z" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
         return f"proved impossible{beyond}, by multipliers for " + ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
-    return f"proved, rate {rate}"
+    by = f" by a polynomial of degree {number(proof['degree'])}" if "degree" in proof else ""
+    return f"proved{by}, rate {rate}"
 
 
 def main(path: str) -> int:

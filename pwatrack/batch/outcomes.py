@@ -1,0 +1,145 @@
+"""How the runs of a batch ended."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pwatrack.batch.work import Ended, Fault
+from pwatrack.errors import ExitCode
+
+_LARGEST = 1e300  # of a figure that is shown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How the run of one spec ended.
+
+    Attributes:
+        spec, folder: The file, and the folder of its run.
+        exit: Its exit code; negative if a signal ended it, None if it did not end: see `reason`.
+        expected: Exit code that the spec expects.
+        reason: Why it did not end by itself; empty if it did.
+        how: Whether it was run now, or before with nothing changed since, or not at all.
+        figures: From its run.json, empty if this run left none.
+        notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
+        required: Each requirement with what came out, and whether it is met.
+        messages: What it said on stderr.
+        faults: What is wrong with it, one by one.
+        seconds: How long it took.
+    """
+
+    spec: Path
+    folder: Path
+    exit: int | None
+    expected: int = 0
+    reason: str = ""
+    how: Literal["run", "cached", "skipped"] = "run"
+    figures: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    required: tuple[tuple[str, bool], ...] = ()
+    messages: str = ""
+    faults: tuple[Fault, ...] = ()
+    seconds: float = 0.0
+
+    @staticmethod
+    def of(spec: Path, folder: Path, ended: Ended, *, seconds: float, cached: bool = False) -> "Outcome":
+        """Return the outcome of a run that ended by itself."""
+        return Outcome(
+            spec=spec,
+            folder=folder,
+            exit=ended.exit,
+            expected=ended.expected,
+            how="cached" if cached else "run",
+            figures=_figures(ended.index),
+            notes=_notes(ended.index),
+            required=_required(ended.index),
+            messages=ended.messages,
+            faults=ended.faults,
+            seconds=seconds,
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether it ended as expected."""
+        return not self.reason and self.exit == self.expected
+
+    @property
+    def failed(self) -> bool:
+        """Whether it ended, and not as expected."""
+        return not self.passed and self.how != "skipped"
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """The requirements that are not met, with what came out."""
+        return tuple(text for text, met in self.required if not met)
+
+    @property
+    def code(self) -> int:
+        """What it contributes to the exit code of the batch."""
+        if not self.failed:
+            return int(ExitCode.DONE)
+        if self.exit is None:
+            return int(ExitCode.CHECK_FAILED)
+        if self.exit < 0:
+            return int(ExitCode.BUG)
+        return self.exit or int(ExitCode.CHECK_FAILED)
+
+    @property
+    def result(self) -> str:
+        """What the table says of it in a word."""
+        if self.how == "skipped":
+            return "skipped"
+        if self.how == "cached":
+            return "cached" if self.passed else "FAIL, cached"
+        return "pass" if self.passed else "FAIL"
+
+    @property
+    def verdict(self) -> str:
+        """The exit code in words."""
+        if self.reason:
+            return self.reason
+        return ExitCode(self.exit).verdict if self.exit in list(ExitCode) else "crashed"
+
+    @property
+    def ending(self) -> str:
+        """How it ended and what was expected."""
+        exit_code = "" if self.exit is None else f", exit {self.exit}"
+        return f"{self.verdict}{exit_code}, expected {self.expected}"
+
+
+def counted(outcomes: Sequence[Outcome]) -> str:
+    """Return how many passed, failed, were cached or skipped.
+
+    Example:
+        >>> done = Outcome(spec=Path("a.yaml"), folder=Path("a"), exit=0)
+        >>> counted([done, done])
+        '2 passed, 0 failed'
+    """
+    cached = sum(o.how == "cached" and o.passed for o in outcomes)
+    skipped = sum(o.how == "skipped" for o in outcomes)
+    passed, failed = sum(o.passed for o in outcomes), sum(o.failed for o in outcomes)
+    more = f" ({cached} cached)" if cached else ""
+    return f"{passed} passed{more}, {failed} failed" + (f", {skipped} skipped" if skipped else "")
+
+
+def _figures(index: Mapping[str, Any]) -> dict[str, float]:
+    figures = index.get("figures")
+    return {
+        name: value
+        for name, value in (figures.items() if isinstance(figures, dict) else ())
+        if isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
+    }
+
+
+def _required(index: Mapping[str, Any]) -> tuple[tuple[str, bool], ...]:
+    found = index.get("requirements")
+    entries = [entry for entry in (found if isinstance(found, list) else []) if isinstance(entry, dict)]
+    return tuple((entry["said"], entry.get("met") is True) for entry in entries if isinstance(entry.get("said"), str))
+
+
+def _notes(index: Mapping[str, Any]) -> tuple[str, ...]:
+    simulation, remarks = index.get("simulation"), index.get("remarks")
+    ended = isinstance(simulation, dict) and simulation.get("outcome") != "tracks"
+    said = [simulation.get("said")] if isinstance(simulation, dict) and ended else []
+    return tuple(note for note in said + (remarks if isinstance(remarks, list) else []) if isinstance(note, str))

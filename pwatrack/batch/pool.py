@@ -1,0 +1,270 @@
+"""Processes that work off tasks: what kills or hangs one of them, or takes its memory, fails the task that it is at.
+
+A ProcessPoolExecutor loses every task with one killed process. Here a process that ends is replaced, from a fork server
+that has imported everything before: that takes milliseconds.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+from multiprocessing.reduction import ForkingPickler
+from typing import Any
+
+from pwatrack.batch.worker import OutOfMemory, serve
+
+_GRACE = 0.4  # seconds that a process has to clean up when it is told to end
+_LONGEST_WAIT = 3600.0  # seconds: a selector takes no number of any size
+_SAID = 65_536  # bytes that are kept of what a process says before it dies
+
+
+class Lost(Exception):
+    """A task whose process did not live to end it.
+
+    Attributes:
+        reason: Why, in words.
+        killer: The signal that ended the process, if it was one that nobody here sent; 0 otherwise.
+        said: The last that it said on stderr.
+        seconds: How long it was at the task.
+    """
+
+    def __init__(self, reason: str, *, killer: int = 0, said: str = "", seconds: float = 0.0) -> None:
+        super().__init__(reason)
+        self.reason, self.killer, self.said, self.seconds = reason, killer, said, seconds
+
+
+@dataclass(kw_only=True)
+class _Task:
+    future: Future[Any]
+    content: bytes
+
+
+@dataclass(kw_only=True)
+class _Worker:
+    """A process, and the task that it is at: until `deadline` it is left alone, then told to end, then killed."""
+
+    process: ForkServerProcess
+    tasks: Connection
+    errors: Connection
+    task: _Task | None = None
+    begun: float = 0.0
+    deadline: float | None = None
+    reason: str = ""
+    said: bytearray = field(default_factory=bytearray)
+
+
+class Pool(Executor):
+    """An executor that loses one task at most with each process.
+
+    Args:
+        jobs: How many processes.
+        timeout: Seconds that a task may take, once it has begun; None for any time.
+        memory: Megabytes that a task may take beyond the program itself; None for any size. Kept by Linux only.
+        preload: Modules that are imported once, before the first process.
+
+    A future's `result()` raises `Lost` where the process died, ran out of time or out of memory, and what the task
+    raised otherwise.
+
+    Example:
+        >>> with Pool(1) as pool:
+        ...     pool.submit(max, 3, 5).result()
+        5
+    """
+
+    def __init__(
+        self,
+        jobs: int = 1,
+        *,
+        timeout: float | None = None,
+        memory: float | None = None,
+        preload: Sequence[str] = (),
+    ) -> None:
+        self._jobs, self._timeout, self._memory = jobs, timeout, memory
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(list(preload))
+        self._lock = threading.Lock()
+        self._waiting: deque[_Task] = deque()
+        self._workers: list[_Worker] = []
+        self._closing = self._killing = False
+        self._woken, self._wake = self._context.Pipe(duplex=False)
+        self._dispatcher: threading.Thread | None = None
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Return the future of a call, which some process will make."""
+        task = _Task(future=Future(), content=bytes(ForkingPickler.dumps((fn, args, kwargs))))
+        with self._lock:
+            if self._closing:
+                raise RuntimeError("the pool is closed")
+            self._waiting.append(task)
+            if self._dispatcher is None:
+                self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
+                self._dispatcher.start()
+        self._wake.send_bytes(b"!")
+        return task.future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more tasks, end those that are there or cancel those that have not begun, and end the processes."""
+        with self._lock:
+            self._closing = True
+            if cancel_futures:
+                for task in self._waiting:
+                    task.future.cancel()
+        self._wake.send_bytes(b"!")
+        if wait and self._dispatcher is not None:
+            self._dispatcher.join()
+
+    def kill_workers(self) -> None:
+        """Cancel what has not begun, and end all processes: what they are at is lost."""
+        with self._lock:
+            self._killing = True
+        self.shutdown(cancel_futures=True)
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is not None:
+            self.kill_workers()
+        self.shutdown()
+
+    def _dispatch(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # what is started here is not for Ctrl-C to end
+        try:
+            while self._assigned():
+                self._look()
+        except BaseException as error:  # whoever waits for a future has to learn of it
+            for task in [*self._waiting, *(w.task for w in self._workers if w.task)]:
+                if not task.future.done():
+                    task.future.set_exception(error)
+            raise
+        finally:
+            with self._lock:
+                self._closing = True
+            for worker in self._workers:
+                worker.tasks.close()  # it ends, having nothing to do
+            for worker in self._workers:
+                worker.process.join(_GRACE)
+                if worker.process.exitcode is None:
+                    worker.process.kill()
+                self._bury(worker)
+
+    def _assigned(self) -> bool:
+        """Give tasks to processes that have none; return whether there is anything left to wait for."""
+        self._assign()
+        with self._lock:
+            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
+
+    def _assign(self) -> None:
+        """Give tasks to processes that have none, and start those that are missing."""
+        while True:
+            free = next((w for w in self._workers if not w.task and not w.reason), None)
+            if free is None and len(self._workers) >= self._jobs:
+                return
+            with self._lock:
+                task = self._waiting.popleft() if self._waiting else None
+            if task is None:
+                return
+            if not task.future.set_running_or_notify_cancel():
+                continue
+            if free is None:
+                free = self._start()
+                self._workers.append(free)
+            free.task, free.begun = task, time.monotonic()
+            free.deadline = None if self._timeout is None else free.begun + self._timeout
+            with suppress(OSError):  # it died meanwhile: seen from its sentinel
+                free.tasks.send_bytes(task.content)
+
+    def _start(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        errors, said = self._context.Pipe(duplex=False)
+        process = self._context.Process(target=serve, args=(theirs, said, self._memory), daemon=True)
+        process.start()
+        theirs.close()
+        said.close()
+        os.set_blocking(errors.fileno(), False)
+        return _Worker(process=process, tasks=ours, errors=errors)
+
+    def _look(self) -> None:
+        """Wait until something happens, and see to it."""
+        if self._killing:
+            for worker in self._workers:
+                if worker.task and not worker.reason:
+                    self._tell(worker, "interrupted")
+        deadlines = [w.deadline for w in self._workers if w.deadline is not None]
+        watched = [c for w in self._workers for c in (w.tasks, w.errors, w.process.sentinel)]
+        limit = min(max(0.0, min(deadlines) - time.monotonic()), _LONGEST_WAIT) if deadlines else None
+        ready = wait([self._woken, *watched], limit)
+        while self._woken.poll():
+            self._woken.recv_bytes()
+        for worker in list(self._workers):
+            _hear(worker)
+            if worker.tasks in ready:
+                self._answered(worker)
+            if worker.process.sentinel in ready:
+                self._ended(worker)
+            elif worker.deadline is not None and worker.deadline <= time.monotonic():
+                self._tell(worker, worker.reason or f"given up after {self._timeout:g} s")
+
+    def _tell(self, worker: _Worker, reason: str) -> None:
+        """Tell a process to end; kill it if it was told before."""
+        if worker.reason:
+            worker.process.kill()
+            worker.deadline = None
+        else:
+            worker.process.terminate()  # it removes what it has half-written
+            worker.reason, worker.deadline = reason, time.monotonic() + _GRACE
+
+    def _answered(self, worker: _Worker) -> None:
+        try:
+            answer, fine = ForkingPickler.loads(worker.tasks.recv_bytes())
+        except (EOFError, OSError):  # it is dying: seen from its sentinel
+            return
+        task, worker.task = worker.task, None
+        if worker.reason or task is None:  # too late
+            worker.task = task
+            return
+        worker.deadline = None
+        worker.said.clear()
+        if fine:
+            task.future.set_result(answer)
+        elif isinstance(answer, OutOfMemory):
+            worker.reason = str(answer)  # it is replaced: who knows what it still holds
+            worker.process.kill()
+            task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
+        else:
+            task.future.set_exception(answer)
+
+    def _ended(self, worker: _Worker) -> None:
+        if not worker.reason:
+            with suppress(OSError):
+                if worker.tasks.poll():  # its last answer came just before
+                    self._answered(worker)
+        self._bury(worker)
+        with self._lock:
+            self._workers.remove(worker)
+        if worker.task:
+            code = worker.process.exitcode or 0
+            killer = -code if code < 0 and not worker.reason else 0
+            reason = worker.reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
+            said = worker.said.decode("utf-8", "replace").strip()
+            seconds = time.monotonic() - worker.begun
+            worker.task.future.set_exception(Lost(reason, killer=killer, said=said, seconds=seconds))
+
+    def _bury(self, worker: _Worker) -> None:
+        worker.process.join()
+        _hear(worker)
+        for connection in (worker.tasks, worker.errors):
+            connection.close()
+
+
+def _hear(worker: _Worker) -> None:
+    """Take what a process says on stderr, or it would wait for ever to be heard."""
+    with suppress(BlockingIOError, OSError):
+        while said := os.read(worker.errors.fileno(), _SAID):
+            worker.said += said
+            del worker.said[:-_SAID]

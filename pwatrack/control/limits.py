@@ -1,0 +1,187 @@
+"""What limits of the inputs leave for the controller: the feedforward's peak, and starts from which none is reached.
+
+As long as no limit is reached, the loop is the one without limits. So if in that one |u − u_ff| is at most what is left
+beside u_ff at all times, from a start, no limit is ever reached from there, and all that is proved holds with limits.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Literal
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.control.bounds import Loop, Loops
+from pwatrack.control.synthesis import Design
+from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.starts import Held, held
+from pwatrack.model.pwa import PWASystem
+
+_OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peak:
+    """How small and how large the feedforward gets.
+
+    Attributes:
+        low, high: Of each input, (m,).
+        times: When it gets there, in s, (m, 2).
+    """
+
+    low: Array
+    high: Array
+    times: Array
+
+    def left(self, limits: Array) -> Array:
+        """Return how far each input may be from its feedforward, (m,): what is left on the smaller side of its limits.
+
+        Args:
+            limits: (m, 2); infinite where there is none.
+
+        Example:
+            >>> peak = Peak(low=np.array([-1.0]), high=np.array([3.0]), times=np.zeros((1, 2)))
+            >>> peak.left(np.array([[-5.0, 5.0]])).round(4).tolist(), peak.left(np.array([[-np.inf, 2.0]])).tolist()
+            ([2.0], [0.0])
+        """
+        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        room = np.minimum(limits[:, 1] - self.high, self.low - limits[:, 0])
+        return np.asarray(np.maximum(room - off, 0.0))
+
+    def beyond(self, limits: Array) -> list[tuple[int, int]]:
+        """Return where the feedforward is beyond a limit, by more than it is known to: (input, 0 for its lower one)."""
+        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        over = np.column_stack([limits[:, 0] - self.low > off, self.high - limits[:, 1] > off])
+        return [(int(k), int(side)) for k, side in np.argwhere(over)]
+
+    def with_also(self, other: "Peak") -> "Peak":
+        """Return the peak of two stretches of time."""
+        lower, higher = other.low < self.low, other.high > self.high
+        return Peak(
+            low=np.where(lower, other.low, self.low),
+            high=np.where(higher, other.high, self.high),
+            times=np.where(np.column_stack([lower, higher]), other.times, self.times),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Errors with which a run may begin: (e, Δ) = (x − x_d, x̂ − x) = G ζ with |ζ_k| ≤ 1.
+
+    Attributes:
+        kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
+            run. "ensemble": those of its members.
+        e: Rows of G for e, (n, k).
+        delta: Rows of G for Δ, (n, k), or None for Δ = 0.
+    """
+
+    kind: Literal["exact", "sizes", "run", "ensemble"]
+    e: Array
+    delta: Array | None = None
+
+    @classmethod
+    def within(cls, sizes: Array) -> tuple["Starts", "Starts"]:
+        """Return the starts within the sizes of states (n,), with the right x̂ and with another one."""
+        box, nothing = np.diag(sizes), np.zeros((len(sizes), len(sizes)))
+        both = cls(kind="sizes", e=np.hstack([box, nothing]), delta=np.hstack([nothing, box]))
+        return cls(kind="exact", e=box), both
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """By how much inputs differ from their feedforward at any time, from some starts, in the loop as designed.
+
+    Attributes:
+        starts: Which.
+        loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
+        inputs: Those that have limits.
+        held: The ellipsoid; None where no input is moved.
+    """
+
+    starts: Starts
+    loop: Loop
+    inputs: tuple[int, ...]
+    held: Held | None
+
+    @property
+    def G(self) -> Array:
+        """The starts as the loop has them, (n, k) or (2 n, k)."""
+        return self.starts.e if self.starts.delta is None else np.vstack([self.starts.e, self.starts.delta])
+
+    def scale(self, left: Array) -> float:
+        """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
+
+        Args:
+            left: How far each input may be from its feedforward, (m,).
+        """
+        if self.held is None:
+            return np.inf
+        ratios = (float(left[k]) / size for k, size in zip(self.inputs, self.held.sizes, strict=True) if size)
+        return min(ratios, default=np.inf) * (1 - 1e-12)
+
+
+def promises(
+    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], left: Array, starts: Sequence[Starts]
+) -> tuple[Promise, ...]:
+    """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
+
+    With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
+    are estimated only the first is looked at: while none acts, and its estimate is 0.
+
+    Args:
+        plant: The system (1).
+        design: Its gains K and L.
+        proofs: What `prove_design` returned for them.
+        left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
+        starts: Which starts.
+    """
+    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    p = L.shape[0] - plant.exact.B.shape[0]
+    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
+    inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
+    for one in starts:
+        loop: Loop = "controller" if one.delta is None else "joint"
+        if loop not in loops.M or (plant.loads is not None and one.delta is not None):
+            continue
+        rows = reduce(above, (loops.row(loop, ("input", k)) for k in inputs))
+        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None)
+        if not promise.G.any() or not any(rows.centre.entries()):
+            found.append(promise)
+            continue
+        tries = (held(loops.M[loop], promise.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
+        best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
+        found += [best] if best else []
+    return tuple(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limited:
+    """Limits of the inputs, and what the feedforward takes of them.
+
+    Attributes:
+        limits: Lower and upper limit of each input, (m, 2); infinite where there is none.
+        lasting: What the feedforward takes whatever the generator starts with, where that is known: in its steady
+            state for the reference as it begins, and from there on.
+        peak: The same from the start of the generator in this run too; None where it could not be followed.
+        starts: Errors with which a run may begin.
+        promises: What is proved of some of them.
+    """
+
+    limits: Array
+    lasting: Peak | None
+    peak: Peak | None
+    starts: tuple[Starts, ...] = ()
+    promises: tuple[Promise, ...] = ()
+
+    @property
+    def left(self) -> Array | None:
+        """How far each input may be from its feedforward at any time, (m,); None where nothing is left or known."""
+        left = None if self.peak is None else self.peak.left(self.limits)
+        return None if left is None or not (left > 0).all() else left
+
+    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof]) -> "Limited":
+        """Return the same with what is proved of a design."""
+        left = self.left
+        return self if left is None else replace(self, promises=promises(plant, design, proofs, left, self.starts))

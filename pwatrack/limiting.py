@@ -1,0 +1,85 @@
+"""What limits of the inputs mean for a design: whether they leave room for the feedforward, and how much beside it."""
+
+import numpy as np
+
+from pwatrack.arrays import Array, number_text
+from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.limits import Limited, Peak, Starts
+from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.model.sizes import Sizes
+from pwatrack.simulation.peak import feedforward_peak
+from pwatrack.simulation.startup import steady_start
+from pwatrack.spec.spec import Spec
+from pwatrack.starting import generator_start, starts_of
+
+
+def room_within_limits(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
+) -> Limited | None:
+    """Return what the feedforward takes of the limits of the inputs; None where there are none.
+
+    Args:
+        spec: What is asked.
+        trajectory: What makes u_ff.
+        generator: That of output tracking.
+        sizes: Those of its signals.
+
+    Raises:
+        OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
+            only the generator's start makes of it is no reason: it dies out.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> from pwatrack.sizing import spec_sizes
+        >>> from pwatrack.tracking import desired_trajectory
+        >>> spec = load_spec("specs/two_mass_machine.yaml")
+        >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
+        >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()
+        ([5.926], [0.571])
+    """
+    limits, plant = spec.scenario.conditions.limits, spec.problem.plant
+    if limits is None:
+        return None
+    system, duration, given = trajectory.exosystem, spec.scenario.duration, trajectory.eta0
+    if given is None and generator is not None:
+        given = generator_start(spec, trajectory, generator)
+    if not trajectory.names:  # it has no past
+        duration = system.period or duration
+    peak = feedforward_peak(plant, trajectory, given, duration)
+    steady = _steady(trajectory, generator)
+    lasting = peak if steady is None else feedforward_peak(plant, trajectory, steady, system.period or duration)
+    if lasting is not None:
+        _check(spec, limits, lasting)
+        peak = None if peak is None else peak.with_also(lasting)
+    starts = (*Starts.within(sizes.state), *starts_of(spec, trajectory, given, sizes))
+    return Limited(limits=limits, lasting=lasting, peak=peak, starts=starts)
+
+
+def _steady(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array | None:
+    """Return the η̂(0) that forgets nothing, where the generator has one."""
+    if generator is None or not trajectory.names:
+        return None
+    try:
+        return steady_start(trajectory, generator)
+    except (InvalidSpec, OutsideTheory):  # the reference begins otherwise
+        return None
+
+
+def _check(spec: Spec, limits: Array, peak: Peak) -> None:
+    plant, problems = spec.problem.plant, list[Problem]()
+    ends = np.column_stack([peak.low, peak.high])
+    for k, side in peak.beyond(limits):
+        name, unit = plant.inputs[k], spec.problem.units.get(plant.inputs[k], "")
+        needed, limit = (f"{number_text(float(v[k, side]), '.4g')} {unit}".rstrip() for v in (ends, limits))
+        way = "above its upper" if side else "below its lower"
+        problems.append(
+            Problem(
+                message=f"the reference takes {name} = {needed} at t = {peak.times[k, side]:.6g} s, {way} limit, "
+                f"{limit}",
+                subject=("simulation", "actuator", "limits", name),
+                hint="let the reference be slower or smaller, or take a stronger drive",
+            )
+        )
+    if problems:
+        raise OutsideTheory(*problems)

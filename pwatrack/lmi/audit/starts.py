@@ -1,0 +1,37 @@
+"""From which starts inputs stay near their feedforward: ellipsoids around them that the errors do not leave."""
+
+from fractions import Fraction
+from typing import Any
+
+from .balls import enlarge, flipped, times
+from .bounds import Loop
+from .matrices import Fault, added, definite, product, sizes, transposed
+from .reading import matrix, number, packed
+
+
+def near(loop: Loop, entry: Any) -> list[str]:
+    """Return what is wrong with the bounds of inputs from one box of starts, z(0) = G v, |v_k| <= 1."""
+    name, (Q, powers), G = entry["loop"], packed(entry["Q"]), matrix(entry["starts"])
+    if name == "joint" and loop.plant.loads is not None:
+        raise Fault("with estimated loads inputs are bounded from starts with the right estimates only")
+    weights = [number(w) for w in entry["weights"]]
+    if min(weights) <= 0 or sum(weights) > 1 or any(len(row) != len(weights) for row in G) or len(G) != len(Q):
+        raise Fault("the weights of the starts are not positive, or more than 1 together")
+    widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
+    around = product(widened, transposed(G))
+    faults = [] if definite(Q) and definite(added(Q, around, -1)) else ["a start is not in the ellipsoid"]
+    for X, R in loop.matrices(name):
+        half = product(X, Q)
+        left = added(half, transposed(half))
+        enlarge(left, product(R, sizes(Q)) if R else [], powers)
+        if not definite(left, sign=-1):
+            faults.append("an ellipsoid can be left")
+    for kind, k, size in entry["signals"]:
+        if kind != "input":
+            raise Fault("limits are those of inputs")
+        c = loop.row(name, kind, k)
+        value, radius = times(times(c, (Q, [])), flipped(c))
+        largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
+        if number(size) < 0 or largest > number(size) ** 2:
+            faults.append(f"{kind} {k} is not bounded by {size}")
+    return faults if entry["signals"] else [*faults, "it bounds nothing"]

@@ -1,0 +1,150 @@
+"""From which starts a switched system keeps some linear forms small for good: an ellipsoid around them, proved exactly.
+
+Let z' = M(t) z with M(t) in the convex hull of the M_p, and z(0) = G ζ with |ζ_k| ≤ 1, a box seen through G = [g_1 …].
+For weights w_k > 0 with Σ w_k ≤ 1 and every v, by Cauchy and Schwarz
+
+    (vᵀ z(0))² ≤ (Σ |vᵀ g_k|)² ≤ Σ w_k · Σ (vᵀ g_k)² / w_k,      so      z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ.
+
+With Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
+|c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., Linear Matrix Inequalities in System and Control Theory,
+1994, section 5.2). What holds from z(0) holds in proportion from multiples of it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from scipy.linalg import eigh, solve_triangular
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.ellipsoid import Inner, change, rounded, squares
+from pwatrack.lmi.exact import unpacked
+from pwatrack.lmi.inequality import lyapunov
+from pwatrack.lmi.norm import root_above
+from pwatrack.lmi.program import farthest_starts
+from pwatrack.lmi.solve import solve
+from pwatrack.rational import decimals, is_positive_definite
+
+_DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
+_WEIGHINGS = 3  # times that the weights of the directions are chosen anew
+_LEAST = 1e-4  # of a weight
+_NEAR = 1e-3  # what the scale may be off
+_ROOM = (1e-9, 1e-7, 1e-5, 1e-3)  # by which Q is enlarged, until it is proved
+_SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in, until it is proved
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
+
+    Where M_p or c have irrational entries, for everything in their balls.
+
+    Attributes:
+        integers, exponents: Q_jk = integers_jk · 2^(exponents_j + exponents_k).
+        weights: w_k, short decimals; one for each column of G.
+        sizes: One for each c, rounded up: |c z| ≤ size at all times.
+    """
+
+    integers: tuple[tuple[int, ...], ...]
+    exponents: tuple[int, ...]
+    weights: tuple[float, ...]
+    sizes: tuple[float, ...]
+
+
+def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> Held | None:
+    """Return an ellipsoid around starts in which the forms are small, the largest of |c z| / most as small as can be.
+
+    Args:
+        M: The matrices M_p (N, N).
+        G: (N, k); it counts as the decimals that it prints as. Columns of 0 do nothing.
+        forms: The rows c, (s, N).
+        most: What each of them is held against, (s,), positive; infinite for what does not count.
+        inner: What to start from.
+
+    Returns:
+        The ellipsoid, or None if none could be proved.
+
+    Example: z' = −z from |z(0)| ≤ 3, seen as 2 z.
+
+        >>> M, c = BallMatrix.of([[-1]]), BallMatrix.of([[2]])
+        >>> found = held([M], np.array([[3.0]]), c, np.ones(1), Inner(Q=np.eye(1), most=1.9))
+        >>> 6.0 <= found.sizes[0] < 6.001
+        True
+    """
+    acts = np.flatnonzero(G.any(axis=0))
+    rows = forms.floats / most[:, None]
+    if not len(acts) or not rows.any():
+        return None
+    matrices, best, least = np.array([M_p.floats for M_p in M]), None, np.inf
+    weights = np.full(len(acts), 1 / len(acts))
+    for _ in range(_WEIGHINGS):
+        Q = _smallest(matrices, G[:, acts], rows, inner, weights)
+        if Q is None:
+            break
+        largest = float(np.einsum("sj,jk,sk->s", rows, Q, rows).max())
+        if not largest < least:
+            break
+        best, least = (Q, weights), largest
+        within = np.abs(G[:, acts].T @ np.linalg.solve(Q, G[:, acts])).sum(axis=1)
+        weights = np.maximum(within / within.sum(), _LEAST)
+        weights = weights / weights.sum()
+    if best is None:
+        return None
+    all_weights = np.full(G.shape[1], _LEAST / G.shape[1])
+    all_weights[acts] = best[1]
+    return _proved(M, G, forms, best[0], np.array([*_short(all_weights / all_weights.sum())]), inner.Q)
+
+
+def _short(weights: Array) -> Iterator[float]:
+    """Yield weights as short decimals, none larger."""
+    for w in weights.tolist():
+        yield max(np.floor(w * 1e7 - 1), 1.0) / 1e7
+
+
+def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> Array | None:
+    """Return Q ⪰ G diag(1 / w) Gᵀ with the least of the largest c Q cᵀ, in floating point.
+
+    In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1.
+    """
+    try:
+        V = np.linalg.cholesky(inner.Q)
+    except np.linalg.LinAlgError:
+        return None
+    N, speed = len(V), inner.most / 2
+    inside = solve_triangular(V, np.swapaxes(M @ V, 0, 1).reshape(N, -1), lower=True).reshape(N, -1, N)
+    scaled, forms = np.swapaxes(inside, 0, 1) / speed, rows @ V
+    directions = solve_triangular(V, G, lower=True) / np.sqrt(weights)
+    starts = directions @ directions.T
+    starts = starts / float(np.linalg.norm(starts, 2))
+    forms = forms / float(np.linalg.norm(forms, axis=1).max())
+    solution = solve(farthest_starts(lyapunov(scaled, _DECAY), forms[forms.any(axis=1)], starts), gap=_NEAR)
+    if solution is None or not solution.t > 0:
+        return None
+    Q, needed = V @ solution.P @ V.T, G / np.sqrt(weights)
+    try:
+        share = float(eigh(needed @ needed.T, Q, eigvals_only=True)[-1])
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return Q * share
+
+
+def _proved(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, Q: Array, weights: Array, far: Array) -> Held | None:
+    """Round Q to short numbers and prove the inequalities, or return None."""
+    columns = decimals(G)
+    inverse = decimals(np.diag(weights)).inv()
+    around = columns * inverse * columns.transpose()
+    for share, room in product(_SHARES, _ROOM):
+        shape = (1 - share) * Q + share * float(np.trace(Q) / np.trace(far)) * far
+        integers, exponents = rounded((shape + shape.T) / 2 * float(1 + 1e-5 + room + 2 * share))
+        exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
+        if (
+            is_positive_definite(exact)
+            and is_positive_definite(exact - around)
+            and all(is_positive_definite(-change(X, exact, unit)) for X in M)
+        ):
+            sizes = tuple(root_above(square) for square in squares(forms, exact))
+            return Held(integers=integers, exponents=exponents, weights=tuple(weights.tolist()), sizes=sizes)
+    return None

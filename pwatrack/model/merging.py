@@ -1,0 +1,139 @@
+"""Cells that are merged: of a scalar element some breakpoints become one or none, and it deviates by a bounded amount.
+
+Let φ have the slopes l before and r after some of its breakpoints in a row. Outside them φ̃ has the same slopes, between
+them it has at most one corner: with l < r it is the largest max(l s + a, r s + b) ≤ φ there, shifted up by half of the
+largest difference D; with l > r likewise from above; with l = r a line. A function max(l s + a', r s + b') that is
+nowhere more than w̄ from φ is, shifted down by w̄, below φ, so it is at most that largest one, which is D below φ
+somewhere: no other corner and offset has less than w̄ = D / 2.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.scalar_form import with_elements
+from pwatrack.real import Real
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merge:
+    """φ = φ̃ + w with |w| ≤ largest everywhere.
+
+    Attributes:
+        element: Which element of a plant, counted from 0; and
+        nonlinearity: that element, with φ.
+        first, last: The breakpoints of φ that become one or none.
+        function: φ̃; where it is a line it has one breakpoint with the same slope on either side.
+        largest: w̄, exact; an upper bound of it where φ has irrational numbers.
+    """
+
+    element: int
+    nonlinearity: Nonlinearity
+    first: int
+    last: int
+    function: PiecewiseLinear
+    largest: Fraction
+
+    @property
+    def column(self) -> BallMatrix:
+        """By which w enters ẋ, (n, 1)."""
+        return BallMatrix.of([[v] for v in self.nonlinearity.direction])
+
+
+def merges(form: ScalarForm, element: int) -> list[Merge]:
+    """Return all ways to merge cells of one element, those with the least deviation first.
+
+    Example: a gap of ±0.5 before a spring of stiffness 4 deviates from the spring without it by 2 at most.
+
+        >>> from pwatrack.model.nonlinearity import dead_zone
+        >>> gap = Nonlinearity(name="gap", function=dead_zone(lower=-0.5, upper=0.5, lower_slope=4, upper_slope=4),
+        ...                    row=[1], constant=0, direction=[1])
+        >>> nothing = BallMatrix.of([[0]])
+        >>> (merge,) = merges(ScalarForm(A=nothing, b=nothing, elements=(gap,)), 0)
+        >>> float(merge.largest), [float(slope) for slope in merge.function.slopes], merge.function(0.25)
+        (2.0, [4.0, 4.0], 1.0)
+    """
+    nonlinearity = form.elements[element]
+    function, count = nonlinearity.function, len(nonlinearity.function.breakpoints)
+    found = []
+    for first in range(count):
+        for last in range(first + 1, count):
+            other = _merged(function, first, last)
+            if other is not None:
+                largest = _deviation(function, other, (*function.breakpoints, *other.breakpoints))
+                found.append(
+                    Merge(
+                        element=element,
+                        nonlinearity=nonlinearity,
+                        first=first,
+                        last=last,
+                        function=other,
+                        largest=largest,
+                    )
+                )
+    return sorted(found, key=lambda merge: (merge.largest, merge.last - merge.first))
+
+
+def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Merge]) -> PWASystem:
+    """Return the plant f̃ in which some elements are merged, each in one way.
+
+    Args:
+        plant: The system (1), and
+        form: its field as a sum of elements.
+        chosen: For some of these, by number, how they are merged.
+    """
+    elements = tuple(
+        replace(element, function=chosen[k].function) if k in chosen else element
+        for k, element in enumerate(form.elements)
+    )
+    return with_elements(plant, replace(form, elements=elements))
+
+
+def _merged(function: PiecewiseLinear, first: int, last: int) -> PiecewiseLinear | None:
+    """Return φ̃, or None where it is not known whether the slopes on both sides are the same."""
+    left, right = function.slopes[first], function.slopes[last + 1]
+    if left.centre == right.centre and left is not right and not (left.exact and right.exact):
+        return None
+    marks = function.breakpoints[first : last + 1]
+    sign = 1 if left.centre <= right.centre else -1
+    points, lines = [mark.centre for mark in marks], [sign * left.centre, sign * right.centre]
+    heights = [sign * _at(function, mark).centre for mark in marks]
+    offsets = [min(v - slope * s for v, s in zip(heights, points, strict=True)) for slope in lines]
+    corner = points[0] if lines[0] == lines[1] else (offsets[0] - offsets[1]) / (lines[1] - lines[0])
+    points, heights = [*points, corner], [*heights, sign * _at(function, Real.of(corner)).centre]
+    D = max(
+        v - max(slope * s + c for slope, c in zip(lines, offsets, strict=True))
+        for v, s in zip(heights, points, strict=True)
+    )
+    offset = sign * (offsets[0] + D / 2)  # φ̃ = left s + offset before the corner
+    before, after = function.breakpoints[:first], function.breakpoints[last + 1 :]
+    inner = () if lines[0] == lines[1] and (before or after) else (Real.of(corner),)
+    breakpoints = (*before, *inner, *after)
+    slopes = (*function.slopes[: first + 1], *function.slopes[last + 1 + (not inner) :])
+    value = Real.of(offset) + left * breakpoints[0]
+    if before:  # there φ̃ − φ is constant
+        value = function.value + Real.of(offset) - function.intercepts[first]
+    return PiecewiseLinear(
+        breakpoints=breakpoints, slopes=slopes, value=value, segments=_segments(function.segments, first, last, inner)
+    )
+
+
+def _segments(names: Sequence[str], first: int, last: int, inner: tuple[Real, ...]) -> tuple[str, ...]:
+    """Return the names of the segments of φ̃."""
+    joined = names[first] if names[first] == names[last + 1] else f"{names[first]} or {names[last + 1]}"
+    return (*names[: first + 1], *names[last + 1 :]) if inner else (*names[:first], joined, *names[last + 2 :])
+
+
+def _at(function: PiecewiseLinear, s: Real) -> Real:
+    """Return φ(s)."""
+    k = sum(mark.centre < s.centre for mark in function.breakpoints)
+    return function.slopes[k] * s + function.intercepts[k]
+
+
+def _deviation(one: PiecewiseLinear, other: PiecewiseLinear, marks: Sequence[Real]) -> Fraction:
+    """Return the largest |φ − φ̃|: at one of all breakpoints, as both have the same slopes outside them."""
+    gaps = [_at(one, mark) - _at(other, mark) for mark in marks]
+    return max(abs(gap.centre) + gap.radius for gap in gaps)

@@ -1,0 +1,98 @@
+"""Where the parts of a run start, as its spec says."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.causes import Subject
+from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.limits import Starts
+from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.model.sizes import Sizes
+from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.startup import from_measured, steady_start
+from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.wording import guess, shown
+
+
+def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
+    """Return η̂(0), in order or by the names of the states of the generator.
+
+    Raises:
+        InvalidSpec: If it has another number of entries, or names, or begins in a steady state that there is not.
+    """
+    given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
+    if isinstance(given, Steady):
+        return steady_start(trajectory, generator)
+    if not isinstance(given, Mapping):
+        return initial_values(given, len(names), "generator")
+    unknown = [
+        Problem(
+            message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
+            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
+            subject=(*subject, name),
+        )
+        for name in given
+        if name not in names
+    ]
+    if unknown:
+        raise InvalidSpec(*unknown)
+    return np.array([given.get(name, 0.0) for name in names])
+
+
+def initial_values(values: Array | None, length: int, part: str) -> Array:
+    """Return where a part starts, 0 where nothing is said.
+
+    Raises:
+        InvalidSpec: If it has another number of entries.
+    """
+    if values is None:
+        return np.zeros(length)
+    if len(values) != length:
+        subject: Subject = ("simulation", "initial", part)
+        raise InvalidSpec(
+            Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
+        )
+    return values
+
+
+def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None, sizes: Sizes) -> Iterator[Starts]:
+    """Yield the errors with which a run begins, and the members of its ensemble, where it is known where x_d does.
+
+    Noise and steps of a sensor are left out.
+
+    Args:
+        spec: It says where plant and observer start.
+        trajectory: It says where x_d starts.
+        generator: η̂(0), if it is known.
+        sizes: In which the observer makes the least of what is measured.
+    """
+    plant, initial, regions = spec.problem.plant, spec.scenario.initial, spec.scenario.regions
+    if "generator" in regions or (generator is None and trajectory.names):
+        return
+    eta = np.zeros(0) if generator is None else generator
+    x_d = trajectory.x_d @ np.concatenate([eta, trajectory.exosystem.w0, [1.0]])
+    n = len(x_d)
+    for varied in ({}, regions) if regions else ({},):
+        x = _columns(varied.get("plant"), initial_values(initial.plant, n, "plant"))
+        if isinstance(initial.observer, Measured):
+            x_hat, own = from_measured(sizes, plant.C) @ plant.C @ x, np.zeros((n, 0))
+        else:
+            start = _columns(varied.get("observer"), initial_values(initial.observer, n, "observer"))
+            x_hat, own = np.hstack([start[:, :1], np.zeros((n, x.shape[1] - 1))]), start[:, 1:]
+        e = np.hstack([x, np.zeros(own.shape)])
+        e[:, 0] -= x_d
+        yield Starts(kind="ensemble" if varied else "run", e=e, delta=np.hstack([x_hat - x, own]))
+
+
+def _columns(region: Region | None, point: Array) -> Array:
+    """Return the centre of a region and, for each entry that varies, by how much; of an ellipsoid the box around it."""
+    if region is None:
+        return point[:, None]
+    if isinstance(region, Box):
+        centre, radii = (region.low + region.high) / 2, (region.high - region.low) / 2
+    else:
+        centre, radii = region.center, region.radii
+    return np.hstack([centre[:, None], np.diag(radii)[:, radii > 0]])

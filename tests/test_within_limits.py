@@ -1,0 +1,325 @@
+"""Limits of the inputs: what the feedforward takes of them is known before a run; from which starts none is reached."""
+
+import json
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from pwatrack import Controller, Spec, design, load_spec, simulate
+from pwatrack.control.limits import Limited, Peak, Promise, Starts, promises
+from pwatrack.errors import CheckFailed
+from pwatrack.limiting import room_within_limits
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.model.conditions import Conditions
+from pwatrack.report.verify import verify
+from pwatrack.simulation.closed_loop import closed_loop
+from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.sizing import spec_sizes
+from pwatrack.tracking import desired_trajectory
+from tests.conftest import SPECS
+from tests.plants import random_plant
+from tests.promises import track
+from tests.scenarios import in_scenario
+from tests.test_cli import call, refused
+
+STAGE = """
+name: Stage
+parameters: {m: 2, d: 3}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  units: {z: m, v: m/s, u: N, y: m}
+  A: [[0, 1], [0, -d/m]]
+  B: [[0], [1/m]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: stop, kind: spring, of: z, start: 0.2, slope: 50, into: {v: -1/m}}
+reference: {output: REFERENCE}
+simulation:
+  duration: DURATION
+  sample_time: 0.001
+  MORE
+  actuator: {limits: {u: LIMITS}}
+"""
+
+FILTER = """
+name: A state behind the output
+system:
+  states: [y1, h]
+  inputs: [u]
+  outputs: [y]
+  A: [[-1, 1], [1, -4]]
+  B: [[1], [0]]
+  C: [[1, 0]]
+  nonlinearities: [{name: valve, kind: spring, of: h, start: 0.1, slope: 3, into: {h: -1, y1: 1}}]
+reference: {output: REFERENCE}
+simulation: {duration: 8, sample_time: 0.01, MORE, actuator: {limits: {u: LIMITS}}}
+"""
+
+
+def written(folder: Path, text: str, **entries: str) -> Path:
+    path = folder / "spec.yaml"
+    for name, entry in {"DURATION": "4", "MORE": "portraits: []", **entries}.items():
+        text = text.replace(name, entry)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def limited(spec: Spec) -> tuple[Limited, Peak]:
+    found = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
+    assert found is not None
+    assert found.peak is not None
+    return found, found.peak
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.05, 0.5), st.floats(0.5, 4.0), st.floats(-0.2, 0.2))
+def test_the_feedforward_takes_what_it_takes_by_hand(
+    tmp_path_factory: pytest.TempPathFactory, a: float, w: float, c: float
+) -> None:
+    """u_ff = m y'' + d y' + 50 max(0, y - 0.2), looked at everywhere."""
+    wave = f"{c!r} + {a!r}*sin({w!r}*t)"
+    path = written(tmp_path_factory.mktemp("wave"), STAGE, REFERENCE=wave, LIMITS="[-1e4, 1e4]")
+    found, peak = limited(load_spec(path))
+    t = np.linspace(0, 2 * np.pi / w, 200_001)
+    y = c + a * np.sin(w * t)
+    u = -2 * a * w**2 * np.sin(w * t) + 3 * a * w * np.cos(w * t) + 50 * np.maximum(0, y - 0.2)
+    size, step = np.abs(u).max(), np.abs(np.diff(u)).max()  # the least may be at a corner, on the facet
+    assert [peak.low[0], peak.high[0]] == pytest.approx([u.min(), u.max()], abs=1e-6 * size + step)
+    at = np.interp(peak.times[0] % (2 * np.pi / w), t, u)
+    assert at == pytest.approx([u.min(), u.max()], abs=1e-5 * size + step)
+    assert found.left == pytest.approx([1e4 - size], rel=1e-6)
+
+
+def test_a_corner_of_the_feedforward_is_its_peak(tmp_path: Path) -> None:
+    """A rounded step has a triangle as its acceleration: 2 m y'' is largest at its corners, between samples."""
+    step = "{step: {size: 0.1, at: 0.5123, smooth: 0.6}}"
+    _, peak = limited(load_spec(written(tmp_path, STAGE.replace("d: 3", "d: 0"), REFERENCE=step, LIMITS="[-9, 9]")))
+    most = 2 * 0.1 / 0.2**2  # three averages over 0.2 s
+    assert [peak.low[0], peak.high[0]] == pytest.approx([-most, most], rel=1e-9)
+    assert peak.times[0] == pytest.approx([0.5123 + 0.1, 0.5123 - 0.1], abs=1e-9)
+
+
+def test_a_state_behind_the_output_is_integrated_and_its_start_dies_out(tmp_path: Path) -> None:
+    """h' = y - 4 h - 3 max(0, h - 0.1), u_ff = y' + y - h - 3 max(0, h - 0.1)."""
+    wave, start = "0.3*sin(2*t)", "initial: {generator: [1.5]}"
+    found, peak = limited(load_spec(written(tmp_path, FILTER, REFERENCE=wave, LIMITS="[-9, 9]", MORE=start)))
+
+    def u_ff(duration: float, h0: float, late: float) -> list[float]:
+        run = solve_ivp(
+            lambda t, h: 0.3 * np.sin(2 * t) - 4 * h - 3 * np.maximum(0, h - 0.1),
+            (0, duration),
+            [h0],
+            rtol=1e-10,
+            atol=1e-12,
+            max_step=0.01,
+            t_eval=np.linspace(late, duration, 100_001),
+        )
+        t, h = run.t, run.y[0]
+        u = 0.6 * np.cos(2 * t) + 0.3 * np.sin(2 * t) - h - 3 * np.maximum(0, h - 0.1)
+        return [float(u.min()), float(u.max())]
+
+    assert [peak.low[0], peak.high[0]] == pytest.approx(u_ff(8, 1.5, 0), abs=1e-6)
+    lasting = found.lasting
+    assert lasting is not None
+    assert [lasting.low[0], lasting.high[0]] == pytest.approx(u_ff(20, 0, 15), abs=1e-6)
+    assert peak.low[0] < 3 * lasting.low[0]
+
+
+def test_a_reference_that_takes_too_much_is_refused_at_its_line(tmp_path: Path) -> None:
+    path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-5, 6]")
+    for command in ("simulate", "design"):
+        error = refused(call(command, path, "--out", tmp_path / "out"), 3)
+        assert f"{path}:19:" in error
+        assert "the reference takes u = -5.22 N at t = 0.372" in error
+        assert "below its lower limit, -5 N" in error
+        assert "upper" not in error
+    index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert (index["verdict"], index["exit"]) == ("outside the theory", 3)
+    assert "t = 0.372" in index["reasons"][0]["message"]
+
+
+def test_both_sides_are_told_and_each_once(tmp_path: Path) -> None:
+    path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-1, 1]")
+    error = refused(call("design", path, "--out", tmp_path / "out"), 3)
+    assert error.count("the reference takes u = ") == 2
+
+
+def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_path: Path) -> None:
+    start = "initial: {generator: [1.5]}"
+    path = written(tmp_path, FILTER, REFERENCE="0.3*sin(2*t)", LIMITS="[-1, 1]", MORE=start)
+    controller = design(load_spec(path))
+    assert controller.limited is not None
+    assert controller.limited.left is None
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "more than that, from where the generator starts; once that start is forgotten -0.674" in said
+    index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert index["limits"]["inputs"]["u"]["left"] is None
+    assert index["limits"]["inputs"]["u"]["lasting"]["range"] == pytest.approx([-0.6, 0.6], abs=0.1)
+
+
+def test_the_run_shows_the_feedforward_that_was_said(tmp_path: Path) -> None:
+    for name in ("two_mass_backlash", "gallery/three_tanks_weirs", "gallery/two_driven_carts"):
+        spec = load_spec(SPECS / f"{name}.yaml")
+        wide = np.array([[-1e9, 1e9]] * len(spec.problem.plant.inputs))
+        _, peak = limited(in_scenario(spec, conditions=Conditions(limits=wide)))
+        seen = simulate(spec).response.u_ff
+        step = np.abs(np.diff(seen, axis=0)).max(axis=0) + 1e-6 * np.abs(seen).max(axis=0)
+        assert (seen.min(axis=0) >= peak.low - 1e-6 * np.abs(peak.low)).all()
+        assert (seen.max(axis=0) <= peak.high + 1e-6 * np.abs(peak.high)).all()
+        assert (seen.max(axis=0) >= peak.high - step).all()
+
+
+def test_a_limit_on_one_side_leaves_what_it_leaves(tmp_path: Path) -> None:
+    path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-.inf, 6]")
+    found, peak = limited(load_spec(path))
+    assert found.left == pytest.approx(6 - peak.high, rel=1e-5)
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "u from -inf to 6 N: its feedforward takes" in said
+
+
+MASS = """
+name: Mass
+system:
+  states: [v]
+  inputs: [u]
+  outputs: [y]
+  sizes: {v: 0.5}
+  A: [[0.3]]
+  B: [[2]]
+  C: [[1]]
+design: {tracking: state, controller: {K: [[-1.5]]}, observer: {L: [[-4]]}}
+reference: {setpoint: {y: 0.2}}
+simulation: {duration: 5, sample_time: 0.01, INITIAL, actuator: {limits: {u: [-0.6, 0.8]}}}
+"""
+
+
+def test_one_state_is_promised_what_it_does_by_hand(tmp_path: Path) -> None:
+    """u_ff = -0.03, so 0.57 is left; |K e| is 0.75 at the start of a size, and e decays."""
+    initial = "initial: {plant: [0.55], observer: [0.55]}"
+    found = design(load_spec(written(tmp_path, MASS, INITIAL=initial))).limited
+    assert found is not None
+    left = found.left
+    assert left == pytest.approx(0.57, rel=1e-5)
+    assert left is not None
+    scales = {p.starts.kind: p.scale(left) for p in found.promises}
+    assert scales["exact"] == pytest.approx(0.57 / 0.75, rel=1e-4)
+    assert scales["run"] == pytest.approx(0.57 / (1.5 * 0.35), rel=1e-4)
+    assert scales["sizes"] == pytest.approx(0.57 / 1.5, rel=1e-3)  # both are largest at the start
+
+
+def moved(controller: Controller, promise: Promise, seed: int) -> float:
+    """The largest |u - u_ff| / what is promised of it, of e and Δ from corners of the starts under switching."""
+    plant, K, L = controller.plant, controller.design.K, controller.design.L
+    random, n, worst, mode = np.random.default_rng(seed), len(plant.B), 0.0, 0
+    M = [
+        np.block([[A + plant.B @ K, plant.B @ K], [np.zeros((n, n)), A_hat + L @ plant.C]])
+        for A in plant.A
+        for A_hat in plant.A
+    ]
+    fastest = max(float(np.abs(np.linalg.eigvals(X)).max()) for X in M)
+    steps = [expm(X * 0.05 / fastest) for X in M]
+    assert promise.held is not None
+    size = np.array(promise.held.sizes)
+    for _ in range(12):
+        corner = promise.G @ random.choice([-1.0, 1.0], size=promise.G.shape[1])
+        z = np.concatenate([corner, np.zeros(2 * n - len(corner))])
+        hold = int(random.integers(1, 30))
+        for k in range(400):
+            worst = max(worst, float((np.abs(K @ (z[:n] + z[n:]))[list(promise.inputs)] / size).max()))
+            mode = mode if k % hold else int(random.integers(len(steps)))
+            z = steps[mode] @ z
+    return worst
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
+    """Random plants of up to 4 cells, from corners of the box, for any switching; and it is not much too careful."""
+    random = np.random.default_rng(seed)
+    r = 1 + seed % 3
+    loop = track(random_plant(seed, n=int(random.integers(r, 5)), k=2, r=r, strength=0.05), "sin(t)")
+    controller = loop.controller
+    sizes = controller.sizes
+    starts = Starts.within(sizes.state)
+    found = promises(controller.plant, controller.design, controller.proofs, sizes.input, starts)
+    assert [p.starts.kind for p in found] == ["exact", "sizes"]
+    for promise in found:
+        assert moved(controller, promise, seed) <= 1
+        assert promise.held is not None
+        K = controller.design.K
+        least = np.abs(K @ np.hstack([promise.G] if promise.starts.delta is None else np.split(promise.G, 2))).sum()
+        assert promise.held.sizes[0] <= 2 * least  # Σ |K_k| s_k is reached at the start
+
+
+def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) -> None:
+    """The loop itself, with limits that cut off: nothing is cut off."""
+    spec = load_spec(specs / "two_mass_machine.yaml")
+    controller = design(in_scenario(spec, conditions=Conditions(limits=np.array([[-8.0, 8.0]]))))
+    limited = controller.limited
+    assert limited is not None
+    assert limited.left is not None
+    exact = limited.promises[0]
+    scale = exact.scale(limited.left)
+    loop = closed_loop(controller, Conditions(limits=limited.limits))
+    eta = np.array([0.2, 0.0])
+    x_d = controller.trajectory.x_d @ np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]])
+    seen = []
+    for signs in product((-1.0, 1.0), repeat=4):
+        x = x_d + scale * exact.G @ np.array(signs)
+        trace = simulate_flow(
+            loop.flow, loop.start(plant=x, observer=x, generator=eta), duration=20.0, sample_time=0.005
+        )
+        assert not any(e.before[3] % 3 != 1 or e.after[3] % 3 != 1 for e in trace.events)
+        response = loop.response(trace)
+        seen.append(np.abs(response.u - response.u_ff).max())
+    assert 0.98 * limited.left[0] < max(seen) <= limited.left[0]
+
+
+def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path: Path) -> None:
+    out, path = tmp_path / "out", written(tmp_path, MASS, INITIAL="initial: {plant: [0.3]}")
+    said = " ".join(call("simulate", path, "--out", out).stdout.split())
+    assert "in the loop as designed no limit is ever reached from each |x_k − x_dk| up to 0.7599 times its size" in said
+    assert "the bounds of inputs from 3 boxes of starts are proved" in verify(out, path)
+    text = (out / "certificate.json").read_text(encoding="utf-8")
+    content = json.loads(text)
+    entry = content["limits"][0]
+    for change, fault in (
+        ({"starts": [["0.51"]]}, "a start is not in the ellipsoid"),
+        ({"signals": [["input", 0, "0.74"]]}, "input 0 is not bounded by 0.74"),
+        ({"weights": ["1.1"]}, "the weights of the starts are not positive, or more than 1 together"),
+        ({"signals": []}, "it bounds nothing"),
+        ({"Q": entry["Q"] | {"integers": [[-1]]}}, "a start is not in the ellipsoid"),
+    ):
+        changed = content | {"limits": [entry | change]}
+        assert any(fault in wrong for wrong in audit(json.dumps(changed))[1]), fault
+    index = (out / "run.json").read_text(encoding="utf-8")
+    told = json.loads(index)
+    told["limits"]["starts"][0]["scale"] = 0.8
+    (out / "run.json").write_text(json.dumps(told), encoding="utf-8")
+    with pytest.raises(CheckFailed, match=r"limits in run.json is not what was proved"):
+        verify(out, path)
+
+
+def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(tmp_path: Path) -> None:
+    boxes = "initial: {plant: [0.3, 0], observer: measured}, ensemble: {initial: {plant: {z: [0.1, 0.5], v: [-1, 3]}}}"
+    more = boxes.replace(", ensemble", "\n  ensemble")
+    path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-100, 100]", MORE=more)
+    spec = load_spec(path)
+    found, _ = limited(spec)
+    run, members = found.starts[2:]
+    assert (run.kind, members.kind) == ("run", "ensemble")
+    assert run.e[:, 0] == pytest.approx([0.3, -0.5])
+    assert run.delta is not None
+    assert members.delta is not None
+    assert run.delta[:, 0] == pytest.approx([0, 0])
+    for corner in product((-1, 1), repeat=2):
+        x = np.array([0.3, 1.0]) + np.array([0.2, 2.0]) * corner
+        assert members.e @ np.array([1, *corner]) == pytest.approx(x - [0, 0.5])
+        assert members.delta @ np.array([1, *corner]) == pytest.approx([0, -x[1]])
