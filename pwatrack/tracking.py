@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.causes import Subject
+from pwatrack.control.compensation import check_played_back
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.set_point import set_point
@@ -28,6 +29,7 @@ from pwatrack.model.reference import (
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
+from pwatrack.simulation.preview import played_back
 from pwatrack.spec.spec import Spec
 
 
@@ -81,7 +83,11 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
     form = normal_form(plant)
     y_d = _output_signal(reference, form.r)
     generator = trajectory_generator(form, solver=solver)
-    return output_trajectory(generator, exosystem([y_d])), generator
+    trajectory = output_trajectory(generator, exosystem([y_d]))
+    if not generator.played_back:
+        return trajectory, generator
+    check_played_back(form)
+    return played_back(form.plant, trajectory, spec.scenario.duration), generator
 
 
 def _output_signal(reference: OutputReference, r: int) -> Signal:

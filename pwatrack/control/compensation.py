@@ -24,7 +24,9 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside
+from pwatrack.causes import Part
 from pwatrack.control.realisable import pseudo_inverse
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
@@ -51,7 +53,7 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     Args:
         plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
-        filtered: For state tracking: how many η̂ there are.
+        filtered: How many η̂ there are; 0 where they were worked out beforehand, then what rate has is 0 too.
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]
@@ -63,7 +65,30 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     G = loads_in_derivatives(loads, T, r)
     X = BallMatrix.of(np.zeros((n, p)), (n, p)) - T.inverse() @ G
     W = np.array([(T @ (A_i @ X + loads.E) + G @ loads.S).floats for A_i in exact.A])
-    return Compensation(X=X, u_ff=-W[:, r - 1 : r] / form.delta, rate=W[:, r:])
+    return Compensation(X=X, u_ff=-W[:, r - 1 : r] / form.delta, rate=W[:, r:] if filtered else W[:, r:r])
+
+
+def check_played_back(form: NormalForm) -> None:
+    """Refuse loads that act on an η that is worked out beforehand: their estimates are only known as the plant runs.
+
+    Raises:
+        OutsideTheory: Naming the load and the η.
+    """
+    loads = form.plant.loads
+    if loads is None:
+        return
+    rate = np.abs(compensation(form.plant, form, len(form.T) - form.r).rate).max(axis=0)
+    for load, states in zip(loads.each, loads.groups, strict=True):
+        acts = rate[:, list(states)].max(axis=1)
+        if acts.any():
+            raise OutsideTheory(
+                Problem(
+                    message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
+                    "that have unstable modes: x_d is worked out beforehand, and the estimate is not known then",
+                    subject=(Part.ESTIMATE,),
+                    hint="a load that acts as an input does, or another output",
+                )
+            )
 
 
 def loads_in_derivatives(loads: Loads, T: BallMatrix, r: int) -> BallMatrix:

@@ -74,6 +74,17 @@ class Controller:
         return np.ones(1) if len(self.sizes.state) == 1 else self.sizes.state
 
     @property
+    def left_by_preview(self) -> float:
+        """What a residual of an η that was worked out beforehand leaves of |y − y_d| in the end; 0 where there is none.
+
+        With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more.
+        """
+        preview, form = self.trajectory.preview, self.form
+        if preview is None or form is None:
+            return 0.0
+        return self.guarantees.left(form.T_inverse[:, form.r :] * preview.residual)
+
+    @property
     def promises(self) -> tuple[Promise, ...]:
         """From which starts inputs that have limits stay near their feedforward."""
         return () if self.limited is None else self.limited.promises

@@ -28,6 +28,7 @@ from pwatrack.report.figures import (
     member_figures,
 )
 from pwatrack.report.limits import limit_content
+from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
@@ -82,7 +83,7 @@ def write_design(
         }
         index |= _requirements(required(spec, controller))
         index["bounds"] = bound_content(spec, controller)
-        index |= limit_content(spec, controller)
+        index |= limit_content(spec, controller) | preview_content(controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
         if largest is not None:
@@ -139,6 +140,7 @@ def _result_content(result: Result) -> dict[str, Any]:
         "estimates": load_content(result),
         "bounds": bound_content(result.spec, result.controller),
         **limit_content(result.spec, result.controller),
+        **preview_content(result.controller),
     }
     if (robust := result.controller.robust) is not None:
         along = {"along_x_d": box_figures(result, robust)}

@@ -27,48 +27,28 @@ from scipy.sparse.linalg import spsolve
 
 from pwatrack.arrays import EPS, Array, IntArray, balancing
 from pwatrack.causes import Part
-from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.control.trajectory import DesiredTrajectory, Preview
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Exosystem, spectral_terms
+from pwatrack.model.reference import Exosystem, beside, spectral_terms
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
 _MOST_STEPS = 30  # of Newton's method, from one guess
-_FINEST = (
-    2.0**-10
-)  # part of the way from a linear system to the one that is asked, in which Newton's method must settle
-_DEGREE, _FITTED, _NOISE = (
-    9,
-    1e-13,
-    1e-11,
-)  # of the polynomials that are played back; how near they are, of the largest value; what may be rounding
+_FINEST = 2.0**-10  # part of the way from a linear system to what is asked, in which that must settle
+_DEGREE = 9  # of the polynomials that are played back
+_FITTED, _NOISE = 1e-13, 1e-11  # of the largest value: how near they are, and what may be rounding
+_LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
 _TAYLOR = 14  # terms of e^{M t} for ‖M t‖ ≤ 1/2: the next is below 1e-16
 _MOST_POINTS = 2_000_000  # at which cells are looked up
 
 
-@dataclass(frozen=True, kw_only=True)
-class BoundedSolution:
-    """η(t), t ≥ 0, in pieces that are polynomials.
-
-    Attributes:
-        signals: One per entry of η, (p).
-        residual: sup |η' − A_i η − B_i (w, 1)| of what is played back, for each entry, in its unit per second.
-        rate: The largest Σ |terms| of A_i η + B_i (w, 1), of each entry.
-        lead: How long, in s, before a reference first moves η has left its rest, by more than 1e-3 of the way that it
-            goes; None where the reference does not begin at rest.
-    """
-
-    signals: tuple[Signal, ...]
-    residual: Array
-    rate: Array
-    lead: float | None
-
-
-def bounded_solution(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> BoundedSolution:
-    """Return the bounded solution of the internal dynamics, from t = 0 to a time in s.
+def bounded_solution(
+    plant: PWASystem, trajectory: DesiredTrajectory, duration: float
+) -> tuple[tuple[Signal, ...], Preview]:
+    """Return the bounded solution of the internal dynamics from t = 0 on, in pieces that are polynomials.
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before.
@@ -76,30 +56,76 @@ def bounded_solution(plant: PWASystem, trajectory: DesiredTrajectory, duration: 
     Args:
         plant: The system (1), whose cells x_d is in.
         trajectory: The desired one, with η̂ that has unstable modes.
-        duration: In s.
+        duration: Up to when, in s.
+
+    Returns:
+        One signal per η, and what is known of them.
 
     Raises:
         Undecided: If Newton's method does not settle.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
-    eigenvalues = np.linalg.eigvals(trajectory.rate[:, :, :p])
-    period = 1.0 / float(np.abs(eigenvalues).max()) if system.constant else system.period
-    last = duration + _SETTLED / float(np.abs(eigenvalues.real).min())
-    if system.end is not None:
-        last = min(last, max(duration, system.end))
-    problem = _Problem(plant, trajectory, (0.0, last) if period is None else (0.0, period), period is not None)
-    solution = problem.solve()
+    poles = np.linalg.eigvals(trajectory.rate[:, :, :p])
+    period = 1.0 / float(np.abs(poles).max()) if system.constant else system.period
+    if period is None:
+        last = duration + _SETTLED / float(np.abs(poles.real).min())
+        last = last if system.end is None else min(last, max(duration, system.end))
+        solution = _Problem(plant, trajectory, last, periodic=False).solve()
+    else:
+        solution = _Problem(plant, trajectory, period, periodic=True).solve()
     fitted = list(solution.polynomials(duration))
-    starts = [a for a, _, _ in fitted]
-    residual, rate = solution.residual(fitted)
-    if period is not None:
-        turns = int(np.ceil(duration / period)) if not system.constant else 1
-        starts = [k * period + a for k in range(turns) for a in starts]
-        fitted = fitted * turns
-    signals = [
-        Signal(tuple(starts), tuple(ExponentialPolynomial.polynomial(c[k]) for _, _, c in fitted)) for k in range(p)
-    ]
-    return BoundedSolution(signals=tuple(signals), residual=residual, rate=rate, lead=None)
+    residual, terms = solution.residual(fitted)
+    turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
+    starts = tuple(k * (period or 0.0) + a for k in range(turns) for a, _, _ in fitted)
+    pieces = [c for _, _, c in fitted] * turns
+    signals = tuple(Signal(starts, tuple(ExponentialPolynomial.polynomial(c[k]) for c in pieces)) for k in range(p))
+    lead = _lead(plant, trajectory, solution, duration)
+    return signals, Preview(names=trajectory.names, residual=residual, terms=terms, lead=lead)
+
+
+def _lead(plant: PWASystem, trajectory: DesiredTrajectory, solution: "_Solution", duration: float) -> float | None:
+    """Return how long before a reference that begins at rest first moves η has left its rest."""
+    system = trajectory.exosystem
+    if system.constant or not system.resets or system.begins() != 0.0:
+        return None
+    moves = system.resets[0].t
+    still = replace(trajectory, exosystem=replace(system, resets=()))
+    rest = _Problem(plant, still, moves, periodic=True).solve().eta(0, np.zeros(1))[0]
+    off = [(t, np.abs(solution.eta(k, t) - rest)) for k, t in solution.times(duration)]
+    size = np.max([values.max(axis=0) for _, values in off], axis=0)
+    left = [t[(values > _LEFT * size).any(axis=1)] for t, values in off]
+    return float(max(0.0, moves - min((t[0] for t in left if len(t)), default=moves)))
+
+
+def played_back(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> DesiredTrajectory:
+    """Return the desired trajectory with the bounded solution in place of the filter η̂: x_d and u_ff are signals then.
+
+    Args and raises: as `bounded_solution`.
+    """
+    signals, preview = bounded_solution(plant, trajectory, duration)
+    p = trajectory.rate.shape[1]
+    system = beside(trajectory.exosystem, signals)
+    eta = system.Q[len(trajectory.exosystem.Q) :]
+
+    def read(rows: Array) -> Array:
+        """Return what reads (η̂, w, 1) as what reads (w, η's own states, 1)."""
+        found = np.zeros((*rows.shape[:-1], len(system.w0) + 1))
+        found[..., : rows.shape[-1] - p - 1], found[..., -1] = rows[..., p:-1], rows[..., -1]
+        found[..., :-1] += rows[..., :p] @ eta
+        return found
+
+    return replace(
+        trajectory,
+        exosystem=system,
+        names=(),
+        to_eta=np.zeros((0, trajectory.to_eta.shape[1])),
+        eta_offset=np.zeros(0),
+        rate=np.zeros((len(trajectory.rate), 0, len(system.w0) + 1)),
+        x_d=read(trajectory.x_d),
+        u_ff=read(trajectory.u_ff),
+        until=duration,
+        preview=preview,
+    )
 
 
 @dataclass(frozen=True)
@@ -176,11 +202,9 @@ class _Driven:
 
 
 class _Problem:
-    """The two-point problem of a reference, on an interval in s."""
+    """The two-point problem of a reference, from t = 0 to an end in s."""
 
-    def __init__(
-        self, plant: PWASystem, trajectory: DesiredTrajectory, interval: tuple[float, float], periodic: bool
-    ) -> None:
+    def __init__(self, plant: PWASystem, trajectory: DesiredTrajectory, end: float, *, periodic: bool) -> None:
         p, system = trajectory.rate.shape[1], trajectory.exosystem
         self.d = balancing(trajectory.rate[:, :, :p])
         self.rate = trajectory.rate / self.d[:, None]
@@ -189,9 +213,9 @@ class _Problem:
         rows[:, :p] *= self.d
         self.guards = plant.partition.H @ rows
         self.guards[:, -1] += plant.partition.h
-        self.signs, self.interval, self.periodic, self.p = plant.partition.signs, interval, periodic, p
+        self.signs, self.end, self.periodic, self.p = plant.partition.signs, end, periodic, p
         self.turns = _Turns(system)
-        self.breaks = [0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if 0 < t < interval[1])]
+        self.breaks = [0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if 0 < t < end)]
         starts = system.states(np.array(self.breaks))
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
         poles = np.linalg.eigvals(self.rate[:, :, :p])
@@ -200,7 +224,7 @@ class _Problem:
 
     def solve(self) -> "_Solution":
         """Return the bounded solution: Newton's method, on the way from a linear system where it does not settle."""
-        guess = [_Stay(a, b, 0, k) for k, (a, b) in enumerate(pairwise([*self.breaks, self.interval[1]]))]
+        guess = [_Stay(a, b, 0, k) for k, (a, b) in enumerate(pairwise([*self.breaks, self.end]))]
         found, way, step = None, 0.0, 1.0
         while way < 1.0:
             trial = min(1.0, way + step)
@@ -251,7 +275,8 @@ class _Solution:
         """Return s at the left end and u at the right end of each stay, (stays, p)."""
         p, last = self.problem.p, len(self.stays) - 1
         q = self._modes[self.stays[0].cell].stable
-        lefts, rights = [], []  # η at either end: a matrix times the unknowns, and the rest
+        lefts = list[tuple[Array, Array]]()  # η at the left end: a matrix times the unknowns, and the rest
+        rights = list[tuple[Array, Array]]()
         for stay in self.stays:
             modes, span = self._modes[stay.cell], np.array([stay.end - stay.start])
             w = self.problem.w(stay.piece, np.array([stay.start, stay.end]))
@@ -267,7 +292,8 @@ class _Solution:
             blocks += [(k, k, rights[k][0]), (k, after, -lefts[after][0])]
             missing.append(lefts[after][1] - rights[k][1])
         if not self.problem.periodic:  # the stable part starts, and the unstable one ends, as what is driven alone
-            blocks += [(last, 0, np.diag(np.arange(p) < q) * 1.0), (last, last, np.diag(np.arange(p) >= q) * 1.0)]
+            first = np.diag((np.arange(p) < q).astype(np.float64))
+            blocks += [(last, 0, first), (last, last, np.eye(p) - first)]
             missing.append(np.zeros(p))
         i, j = np.indices((p, p))
         rows, columns = (
@@ -303,6 +329,12 @@ class _Solution:
                 raise _unsettled("the reference turns too fast for its length")
             found.append((t, self.problem.cells(self.z(k, t))))
         return found
+
+    def times(self, until: float) -> Iterator[tuple[int, Array]]:
+        """Yield each stay that begins before a time in s, with times in it."""
+        for k, (t, _) in enumerate(self._looked_up):
+            if len(t := t[t <= until]):
+                yield k, t
 
     @property
     def missed(self) -> float:
@@ -344,7 +376,7 @@ class _Solution:
         )
 
     def polynomials(self, until: float) -> Iterator[tuple[float, float, Array]]:
-        """Yield (from, to, coefficients (p, degree + 1)) of polynomials of the time since `from`, in the file's units."""
+        """Yield (from, to, coefficients (p, degree + 1)) of polynomials of the time since `from`, in units given."""
         size = max(float(np.abs(self.eta(k, t)).max()) for k, (t, _) in enumerate(self._looked_up))
         interpolation, resolved = _Interpolation(_DEGREE), _RESOLVED / max(self.problem.fastest, self.problem.turning)
         for k, stay in enumerate(self.stays):
@@ -384,7 +416,7 @@ class _Solution:
 
 
 def _grid(a: float, b: float, *, turning: float, fastest: float) -> Array:
-    """Return times from a to b: evenly, closer than what turns, and ever closer towards both ends, where modes decay."""
+    """Return times from a to b: evenly, closer than what turns, and ever closer to both ends, where modes decay."""
     even = np.linspace(0.0, 1.0, 1 + min(_MOST_POINTS, max(16, int(np.ceil((b - a) * turning * 4)))))
     levels = int(np.clip(np.ceil(np.log2(max(2.0, 16 * fastest * (b - a)))), 1, 60))
     near = np.add.outer(0.5 ** np.arange(1, levels + 1), 0.0) * np.array([0.5, 0.625, 0.75, 0.875, 1.0])[:, None]
