@@ -87,6 +87,10 @@ class Problem:
         """Return the same problem with a text before its message."""
         return replace(self, message=text + self.message, short=self.short and text + self.short)
 
+    def followed(self, text: str) -> "Problem":
+        """Return the same problem with a text behind its message."""
+        return replace(self, message=self.message + text, short=self.short and self.short + text)
+
     @property
     def where(self) -> str:
         """The place and a colon, where there is one."""

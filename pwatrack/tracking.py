@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.causes import Subject
-from pwatrack.control.compensation import compensation
+from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.set_point import set_point
@@ -29,6 +29,7 @@ from pwatrack.model.reference import (
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
+from pwatrack.simulation.preview import played_back
 from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
 
@@ -83,7 +84,11 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
     form = spec_form(spec)
     y_d = _output_signals(reference, form)
     generator = trajectory_generator(form, solver=solver)
-    return output_trajectory(generator, exosystem(y_d)), generator
+    trajectory = output_trajectory(generator, exosystem(y_d))
+    if not generator.played_back:
+        return trajectory, generator
+    check_played_back(form)
+    return played_back(trajectory, spec.scenario.duration), generator
 
 
 def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:

@@ -273,7 +273,7 @@ def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:
     design_ = loop.controller.design
     generator = loop.controller.generator
     assert generator is not None
-    slowest = min(design_.controller.rate, design_.observer.rate, generator.certificate.rate)
+    slowest = min(design_.controller.rate, design_.observer.rate, generator.rate)
     ends = []
     for _ in range(2):
         start = loop.start(plant=random.normal(size=4), observer=random.normal(size=4), generator=random.normal(size=2))

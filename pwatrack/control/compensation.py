@@ -57,7 +57,7 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     Args:
         plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
-        filtered: For state tracking: how many η̂ there are.
+        filtered: How many η̂ there are; none where they were worked out beforehand, as no load acts on them then.
 
     Raises:
         OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
@@ -83,8 +83,34 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     W = np.array([(T_i @ (A_i @ X + loads.E) + G @ loads.S).floats for T_i, A_i in zip(T, exact.A, strict=True)])
     last = np.cumsum(form.degrees) - 1
     return Compensation(
-        X=X, u_ff=-form.right_inverse @ W[:, last], rate=W[:, form.r :], guards=-form.boundary.H @ G.floats
+        X=X,
+        u_ff=-form.right_inverse @ W[:, last],
+        rate=W[:, form.r :] if filtered else W[:, form.r : form.r],
+        guards=-form.boundary.H @ G.floats,
     )
+
+
+def check_played_back(form: NormalForm) -> None:
+    """Refuse loads that act on an η that is worked out beforehand: their estimates are only known as the plant runs.
+
+    Raises:
+        OutsideTheory: Naming the load and the η.
+    """
+    loads = form.plant.loads
+    if loads is None:
+        return
+    rate = np.abs(compensation(form.plant, form, len(form.eta_names)).rate).max(axis=0)
+    for load, states in zip(loads.each, loads.groups, strict=True):
+        acts = rate[:, list(states)].max(axis=1)
+        if acts.any():
+            raise OutsideTheory(
+                Problem(
+                    message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
+                    "that have unstable modes: x_d is worked out beforehand, and the estimate is not known then",
+                    subject=(Part.ESTIMATE,),
+                    hint="a load that acts as an input does, or another output",
+                )
+            )
 
 
 def loads_in_derivatives(loads: Loads, form: NormalForm) -> BallMatrix:

@@ -73,6 +73,17 @@ class Controller:
         return np.ones(1) if len(sizes) == 1 else sizes
 
     @property
+    def left_by_preview(self) -> float:
+        """What a residual of an η that was worked out beforehand leaves of |y − y_d| in the end; 0 where there is none.
+
+        With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more.
+        """
+        preview, form = self.trajectory.preview, self.form
+        if preview is None or form is None:
+            return 0.0
+        return max(self.guarantees.left(inverse[:, form.r :] * preview.residual) for inverse in form.T_inverse)
+
+    @property
     def promises(self) -> tuple[Promise, ...]:
         """From which starts inputs that have limits stay near their feedforward."""
         return () if self.limited is None else self.limited.promises

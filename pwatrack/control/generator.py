@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import each
+from pwatrack.arrays import Array, IntArray, readonly
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
+from pwatrack.errors import Infeasible
+from pwatrack.lmi.dichotomy import Dichotomy, prove_dichotomy
 from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import GENERATOR
@@ -33,7 +34,18 @@ class TrajectoryGenerator:
     b_eta: Array
     B_eta: Array
     shift: Array | None
-    certificate: Found
+    certificate: Found | Dichotomy
+
+    @property
+    def played_back(self) -> bool:
+        """Whether (15) has unstable modes: its bounded solution is worked out beforehand, see `simulation.preview`."""
+        return isinstance(self.certificate, Dichotomy)
+
+    @property
+    def rate(self) -> float:
+        """That of (17), in 1/s; of a generator that runs."""
+        assert not isinstance(self.certificate, Dichotomy)
+        return self.certificate.rate
 
     @property
     def r(self) -> int:
@@ -63,25 +75,52 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel") -> Tr
         Undecided: If neither is proved.
     """
     A_eta, B_eta, b_eta = tracking_dynamics(form)
-    certificate = prove_convergence(
-        GENERATOR.oriented(A_eta),
-        exact=each(GENERATOR.exact, form.exact.A_eta),
-        claim="(17), convergence of the zero dynamics,",
-        cells=form.plant.cell_names,
-        role=GENERATOR,
-        subject=(Part.CELLS,),
-        solver=solver,
-        hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "
-        "state tracking (Theorem 2), which needs only (8) and (9)",
-        remedy=Remedy(Way.STATE_TRACKING),
-    )
     return TrajectoryGenerator(
         form=form,
         A_eta=A_eta,
         b_eta=b_eta,
         B_eta=B_eta,
         shift=assumption_2_shift(A_eta, B_eta[:, :, : form.r]),
-        certificate=certificate,
+        certificate=_proved(form, A_eta, solver),
+    )
+
+
+def _proved(form: NormalForm, A_eta: Array, solver: Solver) -> Found | Dichotomy:
+    """Return a proof of (17), or where there is none of (17±), if every cell by itself has unstable modes."""
+    exact = [GENERATOR.exact(X) for X in form.exact.A_eta]
+    try:
+        return prove_convergence(
+            GENERATOR.oriented(A_eta),
+            exact=exact,
+            claim="(17), convergence of the zero dynamics,",
+            cells=form.plant.cell_names,
+            role=GENERATOR,
+            subject=(Part.CELLS,),
+            solver=solver,
+            hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "
+            "state tracking (Theorem 2), which needs only (8) and (9)",
+            remedy=Remedy(Way.STATE_TRACKING),
+        )
+    except Infeasible as refusal:
+        poles = np.linalg.eigvals(A_eta).real
+        unstable = (poles > 0).sum(axis=1)
+        same = unstable.min() == unstable.max() > 0
+        found = prove_dichotomy(GENERATOR, exact, solver=solver) if same else None
+        if found is not None:
+            return found
+        told = (problem.followed(_no_preview(form, unstable)) for problem in refusal.problems)
+        raise Infeasible(*told, evidence=refusal.evidence) from None
+
+
+def _no_preview(form: NormalForm, unstable: IntArray) -> str:
+    """Say why a reference that is known beforehand does not help, where that can be said."""
+    few, many = int(unstable.argmin()), int(unstable.argmax())
+    if unstable[few] == unstable[many]:
+        return "; a common P of any sign, (17±), was not found either" if unstable[few] else ""
+    names, counts = form.plant.cell_names, (int(unstable[few]), int(unstable[many]))
+    return (
+        f"; and no P of any sign, (17±): {counts[0]} of the eigenvalues in cell '{names[few]}' have positive real "
+        f"parts, {counts[1]} in cell '{names[many]}'"
     )
 
 

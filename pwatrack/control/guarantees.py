@@ -105,6 +105,18 @@ class Guarantees:
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
         return np.asarray(np.min(bounds, axis=0) * _ABOVE)
 
+    def left(self, driven: Array) -> float:
+        """Return a bound of |y − y_d| in the end where e' has more terms, Σ d_k driven_k, |d_k| ≤ 1.
+
+        Args:
+            driven: (n, K).
+        """
+        found = (
+            size / c.rate * sum(map(c.gauge.driven, driven.T))
+            for c, size in zip(self.controller, self.output, strict=True)
+        )
+        return float(min(found)) * _ABOVE
+
     @property
     def rate(self) -> float:
         """A rate in 1/s: from every start |y − y_d| and |x − x_d| are below c e^(−rate t), c from the start.

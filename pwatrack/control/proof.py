@@ -13,6 +13,7 @@ from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Design
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
+from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.exact_polynomial import AnyProof, Found, exactly
 from pwatrack.lmi.inequality import Solver
@@ -61,7 +62,7 @@ def prove_design(
         task = Task.of(plant, role, sizes=sizes)
         closed = different(task.exactly_closed(role.oriented(gain)))
         proofs += prove_inequality(role, closed, certificate, solver, sizes=task.scale.state)
-    if generator is not None and generator.A_eta.shape[1]:
+    if generator is not None and generator.A_eta.shape[1] and not isinstance(generator.certificate, Dichotomy):
         M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
         internal = np.sqrt((generator.form.T[0, generator.r :] ** 2) @ sizes.state**2)
         proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, sizes=1 / internal)

@@ -13,6 +13,24 @@ from pwatrack.model.reference import Exosystem
 
 
 @dataclass(frozen=True, kw_only=True)
+class Preview:
+    """What is known of a bounded η(t) that was worked out beforehand.
+
+    Attributes:
+        names: What each η is.
+        residual: sup |η' − (15)| of what is played back, for each η, in its unit per second.
+        terms: The largest sum of the sizes of the terms of (15), likewise.
+        lead: How long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way;
+            None where the reference does not begin at rest.
+    """
+
+    names: tuple[str, ...]
+    residual: Array
+    terms: Array
+    lead: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class DesiredTrajectory:
     """A filter with state η̂ driven by an exosystem with state w; s = (η̂, w, 1).
 
@@ -29,6 +47,7 @@ class DesiredTrajectory:
         guards: Rows g with g s = 0 where a cell ends, (k, S).
         signs: Side of each of these that a cell is on, 0 where that does not bound it, (l, k).
         eta0: η̂(0) where it is fixed by the trajectory, else None.
+        preview: What is known of the η that x_d is made of, where it was worked out beforehand.
         until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
         bounded: Whether x_d is proved to stay bounded.
         growth: How x_d is seen to grow without bound, or to leave the periodic solution that it was to be, where it is.
@@ -44,6 +63,7 @@ class DesiredTrajectory:
     guards: Array
     signs: IntArray
     eta0: Array | None = None
+    preview: Preview | None = None
     until: float | None = None
     bounded: bool = True
     growth: Problem | None = None

@@ -78,7 +78,7 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
         short_rate = rounded_down(rate * (1 - shrink), 6)
         slack = [S - scalar(2 * short_rate) * exact_P for S in left]
         if short_rate > 0 and all(is_positive_definite(S) for S in slack):
-            margin = _margin(slack)
+            margin = margin_of(slack)
             return Proof(
                 role=role,
                 integers=integers,
@@ -141,7 +141,7 @@ def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> Rat
     return rational(entries, (n, n))
 
 
-def _margin(slack: Sequence[Rational]) -> float:
+def margin_of(slack: Sequence[Rational]) -> float:
     """Return a short decimal μ > 0 with S − μ I ≻ 0 for every S, at least an eighth of the largest one."""
     eye = identity(slack[0].nrows())
     nearest = np.array([floats(S) for S in slack])

@@ -1,7 +1,7 @@
 """References as outputs of a linear exosystem ẇ = S w, with resets where a signal has a new piece."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import factorial, gcd, isfinite, lcm, pi
 
@@ -244,6 +244,22 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         resets=tuple(sorted(resets, key=lambda reset: reset.t)),
         period=_period(signals),
         end=min(ends, default=None),
+    )
+
+
+def beside(one: Exosystem, signals: Sequence[Signal]) -> Exosystem:
+    """Return an exosystem with more signals behind those that it has; together they have no period."""
+    other = exosystem(signals)
+    p = len(one.w0)
+    moved = (replace(reset, where=slice(reset.where.start + p, reset.where.stop + p)) for reset in other.resets)
+    return Exosystem(
+        S=readonly(block_diag(one.S, other.S)) if p else other.S,
+        rates=np.concatenate([one.rates, other.rates]),
+        Q=readonly(block_diag(one.Q, other.Q)),
+        w0=readonly(np.concatenate([one.w0, other.w0])),
+        resets=tuple(sorted([*one.resets, *moved], key=lambda reset: reset.t)),
+        period=None,
+        end=one.end,
     )
 
 

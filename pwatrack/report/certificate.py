@@ -17,6 +17,7 @@ from pwatrack.control.limits import Promise
 from pwatrack.control.robust import Robust
 from pwatrack.lmi.audit.certificate import FORMAT
 from pwatrack.lmi.audit.reading import number
+from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -32,7 +33,9 @@ CLAIM = (
     "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T, "
     "where loads are estimated with [A_i, E; 0, S] and [C, 0] in place of A_i and C; "
     "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
-    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). With a degree 2 d: the monomials "
+    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). Bounded both ways: the same "
+    "without a rate and without P > 0, so that the generator has one bounded solution, which is played back. With a "
+    "degree 2 d: the monomials "
     "m of degree d of z = T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - "
     "2 d rate P - N_i > 0 for every different M_i, and m^T N_i m = 0 for all z. X bounds a cost: X > 0 and X "
     "M_i + M_i^T X + Q + K^T R K < 0. Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state "
@@ -51,6 +54,8 @@ CLAIM = (
 def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     """Return the content of certificate.json."""
     proofs: list[dict[str, Any]] = [_proof(proof) for proof in controller.proofs]
+    if controller.generator is not None and isinstance(controller.generator.certificate, Dichotomy):
+        proofs.append(_dichotomy(controller.generator.certificate))
     for of, X in controller.costs.items():
         goal = getattr(spec.objectives, of)
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
@@ -142,7 +147,7 @@ def _compensation_content(form: NormalForm) -> dict[str, Any] | None:
     loads = form.plant.loads
     if loads is None:
         return None
-    added = compensation(form.plant, form, 0)
+    added = compensation(form.plant, form, len(form.eta_names))
     return {
         "names": list(loads.names),
         "where": list(loads.where),
@@ -253,6 +258,15 @@ def _proof(proof: AnyProof) -> dict[str, Any]:
         "rate": _decimal(proof.rate),
         "margin": _decimal(proof.margin),
         "radius": _decimal(proof.radius),
+        "P": _packed(proof.integers, proof.exponents),
+    }
+
+
+def _dichotomy(proof: Dichotomy) -> dict[str, Any]:
+    return {
+        "of": proof.role.name,
+        "bounded": "both ways",
+        "margin": _decimal(proof.margin),
         "P": _packed(proof.integers, proof.exponents),
     }
 

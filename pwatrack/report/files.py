@@ -28,6 +28,7 @@ from pwatrack.report.figures import (
 )
 from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.limits import limit_content
+from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
@@ -79,7 +80,7 @@ def write_design(
             "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller.form)],
         }
         index |= _requirements(required(spec, controller))
-        index |= limit_content(spec, controller)
+        index |= limit_content(spec, controller) | preview_content(controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
         if largest is not None:
@@ -135,6 +136,7 @@ def _result_content(result: Result) -> dict[str, Any]:
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         **limit_content(result.spec, result.controller),
+        **preview_content(result.controller),
     }
     if (robust := result.controller.robust) is not None:
         along = {"along_x_d": box_figures(result, robust)}

@@ -31,6 +31,7 @@ from pwatrack.report.figures import (
     up,
 )
 from pwatrack.report.limits import limit_rows
+from pwatrack.report.preview import preview_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
@@ -92,7 +93,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         condition = "" if bounded else ", as long as x_d stays bounded, which is not proved"
         table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
-        _generator_rows(table, generator, promised.generator)
+        _generator_rows(table, spec, controller, generator)
     _promise_rows(table, controller)
     for k, text in enumerate(limit_rows(spec, controller)):
         table.add_row("" if k else "limits", text)
@@ -145,8 +146,12 @@ def _origin(goal: Goal) -> str:
     return f"designed for {', '.join(asked)}" if asked else "designed"
 
 
-def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequence[Contraction]) -> None:
-    if not proved:
+def _generator_rows(table: Table, spec: Spec, controller: Controller, generator: TrajectoryGenerator) -> None:
+    proved = controller.guarantees.generator
+    if controller.trajectory.preview is not None:
+        for k, text in enumerate(preview_rows(spec, controller)):
+            table.add_row("" if k else "(17±) preview", text)
+    elif not proved:
         table.add_row("(17) generator", "none needed: relative degree = number of states")
     else:
         table.add_row("(17) generator", f"proved{_rate(proved)}; η = {', '.join(generator.form.eta_names)}")
@@ -156,7 +161,8 @@ def _generator_rows(table: Table, generator: TrajectoryGenerator, proved: Sequen
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
     desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
-    table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0")
+    condition = "" if controller.trajectory.preview is None else ", but for what is played back"
+    table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0{condition}")
 
 
 def _rate(proved: Sequence[Contraction]) -> str:

@@ -59,7 +59,7 @@ def steady_start(trajectory: DesiredTrajectory, generator: TrajectoryGenerator |
         message = f"the reference begins with a period of {period:.3g} s, {radians:.3g} rad of the fastest sinusoid"
         raise _refused(f"{message}; up to {LONGEST_PERIOD:.0e} are followed", _REST)
     if not period:  # at rest: any time is a period, and after this one deviations are clearly smaller
-        period = 1 / generator.certificate.rate
+        period = 1 / generator.rate
     guess = np.concatenate([np.zeros(len(trajectory.names)), exosystem.w0, [1.0]])
     flow = desired_flow(generator.form.plant, trajectory)
     found = periodic_state(flow, guess, free=len(trajectory.names), period=period, subject=_GENERATOR, remedy=None)

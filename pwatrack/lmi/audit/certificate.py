@@ -11,7 +11,7 @@ from .form import normal_form
 from .matrices import Fault, transposed
 from .plant import Plant
 from .polynomials import polynomial
-from .proofs import check, cost, refuted
+from .proofs import both_ways, check, cost, refuted
 from .reading import matrix, number
 from .starts import near
 
@@ -22,7 +22,7 @@ NAMES = {
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
-KINDS = {"Z": refuted, "X": cost, "degree": polynomial}  # of proofs, by what they have
+KINDS = {"bounded": both_ways, "Z": refuted, "X": cost, "degree": polynomial}  # of proofs, by what they have
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -108,6 +108,8 @@ def claim(proof: Any, cells: list[str]) -> str:
     """Say what one entry claims."""
     if "X" in proof:
         return "the bound of the cost is proved"
+    if "bounded" in proof:
+        return "proved with a P of any sign, for a bounded solution that is played back"
     rate = f"{float(number(proof['rate'])):g} 1/s"
     if "Z" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""

@@ -26,6 +26,23 @@ def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     return faults
 
 
+def both_ways(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
+    """Return what is wrong with one proof that there is one bounded solution: the same with a P of any sign."""
+    margin, (P, powers) = number(proof["margin"]), packed(proof["P"])
+    if proof["of"] != "generator" or proof["bounded"] != "both ways":
+        return ["only a generator is played back, bounded both ways"]
+    if not P or transposed(P) != P or not matrices or any(len(M) != len(P) for M, _ in matrices):
+        return ["P is not symmetric, of the order of the matrices"]
+    faults = [] if margin > 0 else ["the margin must be positive"]
+    for i, (M, R) in unlike(matrices):
+        half = product(M, P)
+        left = added(added(half, transposed(half)), identity(len(P), margin))
+        enlarge(left, product(R, sizes(P)) if R else [], powers)
+        if not definite(left, sign=-1):
+            faults.append(f"the inequality fails in cell {i + 1}")
+    return faults
+
+
 def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
     """Return what is wrong with one bound of a cost."""
     X, Q, R = (matrix(proof[name]) for name in ("X", "Q", "R"))

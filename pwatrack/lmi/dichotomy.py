@@ -1,0 +1,130 @@
+"""(17±): one P of any sign for all cells, so that there is exactly one bounded solution.
+
+With P = Pᵀ and M_i P + P M_iᵀ ≺ 0 in all cells, d/dt eᵀPe ≤ −ε |e|² for e' = A(t) e with A(t) in the hull of the
+A_i = M_iᵀ. Such a form gives an exponential dichotomy on all of ℝ, with constants that depend on P, ε and the A_i only
+(Coppel, Dichotomies in Stability Theory, 1978, lecture 7). Hence η' = F(t, η), F continuous and piecewise affine with
+these slopes and F(·, 0) bounded, has exactly one bounded solution, periodic where F is. P ≻ 0 is (17).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
+
+from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.exact import BITS, left_side, margin_of, unpacked, whole
+from pwatrack.lmi.inequality import Inequality, Solver, lyapunov
+from pwatrack.lmi.presolve import extreme
+from pwatrack.lmi.program import Program, of_P
+from pwatrack.lmi.role import Role
+from pwatrack.lmi.solve import solve
+from pwatrack.rational import is_positive_definite
+
+_NEAR = 1e-3  # gap: any P with a margin does
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dichotomy:
+    """−(M_i P + P M_iᵀ) − margin I ≻ 0 for every i, with a P of any sign, proved exactly; P is invertible then.
+
+    Where M_i has irrational entries, for every matrix in its ball.
+
+    Attributes:
+        role: Which inequality it takes the place of.
+        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
+        margin: μ > 0, a short decimal.
+    """
+
+    role: Role
+    integers: tuple[tuple[int, ...], ...]
+    exponents: tuple[int, ...]
+    margin: float
+
+
+def prove_dichotomy(role: Role, M: Sequence[BallMatrix], *, solver: Solver = "clarabel") -> Dichotomy | None:
+    """Find such a P and prove it exactly, or return None.
+
+    Args:
+        role: Which inequality it takes the place of.
+        M: The matrices M_i of it.
+        solver: Which interior-point solver to ask.
+
+    Example: two saddles with one P, diag(1, −1).
+
+        >>> from pwatrack.lmi.role import GENERATOR
+        >>> M = [BallMatrix.of([[-2, 1], [1, a]]) for a in (1, 3)]
+        >>> prove_dichotomy(GENERATOR, M) is not None
+        True
+        >>> prove_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)]) is None  # no P: their numbers differ
+        True
+    """
+    proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M]), solver))
+    return next((proof for proof in proofs if proof is not None), None)
+
+
+def _candidates(M: Array, solver: Solver) -> Iterator[Array]:
+    """Yield matrices P: that of the mean of the cells, then one of a large margin where that one is diag(±1)."""
+    mean = M.mean(axis=0)
+    start = _hyperbolic(mean)
+    if start is None:
+        start = _hyperbolic(M[0])
+    if start is None:
+        return
+    yield start
+    values, vectors = np.linalg.eigh(start)
+    T, inverse = vectors * np.sqrt(np.abs(values)), (vectors / np.sqrt(np.abs(values))).T
+    at = inverse @ extreme(M) @ T
+    speed = float(np.linalg.norm(at, 2, axis=(1, 2)).max())
+    found = solve(_largest_margin(lyapunov(at / speed)), solver, gap=_NEAR)
+    if found is not None:
+        yield T @ found.P @ T.T
+
+
+def _hyperbolic(M: Array) -> Array | None:
+    """Return P with M P + P Mᵀ ≺ 0 for one matrix; None where an eigenvalue is on the imaginary axis."""
+    T, Z, q = schur(M, sort="lhp")
+    real = np.linalg.eigvals(M).real
+    if not np.abs(real).min() > 0:
+        return None
+    n = len(M)
+    unit = np.eye(n)
+    if 0 < q < n:
+        unit[:q, q:] = solve_sylvester(T[:q, :q], -T[q:, q:], -T[:q, q:])
+    V, P = Z @ unit, np.zeros((n, n))
+    for part, sign in ((slice(0, q), 1), (slice(q, n), -1)):
+        block = T[part, part]
+        if len(block):
+            P[part, part] = sign * solve_continuous_lyapunov(sign * block, -np.abs(np.diag(np.diag(block))))
+    found = V @ P @ V.T
+    return symmetric_part(found) / 2 if np.isfinite(found).all() else None
+
+
+def _largest_margin(inequality: Inequality) -> Program:
+    """Maximise t subject to F_i(P) ⪯ −t I for all cells and −I ⪯ P ⪯ I."""
+    n, eye = inequality.n, np.eye(inequality.n)
+    return Program(
+        constraints=(
+            replace(inequality, T=np.broadcast_to(eye, inequality.constant.shape)),
+            of_P(inequality, -1.0, eye, constant=-eye),
+            of_P(inequality, 1.0, eye, constant=-eye),
+            of_P(inequality, 1.0, np.zeros((1, n)), constant=-np.eye(1), T=np.eye(1)),
+        ),
+        price=-1.0,
+    )
+
+
+def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
+    values, vectors = np.linalg.eigh(P)
+    size = np.diag((vectors * np.abs(values)) @ vectors.T)
+    if not (np.isfinite(size).all() and (size > 0).all()):
+        return None
+    exponents = tuple((np.round(np.log2(size) / 2).astype(int) - BITS // 2).tolist())
+    integers = whole(P, exponents)
+    exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
+    left = [left_side(M_i, exact, unit) for M_i in M]
+    if not all(is_positive_definite(S) for S in left):
+        return None
+    return Dichotomy(role=role, integers=integers, exponents=exponents, margin=margin_of(left))

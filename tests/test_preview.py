@@ -1,0 +1,206 @@
+"""Zero dynamics with unstable modes: (17±), its one bounded solution, and tracking with it."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from pwatrack import design, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control.generator import trajectory_generator
+from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
+from pwatrack.errors import Infeasible, OutsideTheory
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.dichotomy import prove_dichotomy
+from pwatrack.lmi.role import GENERATOR
+from pwatrack.model.cells import Partition
+from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation.preview import bounded_solution, played_back
+from tests.conftest import SPECS
+
+T = ExponentialPolynomial.time()
+
+
+def plant_of(*, H: object, h: object, signs: Any, tolerance: float = 1e-12, **matrices: Any) -> PWASystem:
+    """A plant whose cells are named by their numbers."""
+    partition = Partition.create(H=H, h=h, signs=signs, names=[str(k) for k in range(len(signs))])
+    return PWASystem.create(partition=partition, tolerance=tolerance, **matrices)
+
+
+def saddles(seed: int) -> tuple[PWASystem, Array]:
+    """A plant η' of two cells with up to four unstable modes of 0.1 to 2,000 rad/s, and a direction to drive it."""
+    random = np.random.default_rng(seed)
+    stable, unstable = int(random.integers(0, 3)), int(random.integers(1, 5))
+    poles = np.concatenate([-(10 ** random.uniform(-1, 3.3, stable)), 10 ** random.uniform(-1, 3.3, unstable)])
+    p = len(poles)
+    V = np.linalg.qr(random.normal(size=(p, p)))[0]
+    first, P = V @ np.diag(poles) @ V.T, V @ np.diag(-np.sign(poles)) @ V.T
+    h = random.normal(size=p)
+    g = -np.linalg.solve(P, h) * 5 * abs(random.normal()) * np.abs(poles).min() / (h @ h)  # sym(P g hᵀ) ⪯ 0
+    edge = 0.2 * float(random.normal())
+    plant = plant_of(
+        A=[first, first + np.outer(g, h)],
+        b=[np.zeros(p), g * edge],
+        B=random.normal(size=(p, 1)),
+        C=np.eye(p),
+        H=[h],
+        h=[edge],
+        signs=[[-1], [1]],
+        tolerance=1e-9,
+    )
+    return plant, random.normal(size=p) * np.sqrt(np.abs(poles).max())
+
+
+def driven(plant: PWASystem, direction: Array, signal: Signal) -> DesiredTrajectory:
+    """η' = f(η) + direction · signal, as if it were a generator with x_d = η."""
+    system, p = exosystem([signal]), plant.A.shape[1]
+    rows = np.hstack([np.eye(p), np.zeros((p, len(system.w0) + 1))])
+    rate = np.zeros((len(plant.A), *rows.shape))
+    rate[:, :, :p], rate[:, :, p:-1], rate[:, :, -1] = plant.A, direction[:, None] * system.Q, plant.b
+    names = tuple(f"eta{k}" for k in range(p))
+    nothing = np.zeros((len(plant.A), 1, rows.shape[1]))
+    return DesiredTrajectory.linear(
+        plant,
+        exosystem=system,
+        names=names,
+        to_eta=np.eye(p),
+        eta_offset=np.zeros(p),
+        rate=rate,
+        x_d=rows,
+        u_ff=nothing,
+    )
+
+
+def move(at: float, span: float) -> Signal:
+    """From 0 to 1 with two continuous derivatives."""
+    rise = ExponentialPolynomial.polynomial(np.array([0, 0, 0, 10, -15, 6.0]) / span ** np.arange(6))
+    pieces = ExponentialPolynomial.constant(0.0), rise, ExponentialPolynomial.constant(1.0)
+    return Signal((0.0, at, at + span), pieces)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_bounded_solution_satisfies_its_equation(seed: int) -> None:
+    plant, direction = saddles(seed)
+    speed = 10 ** np.random.default_rng(seed).uniform(-1, 1.5)
+    wave = (speed * T).sin() + 0.3 * (2 * speed * T).cos()
+    signal, duration = (Signal.of(wave), 15 / speed) if seed % 2 else (move(1.0, 1 / speed), 3.0 + 1 / speed)
+    signals, preview = bounded_solution(driven(plant, direction, signal), duration)
+    assert (preview.residual <= 1e-9 * preview.terms).all()
+    random = np.random.default_rng(seed)
+    for t in random.uniform(0, duration, 20):  # and without its own word for it
+        eta = np.array([s(t) for s in signals])
+        slope = np.array([s(t, derivative=1) for s in signals])
+        cell = plant.partition.locate(eta)
+        terms = np.abs(plant.A[cell]) @ np.abs(eta) + np.abs(plant.b[cell]) + np.abs(direction * signal(t))
+        np.testing.assert_array_less(
+            np.abs(slope - plant.A[cell] @ eta - plant.b[cell] - direction * signal(t)), 1e-9 * terms + 1e-12
+        )
+
+
+def test_it_is_that_of_a_second_method() -> None:
+    """The hand test of two saddles with one P, driven through both cells: solve_bvp over a period."""
+    plant = plant_of(
+        A=[[[-2, 1], [1, 1]], [[-2, 1], [1, 3]]],
+        b=[[0, 0], [0, 0.2]],
+        B=[[1], [1]],
+        C=np.eye(2),
+        H=[[0, 1]],
+        h=[0.1],
+        signs=[[-1], [1]],
+    )
+    signals, _ = bounded_solution(driven(plant, np.ones(2), Signal.of((2 * T).sin())), np.pi)
+
+    def slope(t: Array, eta: Array) -> Array:
+        upper = 2 * np.maximum(eta[1] + 0.1, 0.0)
+        return np.vstack([-2 * eta[0] + eta[1], eta[0] + eta[1] + upper]) + np.sin(2 * t)
+
+    mesh = np.linspace(0, np.pi, 400)
+    found: Any = solve_bvp(slope, lambda a, b: a - b, mesh, np.zeros((2, 400)), tol=1e-9, max_nodes=100_000)
+    assert found.success
+    for t in np.linspace(0, np.pi, 50, endpoint=False):
+        np.testing.assert_allclose([s(t) for s in signals], found.sol(t), atol=1e-7)
+
+
+def test_a_move_is_prepared_for_and_forgotten() -> None:
+    """η' = 3 η − y_d has η = ∫ e^(−3 s) y_d(t + s) ds over all that is to come: e^(−3 (1 − t)) before a move at 1."""
+    plant = plant_of(A=[[[3]]] * 2, b=[[0]] * 2, B=[[1]], C=[[1]], H=[[1]], h=[0], signs=[[-1], [1]])
+    (eta,), preview = bounded_solution(driven(plant, -np.ones(1), move(1.0, 0.5)), 4.0)
+    assert eta(0.4) == pytest.approx(eta(0.9) * np.exp(-1.5), rel=1e-9)
+    assert eta(4.0) == pytest.approx(1 / 3, rel=1e-12)
+    lead = np.log(eta(1.0) / (1e-3 * 1 / 3)) / 3  # when it has gone 1/1000 of its way
+    assert preview.lead == pytest.approx(min(1.0, lead), abs=0.05)
+
+
+def test_a_played_back_trajectory_has_no_filter() -> None:
+    spec = load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml")
+    controller = design(spec)
+    trajectory, generator = controller.trajectory, controller.generator
+    assert generator is not None
+    assert generator.played_back
+    assert trajectory.rate.shape[1] == 0
+    y_d = exosystem([Signal.of((2 * T).sin() * 0.1)])
+    again = played_back(output_trajectory(generator, y_d), 1.0)
+    start = np.append(again.exosystem.w0, 1.0)
+    assert (controller.plant.tracked @ again.x_d[0] @ start) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_an_unknown_load_is_compensated_too() -> None:
+    result = simulate(load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml"))
+    assert result.final_error < 1e-8
+    assert np.abs(result.response.estimates[-1]) == pytest.approx([0.5], rel=1e-6)
+
+
+def test_a_load_that_moves_what_is_worked_out_is_refused(tmp_path: Any) -> None:
+    text = (SPECS / "gallery" / "cart_and_pole_on_the_move.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "spec.yaml"
+    text = text.replace("estimate: input", "estimate: {wind: {into: {w: 1}}}").replace(", load_F: N", "")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(OutsideTheory, match="the load wind acts on η"):
+        design(load_spec(path))
+
+
+def test_cells_with_different_numbers_of_unstable_modes_have_no_P() -> None:
+    M = [BallMatrix.of([[a]]) for a in (1, -1)]
+    assert prove_dichotomy(GENERATOR, M) is None
+    plant = plant_of(
+        A=[[[0, 1, 0], [0, 0, 1], [0, 0, 1]], [[0, 1, 0], [0, 0, 1], [0, 0, -1]]],
+        b=[[0, 0, 0]] * 2,
+        B=[[0], [1], [0]],
+        C=[[1, 0, 0]],
+        H=[[0, 0, 1]],
+        h=[0],
+        signs=[[1], [-1]],
+    )
+    with pytest.raises(Infeasible, match=r"no P of any sign, \(17±\): 0 of the eigenvalues"):
+        trajectory_generator(normal_form(plant))
+
+
+def test_the_auditor_reads_the_proof(tmp_path: Any) -> None:
+    spec = load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml")
+    content = json.loads(json.dumps(design_certificate(spec, design(spec))))
+    said, faults = audit(json.dumps(content))
+    assert not faults
+    assert "(17) generator: proved with a P of any sign, for a bounded solution that is played back" in said
+    (proof,) = (proof for proof in content["proofs"] if "bounded" in proof)
+    kept = json.dumps(proof)
+    for spoiled in (
+        {"P": {**proof["P"], "integers": [[-v for v in row] for row in proof["P"]["integers"]]}},
+        {"margin": "1e3"},
+        {"margin": "0"},
+        {"of": "controller"},
+    ):
+        proof.update(json.loads(kept) | spoiled)
+        assert audit(json.dumps(content))[1]
+
+
+def test_a_generator_that_runs_is_left_to_run() -> None:
+    controller = design(load_spec(SPECS / "two_mass_backlash.yaml"))
+    assert controller.trajectory.preview is None
+    assert controller.left_by_preview == 0.0
