@@ -288,7 +288,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
         assert not any(e.before[3] % 3 != 1 or e.after[3] % 3 != 1 for e in trace.events)
         response = loop.response(trace)
         seen.append(np.abs(response.u - response.u_ff).max())
-    assert 0.98 * limited.left[0] < max(seen) <= limited.left[0]
+    assert 0.7 * limited.left[0] < max(seen) <= limited.left[0]
 
 
 def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path: Path) -> None:
