@@ -85,6 +85,8 @@ def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None
         e = np.hstack([x, np.zeros(own.shape)])
         e[:, 0] -= x_d
         yield Starts(kind="ensemble" if varied else "run", e=e, delta=np.hstack([x_hat - x, own]))
+        if varied:
+            yield Starts(kind="members", e=e[:, : x.shape[1]])
 
 
 def _columns(region: Region | None, point: Array) -> Array:

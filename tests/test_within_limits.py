@@ -238,7 +238,7 @@ def moved(controller: Controller, promise: Promise, seed: int) -> float:
     assert promise.held is not None
     size = np.array(promise.held.sizes)
     for _ in range(12):
-        corner = promise.G @ random.choice([-1.0, 1.0], size=promise.G.shape[1])
+        corner = promise.starts.G @ random.choice([-1.0, 1.0], size=promise.starts.G.shape[1])
         z = np.concatenate([corner, np.zeros(2 * n - len(corner))])
         hold = int(random.integers(1, 30))
         for k in range(400):
@@ -263,7 +263,9 @@ def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
         assert moved(controller, promise, seed) <= 1
         assert promise.held is not None
         K = controller.design.K
-        least = np.abs(K @ np.hstack([promise.G] if promise.starts.delta is None else np.split(promise.G, 2))).sum()
+        least = np.abs(
+            K @ np.hstack([promise.starts.G] if promise.starts.delta is None else np.split(promise.starts.G, 2))
+        ).sum()
         assert promise.held.sizes[0] <= 2 * least  # Σ |K_k| s_k is reached at the start
 
 
@@ -281,7 +283,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
     x_d = controller.trajectory.state(np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]]))
     seen = []
     for signs in product((-1.0, 1.0), repeat=4):
-        x = x_d + scale * exact.G @ np.array(signs)
+        x = x_d + scale * exact.starts.G @ np.array(signs)
         trace = simulate_flow(
             loop.flow, loop.start(plant=x, observer=x, generator=eta), duration=20.0, sample_time=0.005
         )
@@ -322,8 +324,10 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
     path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-100, 100]", MORE=more)
     spec = load_spec(path)
     found, _ = limited(spec)
-    run, members = found.starts[2:]
-    assert (run.kind, members.kind) == ("run", "ensemble")
+    run, members, right = found.starts[2:]
+    assert (run.kind, members.kind, right.kind) == ("run", "ensemble", "members")
+    assert right.delta is None
+    assert np.array_equal(right.e, members.e)
     assert run.e[:, 0] == pytest.approx([0.3, -0.5])
     assert run.delta is not None
     assert members.delta is not None
@@ -456,3 +460,32 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-6
     scales = [[p.scale(c.limited.left) for p in c.promises] for c in found if c.limited and c.limited.left is not None]
     assert scales[0] == pytest.approx(scales[1], rel=2e-3)
+
+
+def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -> None:
+    """They are larger than the sizes, so that the gain is smaller; a certificate with other starts is found out."""
+    starts = "initial: {plant: [0, 0]}\n  ensemble: {initial: {plant: {z: [-1, 1], v: [-1, 1]}}}"
+    text = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1}\n  units:").replace("slope: 50", "slope: 2")
+    gains = []
+    for more in (starts, "portraits: []"):
+        path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=more)
+        controller = design(load_spec(path))
+        gains.append(controller.design.K)
+        found = controller.limited
+        assert found is not None
+        assert found.left is not None
+        kinds = {p.starts.kind: p.scale(found.left) for p in controller.promises}
+        assert kinds["members" if more == starts else "exact"] >= 1
+        assert ("ensemble" in kinds) == (more == starts)
+    assert np.abs(gains[0][0, 0]) < np.abs(gains[1][0, 0])
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=starts)
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "designed within the limits" in said
+    assert "no limit is ever reached from the starts of its ensemble with x̂ = x" in said
+    assert any("it belongs to" in line for line in verify(tmp_path / "out", path))
+    certificate = tmp_path / "out" / "certificate.json"
+    content = json.loads(certificate.read_text(encoding="utf-8"))
+    content["limits"][0]["starts"][0][0] = "0.4"
+    certificate.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(CheckFailed, match="the starts from which limits are kept are not those of"):
+        verify(tmp_path / "out", path)

@@ -74,14 +74,19 @@ class Starts:
 
     Attributes:
         kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
-            run. "ensemble": those of its members.
+            run. "ensemble": those of its members. "members": the same with Δ = 0.
         e: Rows of G for e, (n, k).
         delta: Rows of G for Δ, (n, k), or None for Δ = 0.
     """
 
-    kind: Literal["exact", "sizes", "run", "ensemble"]
+    kind: Literal["exact", "sizes", "run", "ensemble", "members"]
     e: Array
     delta: Array | None = None
+
+    @property
+    def G(self) -> Array:
+        """The starts as their loop has them, (n, k) or (2 n, k)."""
+        return self.e if self.delta is None else np.vstack([self.e, self.delta])
 
     @classmethod
     def within(cls, sizes: Array) -> tuple["Starts", "Starts"]:
@@ -106,11 +111,6 @@ class Promise:
     loop: Loop
     inputs: tuple[int, ...]
     held: Held | None
-
-    @property
-    def G(self) -> Array:
-        """The starts as the loop has them, (n, k) or (2 n, k)."""
-        return self.starts.e if self.starts.delta is None else np.vstack([self.starts.e, self.starts.delta])
 
     def scale(self, left: Array) -> float:
         """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
@@ -149,10 +149,10 @@ def promises(
             continue
         rows = reduce(above, (loops.row(loop, ("input", k)) for k in inputs))
         promise = Promise(starts=one, loop=loop, inputs=inputs, held=None)
-        if not promise.G.any() or not any(rows.centre.entries()):
+        if not promise.starts.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
-        tries = (held(loops.M[loop], promise.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
+        tries = (held(loops.M[loop], promise.starts.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
         found += [best] if best else []
     return tuple(found)
@@ -191,7 +191,7 @@ class Limited:
         left = self.left
         if left is None:
             return None
-        members = [one.e for one in self.starts if one.kind == "ensemble"]
+        members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
         return Within(starts=e[:, e.any(axis=0)], left=left)
 

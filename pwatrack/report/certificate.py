@@ -279,8 +279,9 @@ def _limit(promise: Promise) -> dict[str, Any]:
     held = promise.held
     assert held is not None
     return {
+        "of": promise.starts.kind,
         "loop": promise.loop,
-        "starts": decimals(promise.G),
+        "starts": decimals(promise.starts.G),
         "weights": [_decimal(w) for w in held.weights],
         "Q": {"integers": [list(row) for row in held.integers], "exponents": list(held.exponents)},
         "signals": _sizes((("input", k), size) for k, size in zip(promise.inputs, held.sizes, strict=True)),

@@ -86,6 +86,7 @@ def _promise_rows(controller: Controller, limited: Limited) -> Iterator[str]:
         else:
             starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
             starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
+            starts += " with x̂ = x" * (kind == "members")
         yield f"in the loop as designed no limit is ever reached from {starts}"
     if limited.left is not None and not limited.promises:
         yield "from which starts no limit is ever reached could not be proved"
