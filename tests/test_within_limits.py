@@ -24,6 +24,8 @@ from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.conditions import Conditions
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
@@ -256,7 +258,7 @@ def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
     loop = track(random_plant(seed, n=int(random.integers(r, 5)), k=2, r=r, strength=0.05), "sin(t)")
     controller = loop.controller
     sizes = controller.sizes
-    starts = Starts.within(sizes.state)
+    starts = Starts.within(sizes)
     found = promises(controller.plant, controller.design, controller.proofs, sizes.input, starts)
     assert [p.starts.kind for p in found] == ["exact", "sizes"]
     for promise in found:
@@ -489,3 +491,48 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
     certificate.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(CheckFailed, match="the starts from which limits are kept are not those of"):
         verify(tmp_path / "out", path)
+
+
+def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_path: Path) -> None:
+    """Errors of x, of x̂ and the load, all at once, in the loop with its limits."""
+    sizes = "  sizes: {z: 0.1, v: 0.3, load_u: 0.5}\n  units:"
+    text = STAGE.replace("  units:", sizes).replace("slope: 50", "slope: 2")
+    text = text.replace("reference:", "design: {estimate: input, observer: {rate: 3}}\nreference:")
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
+    spec = load_spec(path)
+    controller = design(spec)
+    found = controller.limited
+    assert found is not None
+    assert found.left is not None
+    promise = next(p for p in controller.promises if p.starts.kind == "sizes")
+    assert promise.loads == (0.5,)
+    scale = promise.scale(found.left)
+    assert scale > 0.02
+    random = np.random.default_rng(1)
+    most = 0.0
+    for _ in range(12):
+        z = scale * promise.starts.G @ random.choice([-1.0, 1.0], size=promise.starts.G.shape[1])
+        push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, -z[4] / 2)])
+        loop = closed_loop(controller, Conditions(limits=found.limits, disturbance=push))
+        x = np.array([0.0, 0.1]) + z[:2]
+        start = loop.start(plant=x, observer=x + z[2:4], generator=np.zeros(0))
+        trace = simulate_flow(loop.flow, start, duration=8.0, sample_time=0.002)
+        limit = [part.name for part in loop.flow.parts].index("actuator u")
+        assert not any(e.before[limit] != e.after[limit] for e in trace.events)
+        response = loop.response(trace)
+        nominal = response.u_ff + response.estimates
+        most = max(most, float(np.abs(response.u - nominal).max()))
+    assert 0.3 * found.left[0] < most <= found.left[0]
+    out = tmp_path / "out"
+    said = " ".join(call("design", path, "--out", out).stdout.split())
+    assert "from each |x_k − x_dk| and |x̂_k − x_k| and each load up to" in said
+    content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
+    assert audit(json.dumps(content))[1] == []
+    content["limits"][1]["signals"][0][0] = "input"
+    assert "limits of inputs are said of 'drive' here" in audit(json.dumps(content))[1][0]
+
+
+def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right_estimates(tmp_path: Path) -> None:
+    text = STAGE.replace("reference:", "design: {estimate: {hum: {into: {v: 1/m}, frequency: 3}}}\nreference:")
+    controller = design(load_spec(written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]")))
+    assert [p.starts.kind for p in controller.promises] == ["exact"]

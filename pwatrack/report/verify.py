@@ -226,7 +226,7 @@ def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:
     return all(
         [float(np.nextafter(size, np.inf)) for size in entry["inputs"].values()]
         == [float(number(size)) for *_, size in entry_proved["signals"]]
-        and all(entry["scale"] * size <= left[name] for name, size in entry["inputs"].items())
+        and all(entry["scale"] * (size + entry["loads"][name]) <= left[name] for name, size in entry["inputs"].items())
         for entry, entry_proved in zip(moved, proved, strict=True)
     )
 
