@@ -52,7 +52,7 @@ def room_within_limits(
     if lasting is not None:
         _check(spec, limits, lasting)
         peak = None if peak is None else peak.with_also(lasting)
-    starts = (*Starts.within(sizes.state), *starts_of(spec, trajectory, given, sizes))
+    starts = (*Starts.within(sizes), *starts_of(spec, trajectory, given, sizes))
     return Limited(limits=limits, lasting=lasting, peak=peak, starts=starts)
 
 

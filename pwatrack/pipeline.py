@@ -84,8 +84,10 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
-            limited=None if limited is None else limited.promising(plant, gains, proofs),
         )
+        if limited is not None:
+            promising = limited.promising(plant, gains, proofs, controller.compensation)
+            controller = replace(controller, limited=promising)
     box = goals.uncertain
     return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
 

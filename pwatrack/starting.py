@@ -61,7 +61,8 @@ def initial_values(values: Array | None, length: int, part: str) -> Array:
 def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None, sizes: Sizes) -> Iterator[Starts]:
     """Yield the errors with which a run begins, and the members of its ensemble, where it is known where x_d does.
 
-    Noise and steps of a sensor are left out.
+    Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated. Estimates of loads
+    start at 0.
 
     Args:
         spec: It says where plant and observer start.
@@ -74,7 +75,10 @@ def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None
         return
     eta = np.zeros(0) if generator is None else generator
     x_d = trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
-    n = len(x_d)
+    n, loads, disturbance = len(x_d), plant.loads, spec.scenario.conditions.disturbance
+    acting = np.zeros(len(sizes.load))
+    if loads is not None and disturbance is not None and loads.are(disturbance):
+        acting[list(loads.where)] = -loads.truth(disturbance.Q, disturbance.rates) @ disturbance.w0
     for varied in ({}, regions) if regions else ({},):
         x = _columns(varied.get("plant"), initial_values(initial.plant, n, "plant"))
         if isinstance(initial.observer, Measured):
@@ -84,7 +88,16 @@ def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None
             x_hat, own = np.hstack([start[:, :1], np.zeros((n, x.shape[1] - 1))]), start[:, 1:]
         e = np.hstack([x, np.zeros(own.shape)])
         e[:, 0] -= x_d
-        yield Starts(kind="ensemble" if varied else "run", e=e, delta=np.hstack([x_hat - x, own]))
+        load = np.zeros((len(sizes.load), e.shape[1]))
+        load[:, 0] = acting
+        yield Starts(
+            kind="ensemble" if varied else "run",
+            e=e,
+            delta=np.hstack([x_hat - x, own]),
+            load=load if len(load) else None,
+        )
+        if varied:
+            yield Starts(kind="members", e=e[:, : x.shape[1]])
 
 
 def _columns(region: Region | None, point: Array) -> Array:

@@ -24,6 +24,8 @@ from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.conditions import Conditions
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
@@ -238,7 +240,7 @@ def moved(controller: Controller, promise: Promise, seed: int) -> float:
     assert promise.held is not None
     size = np.array(promise.held.sizes)
     for _ in range(12):
-        corner = promise.G @ random.choice([-1.0, 1.0], size=promise.G.shape[1])
+        corner = promise.starts.G @ random.choice([-1.0, 1.0], size=promise.starts.G.shape[1])
         z = np.concatenate([corner, np.zeros(2 * n - len(corner))])
         hold = int(random.integers(1, 30))
         for k in range(400):
@@ -256,14 +258,16 @@ def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
     loop = track(random_plant(seed, n=int(random.integers(r, 5)), k=2, r=r, strength=0.05), "sin(t)")
     controller = loop.controller
     sizes = controller.sizes
-    starts = Starts.within(sizes.state)
+    starts = Starts.within(sizes)
     found = promises(controller.plant, controller.design, controller.proofs, sizes.input, starts)
     assert [p.starts.kind for p in found] == ["exact", "sizes"]
     for promise in found:
         assert moved(controller, promise, seed) <= 1
         assert promise.held is not None
         K = controller.design.K
-        least = np.abs(K @ np.hstack([promise.G] if promise.starts.delta is None else np.split(promise.G, 2))).sum()
+        least = np.abs(
+            K @ np.hstack([promise.starts.G] if promise.starts.delta is None else np.split(promise.starts.G, 2))
+        ).sum()
         assert promise.held.sizes[0] <= 2 * least  # Σ |K_k| s_k is reached at the start
 
 
@@ -281,14 +285,14 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
     x_d = controller.trajectory.state(np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]]))
     seen = []
     for signs in product((-1.0, 1.0), repeat=4):
-        x = x_d + scale * exact.G @ np.array(signs)
+        x = x_d + scale * exact.starts.G @ np.array(signs)
         trace = simulate_flow(
             loop.flow, loop.start(plant=x, observer=x, generator=eta), duration=20.0, sample_time=0.005
         )
         assert not any(e.before[3] % 3 != 1 or e.after[3] % 3 != 1 for e in trace.events)
         response = loop.response(trace)
         seen.append(np.abs(response.u - response.u_ff).max())
-    assert 0.98 * limited.left[0] < max(seen) <= limited.left[0]
+    assert 0.7 * limited.left[0] < max(seen) <= limited.left[0]
 
 
 def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path: Path) -> None:
@@ -322,8 +326,10 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
     path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-100, 100]", MORE=more)
     spec = load_spec(path)
     found, _ = limited(spec)
-    run, members = found.starts[2:]
-    assert (run.kind, members.kind) == ("run", "ensemble")
+    run, members, right = found.starts[2:]
+    assert (run.kind, members.kind, right.kind) == ("run", "ensemble", "members")
+    assert right.delta is None
+    assert np.array_equal(right.e, members.e)
     assert run.e[:, 0] == pytest.approx([0.3, -0.5])
     assert run.delta is not None
     assert members.delta is not None
@@ -456,3 +462,77 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-6
     scales = [[p.scale(c.limited.left) for p in c.promises] for c in found if c.limited and c.limited.left is not None]
     assert scales[0] == pytest.approx(scales[1], rel=2e-3)
+
+
+def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -> None:
+    """They are larger than the sizes, so that the gain is smaller; a certificate with other starts is found out."""
+    starts = "initial: {plant: [0, 0]}\n  ensemble: {initial: {plant: {z: [-1, 1], v: [-1, 1]}}}"
+    text = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1}\n  units:").replace("slope: 50", "slope: 2")
+    gains = []
+    for more in (starts, "portraits: []"):
+        path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=more)
+        controller = design(load_spec(path))
+        gains.append(controller.design.K)
+        found = controller.limited
+        assert found is not None
+        assert found.left is not None
+        kinds = {p.starts.kind: p.scale(found.left) for p in controller.promises}
+        assert kinds["members" if more == starts else "exact"] >= 1
+        assert ("ensemble" in kinds) == (more == starts)
+    assert np.abs(gains[0][0, 0]) < np.abs(gains[1][0, 0])
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=starts)
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "designed within the limits" in said
+    assert "no limit is ever reached from the starts of its ensemble with x̂ = x" in said
+    assert any("it belongs to" in line for line in verify(tmp_path / "out", path))
+    certificate = tmp_path / "out" / "certificate.json"
+    content = json.loads(certificate.read_text(encoding="utf-8"))
+    content["limits"][0]["starts"][0][0] = "0.4"
+    certificate.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(CheckFailed, match="the starts from which limits are kept are not those of"):
+        verify(tmp_path / "out", path)
+
+
+def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_path: Path) -> None:
+    """Errors of x, of x̂ and the load, all at once, in the loop with its limits."""
+    sizes = "  sizes: {z: 0.1, v: 0.3, load_u: 0.5}\n  units:"
+    text = STAGE.replace("  units:", sizes).replace("slope: 50", "slope: 2")
+    text = text.replace("reference:", "design: {estimate: input, observer: {rate: 3}}\nreference:")
+    path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
+    spec = load_spec(path)
+    controller = design(spec)
+    found = controller.limited
+    assert found is not None
+    assert found.left is not None
+    promise = next(p for p in controller.promises if p.starts.kind == "sizes")
+    assert promise.loads == (0.5,)
+    scale = promise.scale(found.left)
+    assert scale > 0.02
+    random = np.random.default_rng(1)
+    most = 0.0
+    for _ in range(12):
+        z = scale * promise.starts.G @ random.choice([-1.0, 1.0], size=promise.starts.G.shape[1])
+        push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, -z[4] / 2)])
+        loop = closed_loop(controller, Conditions(limits=found.limits, disturbance=push))
+        x = np.array([0.0, 0.1]) + z[:2]
+        start = loop.start(plant=x, observer=x + z[2:4], generator=np.zeros(0))
+        trace = simulate_flow(loop.flow, start, duration=8.0, sample_time=0.002)
+        limit = [part.name for part in loop.flow.parts].index("actuator u")
+        assert not any(e.before[limit] != e.after[limit] for e in trace.events)
+        response = loop.response(trace)
+        nominal = response.u_ff + response.estimates
+        most = max(most, float(np.abs(response.u - nominal).max()))
+    assert 0.3 * found.left[0] < most <= found.left[0]
+    out = tmp_path / "out"
+    said = " ".join(call("design", path, "--out", out).stdout.split())
+    assert "from each |x_k − x_dk| and |x̂_k − x_k| and each load up to" in said
+    content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
+    assert audit(json.dumps(content))[1] == []
+    content["limits"][1]["signals"][0][0] = "input"
+    assert "limits of inputs are said of 'drive' here" in audit(json.dumps(content))[1][0]
+
+
+def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right_estimates(tmp_path: Path) -> None:
+    text = STAGE.replace("reference:", "design: {estimate: {hum: {into: {v: 1/m}, frequency: 3}}}\nreference:")
+    controller = design(load_spec(written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]")))
+    assert [p.starts.kind for p in controller.promises] == ["exact"]

@@ -56,7 +56,7 @@ _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "start", "input"], int]
-Form = tuple[Literal["output", "state", "input", "estimate", "coupling"], int]
+Form = tuple[Literal["output", "state", "input", "estimate", "coupling", "drive"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +181,7 @@ class Loops:
             "controller": [A_i + B @ K for A_i in A],
             "observer": [A_i + L @ seen.C for A_i in different(seen.A)],
         }
+        self.at_inputs = () if plant.loads is None else plant.loads.inputs(exact.B) or ()
         few = len(A) ** 2 * (n + N) ** 4 <= MOST_WORK
         self.few_pairs, self.few_cells = few, len(A) * N**4 <= MOST_WORK
         self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
@@ -298,10 +299,13 @@ class Loops:
         elif kind == "estimate":
             delta = _column(BallMatrix(identity(self.N)), k)
         else:
-            rows = {"output": self.c, "input": self.K}.get(kind, BallMatrix(identity(self.n)))
+            rows = {"output": self.c, "input": self.K, "drive": self.K}.get(kind, BallMatrix(identity(self.n)))
             e = _column(rows.transpose(), k)
-        if kind == "input":
-            delta = above(e, BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1)))
+        if kind in ("input", "drive"):
+            loads = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
+            if kind == "drive":  # less what estimates of loads at this input take off it
+                loads = BallMatrix.of([[-int(j == k)] for j in self.at_inputs], (self.N - self.n, 1))
+            delta = above(e, loads)
         return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
 
 

@@ -14,12 +14,15 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Loop, Loops
+from pwatrack.control.compensation import Compensation
 from pwatrack.control.synthesis import Design
 from pwatrack.control.within import Within
 from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.starts import Held, held
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
+_ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 _LITTLE = 1e-3  # of a size: what any error may be at least
 _OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
 
@@ -74,21 +77,30 @@ class Starts:
 
     Attributes:
         kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
-            run. "ensemble": those of its members.
+            run. "ensemble": those of its members. "members": the same with Δ = 0.
         e: Rows of G for e, (n, k).
         delta: Rows of G for Δ, (n, k), or None for Δ = 0.
+        load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
+            sign, (p, k). None where Δ = 0: then no load acts.
     """
 
-    kind: Literal["exact", "sizes", "run", "ensemble"]
+    kind: Literal["exact", "sizes", "run", "ensemble", "members"]
     e: Array
     delta: Array | None = None
+    load: Array | None = None
+
+    @property
+    def G(self) -> Array:
+        """The starts as their loop has them, (n, k), (2 n, k) or (2 n + p, k)."""
+        return np.vstack([rows for rows in (self.e, self.delta, self.load) if rows is not None])
 
     @classmethod
-    def within(cls, sizes: Array) -> tuple["Starts", "Starts"]:
-        """Return the starts within the sizes of states (n,), with the right x̂ and with another one."""
-        box, nothing = np.diag(sizes), np.zeros((len(sizes), len(sizes)))
-        both = cls(kind="sizes", e=np.hstack([box, nothing]), delta=np.hstack([nothing, box]))
-        return cls(kind="exact", e=box), both
+    def within(cls, sizes: Sizes) -> tuple["Starts", "Starts"]:
+        """Return the starts within sizes, with the right x̂, and with another one and loads."""
+        n, p = len(sizes.state), len(sizes.load)
+        box = np.diag(np.concatenate([sizes.state, sizes.state, sizes.load]))
+        both = cls(kind="sizes", e=box[:n], delta=box[n : 2 * n], load=box[2 * n :] if p else None)
+        return cls(kind="exact", e=np.diag(sizes.state)), both
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,17 +112,14 @@ class Promise:
         loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
         inputs: Those that have limits.
         held: The ellipsoid; None where no input is moved.
+        loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
     """
 
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
     held: Held | None
-
-    @property
-    def G(self) -> Array:
-        """The starts as the loop has them, (n, k) or (2 n, k)."""
-        return self.starts.e if self.starts.delta is None else np.vstack([self.starts.e, self.starts.delta])
+    loads: tuple[float, ...]
 
     def scale(self, left: Array) -> float:
         """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
@@ -118,19 +127,27 @@ class Promise:
         Args:
             left: How far each input may be from its feedforward, (m,).
         """
-        if self.held is None:
-            return np.inf
-        ratios = (float(left[k]) / size for k, size in zip(self.inputs, self.held.sizes, strict=True) if size)
+        sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
+        moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
+        ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
         return min(ratios, default=np.inf) * (1 - 1e-12)
 
 
 def promises(
-    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], left: Array, starts: Sequence[Starts]
+    plant: PWASystem,
+    design: Design,
+    proofs: Sequence[AnyProof],
+    left: Array,
+    starts: Sequence[Starts],
+    added: Compensation | None = None,
 ) -> tuple[Promise, ...]:
     """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
 
     With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
-    are estimated only the first is looked at: while none acts, and its estimate is 0.
+    are estimated the first is about a time when none acts, and its estimate is 0. The second is looked at where all are
+    constants s at inputs: then x_d does not depend on them, and with Δ of x̂ − x and σ = ŝ − s
+
+        u − u_ff = K (e + Δ) − ŝ = (K (e + Δ) − σ) − s,    u_ff without estimates.
 
     Args:
         plant: The system (1).
@@ -138,24 +155,39 @@ def promises(
         proofs: What `prove_design` returned for them.
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
+        added: What estimates of loads add to the desired trajectory.
     """
     K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
     p = L.shape[0] - plant.exact.B.shape[0]
     loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
+    taken_off = added is not None and _taken_off(added, loops.at_inputs)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
     for one in starts:
         loop: Loop = "controller" if one.delta is None else "joint"
-        if loop not in loops.M or (plant.loads is not None and one.delta is not None):
+        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not taken_off)):
             continue
-        rows = reduce(above, (loops.row(loop, ("input", k)) for k in inputs))
-        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None)
-        if not promise.G.any() or not any(rows.centre.entries()):
+        kind: Literal["drive", "input"] = "drive" if p and loop == "joint" else "input"
+        rows = reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
+        acting = np.zeros(p) if one.load is None else np.abs(one.load).sum(axis=1)
+        loads = tuple(
+            float(acting[np.array(loops.at_inputs, dtype=int) == k].sum()) if acting.any() else 0.0 for k in inputs
+        )
+        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
+        if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
-        tries = (held(loops.M[loop], promise.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
+        tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
         found += [best] if best else []
     return tuple(found)
+
+
+def _taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
+    """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
+    if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
+        return False
+    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at_inputs)]
+    return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,11 +223,13 @@ class Limited:
         left = self.left
         if left is None:
             return None
-        members = [one.e for one in self.starts if one.kind == "ensemble"]
+        members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
         return Within(starts=e[:, e.any(axis=0)], left=left)
 
-    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof]) -> "Limited":
-        """Return the same with what is proved of a design."""
+    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof], added: Compensation) -> "Limited":
+        """Return the same with what is proved of a design; see `promises`."""
         left = self.left
-        return self if left is None else replace(self, promises=promises(plant, design, proofs, left, self.starts))
+        if left is None:
+            return self
+        return replace(self, promises=promises(plant, design, proofs, left, self.starts, added))

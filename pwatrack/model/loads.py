@@ -86,6 +86,29 @@ class Loads:
         """The entries of s that belong to each load."""
         return tuple(tuple(range(k, k + load.order)) for k, load in zip(self.where, self.each, strict=True))
 
+    def inputs(self, B: BallMatrix) -> tuple[int, ...] | None:
+        """Return the input that each load is added to, if all are constants that are added to inputs, exactly.
+
+        Args:
+            B: (n, m).
+
+        Example:
+            >>> from pwatrack.real import Real
+            >>> loads = Loads.of([Load(name="push", into={1: Real.of(2)})], states=2)
+            >>> loads.inputs(BallMatrix.of([[1, 0], [0, 2]])), loads.inputs(BallMatrix.of([[1, 0], [0, 3]]))
+            ((1,), None)
+        """
+        (n, m), found = B.shape, []
+        if self.E.radius is not None or B.radius is not None or len(self.where) < self.S.shape[0]:
+            return None
+        if int(np.linalg.matrix_rank(B.floats / np.linalg.norm(B.floats, axis=0))) < m:
+            return None
+        columns = [B.part(range(n), [k]).centre for k in range(m)]
+        for k in range(self.E.shape[1]):
+            same = [j for j, column in enumerate(columns) if column == self.E.part(range(n), [k]).centre]
+            found += same[:1]
+        return tuple(found) if len(found) == self.E.shape[1] else None
+
     def observed(self, A_i: BallMatrix) -> BallMatrix:
         """Return [A_i, E; 0, S]: the plant and its loads as one system, which the observer runs."""
         nothing = BallMatrix.of(np.zeros((self.S.shape[0], A_i.shape[0])))

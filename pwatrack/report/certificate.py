@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,8 +44,9 @@ CLAIM = (
     "a mean of those of the corners, with the same weights in all cells, and may change with time: what 1 at most in "
     "an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff can make of each signal from x = x_hat = x_d on; entries "
     "without a bound are 0. Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d "
-    "= starts v with x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time. Multipliers "
-    "Z_i prove, for the numbers as they are written, that no such P exists for any "
+    "= starts v with x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time; drive: with "
+    "constant loads at inputs (x - x_d, x_hat - x, s_hat - s) = starts v, u_ff without estimates, and u + s for u. "
+    "Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
     "gain, or for the one that is given. The file can be checked with pwatrack verify, or with the folder audit of "
     "pwatrack alone."
 )
@@ -292,12 +293,14 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
 def _limit(promise: Promise) -> dict[str, Any]:
     held = promise.held
     assert held is not None
+    kind: Literal["drive", "input"] = "input" if promise.starts.load is None else "drive"
     return {
+        "of": promise.starts.kind,
         "loop": promise.loop,
-        "starts": decimals(promise.G),
+        "starts": decimals(promise.starts.G),
         "weights": [_decimal(w) for w in held.weights],
         "Q": {"integers": [list(row) for row in held.integers], "exponents": list(held.exponents)},
-        "signals": _sizes((("input", k), size) for k, size in zip(promise.inputs, held.sizes, strict=True)),
+        "signals": _sizes(((kind, k), size) for k, size in zip(promise.inputs, held.sizes, strict=True)),
     }
 
 

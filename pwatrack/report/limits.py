@@ -1,6 +1,6 @@
 """What is said of limits of inputs: what the feedforward takes of them, and which starts never lead to them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,8 @@ def limit_content(spec: Spec, controller: Controller) -> dict[str, Any]:
         {
             "starts": p.starts.kind,
             "scale": float(p.scale(left)) if np.isfinite(p.scale(left)) else None,
-            "inputs": _sizes(spec, p),
+            "inputs": _sizes(spec, p, p.held.sizes if p.held else [0.0] * len(p.inputs)),
+            "loads": _sizes(spec, p, p.loads),
         }
         for p in limited.promises
         if left is not None
@@ -39,9 +40,8 @@ def limit_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     return {"limits": {"inputs": inputs, "starts": said}}
 
 
-def _sizes(spec: Spec, promise: Promise) -> dict[str, float]:
-    names = [spec.problem.plant.inputs[k] for k in promise.inputs]
-    return dict(zip(names, promise.held.sizes if promise.held else [0.0] * len(names), strict=True))
+def _sizes(spec: Spec, promise: Promise, values: Sequence[float]) -> dict[str, float]:
+    return dict(zip((spec.problem.plant.inputs[k] for k in promise.inputs), values, strict=True))
 
 
 def _peak(peak: Peak, k: int) -> dict[str, list[float]]:
@@ -82,10 +82,13 @@ def _promise_rows(controller: Controller, limited: Limited) -> Iterator[str]:
             idle = "" if controller.plant.loads is None else ", while no load acts"
             starts = f"each |x_k − x_dk| {much} and x̂ = x{idle}"
         elif kind == "sizes":
-            starts = f"each |x_k − x_dk| and |x̂_k − x_k| {much}"
+            loads = "" if promise.starts.load is None else " and each load"
+            starts = f"each |x_k − x_dk| and |x̂_k − x_k|{loads} {much}"
         else:
             starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
+            starts += " with its loads" if promise.starts.load is not None else ""
             starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
+            starts += " with x̂ = x" * (kind == "members")
         yield f"in the loop as designed no limit is ever reached from {starts}"
     if limited.left is not None and not limited.promises:
         yield "from which starts no limit is ever reached could not be proved"

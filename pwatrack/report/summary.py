@@ -126,8 +126,8 @@ def _within_limits(goal: Goal, controller: Controller) -> bool:
     limited = controller.limited
     if limited is None or limited.left is None or not isinstance(goal, AtLeast | Fastest):
         return False
-    kinds = ("ensemble",) if any(one.kind == "ensemble" for one in limited.starts) else ("exact",)
-    return any(p.starts.kind in kinds and p.scale(limited.left) >= 1 for p in limited.promises)
+    kind = "members" if any(one.kind == "members" for one in limited.starts) else "exact"
+    return any(p.starts.kind == kind and p.scale(limited.left) >= 1 for p in limited.promises)
 
 
 def _origin(goal: Goal) -> str:

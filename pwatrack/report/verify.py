@@ -15,6 +15,7 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
@@ -32,6 +33,7 @@ from pwatrack.sizing import spec_sizes
 from pwatrack.spec.corners import corners
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
+from pwatrack.tracking import desired_trajectory
 
 CERTIFICATE = "certificate.json"
 _LARGEST = 2**28  # bytes of a file that is read
@@ -110,6 +112,7 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         if content[name] != subject[name]
     ]
     faults += _other_box(content.get("uncertain"), spec)
+    faults += _other_starts(content.get("limits"), spec)
     if content["spec_sha256"] != spec.sha256:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
     impossible = any("Z" in proof for proof in content["proofs"])
@@ -141,6 +144,24 @@ def _other_box(uncertain: Any, spec: Spec) -> list[str]:
         if found != wanted or bool(box) != bool(found)
         else []
     )
+
+
+def _other_starts(limits: Any, spec: Spec) -> list[str]:
+    """Return whether the starts from which inputs keep their limits are not those of the spec."""
+    if not limits:
+        return []
+    found = room_within_limits(spec, *desired_trajectory(spec, True), spec_sizes(spec))
+    wanted = {one.kind: one.G for one in (() if found is None else found.starts)}
+    for entry in limits:
+        G = np.array([[float(number(v)) for v in row] for row in entry["starts"]])
+        other = wanted.get(entry["of"])
+        if (
+            other is None
+            or G.shape != other.shape
+            or not np.allclose(G, other, rtol=_CLOSE, atol=_CLOSE * np.abs(G).max())
+        ):
+            return [f"the starts from which limits are kept are not those of {spec.path}"]
+    return []
 
 
 def _norms(content: dict[str, Any], spec: Spec) -> dict[str, float]:
@@ -205,7 +226,7 @@ def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:
     return all(
         [float(np.nextafter(size, np.inf)) for size in entry["inputs"].values()]
         == [float(number(size)) for *_, size in entry_proved["signals"]]
-        and all(entry["scale"] * size <= left[name] for name, size in entry["inputs"].items())
+        and all(entry["scale"] * (size + entry["loads"][name]) <= left[name] for name, size in entry["inputs"].items())
         for entry, entry_proved in zip(moved, proved, strict=True)
     )
 

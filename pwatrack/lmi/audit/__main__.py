@@ -25,7 +25,8 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
   most (c Q c^T)^(1/2) sup |d|. z = (e, Delta) = (x - x_d, x_hat - x); g and c are those of the channel and the signal.
 - Limits of inputs have starts z(0) = G v, |v_k| <= 1, and weights w > 0 with sum at most 1: Q > 0, Q - G diag(1/w) G^T
   > 0 and -(M Q + Q M^T) > 0, so z^T Q^-1 z <= 1 at the start, by Cauchy and Schwarz, and from there on, and |c z| is at
-  most (c Q c^T)^(1/2). With loads e alone is meant: they are 0, and their estimates too.
+  most (c Q c^T)^(1/2). With loads and z = e they are 0, and their estimates too; with z = (e, Delta) they are constants
+  at inputs, and c is that of K (e + Delta) less the errors of their estimates.
 - A bound of a start has Q - G G^T > 0 and -(M Q + Q M^T) - a Q > 0: |c z| is at most (c Q c^T)^(1/2) at all times from
   z = G v on, |v| <= 1. G is a column of the identity, of a sinusoidal load the two of its states.
 - Loads E s with s' = S s are estimated: then [A_i, E; 0, S] and [C, 0] stand for A_i and C in (9), Delta has the errors

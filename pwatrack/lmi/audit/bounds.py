@@ -122,13 +122,25 @@ class Loop:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         plant, K = self.plant, self.K
         n, N = len(plant.B[0]), len(plant.seen_A[0][0])
-        place(k, {"output": len(plant.tracked[0]), "input": len(K), "state": n, "estimate": N, "coupling": n}[kind])
+        place(
+            k,
+            {
+                "output": len(plant.tracked[0]),
+                "input": len(K),
+                "drive": len(K),
+                "state": n,
+                "estimate": N,
+                "coupling": n,
+            }[kind],
+        )
         if kind == "coupling":
             if loop != "observer" or plant.loads is None:
                 raise Fault("what drives e is a signal of the observer's loop, where loads are estimated")
             return part(self.coupling, k)
         e: Ball = [[Fraction(int(j == k and kind == "state")) for j in range(n)]], []
-        e = part(plant.tracked, k) if kind == "output" else ([K[k]], []) if kind == "input" else e
+        e = part(plant.tracked, k) if kind == "output" else ([K[k]], []) if kind in ("input", "drive") else e
         Delta: Ball = [[Fraction(int(j == k and kind == "estimate")) for j in range(N)]], []
-        Delta = ([K[k] + [Fraction(0)] * (N - n)], []) if kind == "input" else Delta
+        if kind in ("input", "drive"):
+            loads = plant.at_inputs() if kind == "drive" else [-1] * (N - n)
+            Delta = [K[k] + [Fraction(-int(j == k)) for j in loads]], []
         return {"joint": sides(e, Delta), "controller": e, "observer": Delta}[loop]

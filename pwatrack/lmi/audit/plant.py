@@ -54,6 +54,18 @@ class Plant:
         """Say whether some load enters where no input does: nothing makes up for it while all of x_d is given."""
         return self.loads is not None and rank(sides((self.B[0], []), (self.loads[0][0], []))[0]) != rank(self.B[0])
 
+    def at_inputs(self) -> list[int]:
+        """Return the input that each load is added to: all have to be constants there, exactly."""
+        if self.loads is None:
+            raise Fault("no load is estimated")
+        (E, open_E), (S, open_S), (B, open_B) = *self.loads, self.B
+        columns = [list(column) for column in zip(*B, strict=True)]
+        if open_E or open_S or open_B or any(map(any, S)) or rank(B) < len(columns):
+            raise Fault("the loads are no constants at inputs, exactly")
+        if any(list(column) not in columns for column in zip(*E, strict=True)):
+            raise Fault("a load enters where no input does")
+        return [columns.index(list(column)) for column in zip(*E, strict=True)]
+
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
         """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
         if of == "plant":

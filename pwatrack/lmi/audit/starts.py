@@ -12,8 +12,10 @@ from .reading import matrix, number, packed
 def near(loop: Loop, entry: Any) -> list[str]:
     """Return what is wrong with the bounds of inputs from one box of starts, z(0) = G v, |v_k| <= 1."""
     name, (Q, powers), G = entry["loop"], packed(entry["Q"]), matrix(entry["starts"])
-    if name == "joint" and loop.plant.loads is not None:
-        raise Fault("with estimated loads inputs are bounded from starts with the right estimates only")
+    wanted = "drive" if name == "joint" and loop.plant.loads is not None else "input"
+    square = len(loop.plant.tracked[0]) == len(loop.plant.B[0][0])
+    if wanted == "drive" and loop.X is not None and (not square or any(map(any, (*loop.X[0], *loop.X[1])))):
+        raise Fault("loads do not only act at inputs, one for each tracked output")
     weights = [number(w) for w in entry["weights"]]
     if min(weights) <= 0 or sum(weights) > 1 or any(len(row) != len(weights) for row in G) or len(G) != len(Q):
         raise Fault("the weights of the starts are not positive, or more than 1 together")
@@ -27,8 +29,8 @@ def near(loop: Loop, entry: Any) -> list[str]:
         if not definite(left, sign=-1):
             faults.append("an ellipsoid can be left")
     for kind, k, size in entry["signals"]:
-        if kind != "input":
-            raise Fault("limits are those of inputs")
+        if kind != wanted:
+            raise Fault(f"limits of inputs are said of '{wanted}' here")
         c = loop.row(name, kind, k)
         value, radius = times(times(c, (Q, [])), flipped(c))
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
