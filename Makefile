@@ -70,6 +70,10 @@ false-accepts: $(READY) ## look for false proofs: tampered certificates, nearly 
 promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
 
+.PHONY: bounds
+bounds: $(READY) ## hold the bounds of random designs against the worst that can be found
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bounds 200
+
 .PHONY: fuzz
 fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from pwatrack import design, load_spec
 from pwatrack.report.bounds import cause
-from pwatrack.report.figures import signal_text
+from pwatrack.report.wording import signal_text
 from tests.promises import box_system, joint_system, random_box, random_design, worst, worst_from
 
 

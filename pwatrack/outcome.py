@@ -9,10 +9,14 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from pwatrack.arrays import EPS, Array
+from pwatrack.bands import covered
 from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.envelope import from_start
+from pwatrack.control.robust import Robust
 from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
+from pwatrack.spec.box import Box
 
 Kind = Literal["tracks", "off", "grows", "above its bound"]
 
@@ -100,9 +104,10 @@ class Watch:
         loop: What runs.
         samples: How many it will see.
         units: Of outputs and states, by name.
+        box: Parameters that are uncertain.
     """
 
-    def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str]) -> None:
+    def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str], box: Box = ()) -> None:
         plant, self._output = loop.controller.plant, loop.controller.generator is not None
         self._loop, self._units = loop, units
         self._names = plant.tracked_names if self._output else plant.states
@@ -115,6 +120,8 @@ class Watch:
         self._first: Response | None = None
         self._end = 0.0  # time of the last sample so far in s
         self._broken = ""
+        self._robust = loop.controller.robust if covered(box, loop.conditions) else None
+        self._deviation = np.zeros(len(plant.B))  # largest size so far by which plants of the box differ along x_d
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -133,6 +140,8 @@ class Watch:
         self._disturbed(block.trace)
         if self._loop.conditions.nominal and not self._broken:
             self._broken = self._above_its_bound(block, norm)
+        elif self._robust is not None and not self._broken:
+            self._broken = self._above_that_of_the_box(self._robust, block)
 
     def outcome(self) -> Outcome:
         """Say how the run went, the worst first."""
@@ -156,11 +165,21 @@ class Watch:
         for name, error, bound, rounding in bounds:
             above = np.flatnonzero(error > bound + np.linalg.norm(rounding))
             if len(above):
-                k = above[0]
-                return (
-                    f"above its own proved bound: {name} is {error[k]:.3g} at t = {t[k]:.9g} s, where at most "
-                    f"{bound[k]:.3g} is proved: what is simulated is not to be believed"
-                )
+                return _believed_not(name, t, error, bound, int(above[0]))
+        return ""
+
+    def _above_that_of_the_box(self, robust: Robust, block: Response) -> str:
+        """Likewise of what is proved of all plants of a box, of which this is one."""
+        assert self._first is not None
+        first, n = self._first, block.x.shape[1]
+        start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]])
+        self._deviation = np.maximum(self._deviation, robust.deviations(block.x_d, block.u_ff).max(axis=0))
+        most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self._deviation)
+        for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
+            signal: Form = ("output" if self._output else "state", k)
+            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]
+            if len(above := np.flatnonzero(error > bound + rounding)):
+                return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
         return ""
 
     def _disturbed(self, trace: Trace) -> None:
@@ -188,9 +207,10 @@ class Watch:
         )
 
     def _growing(self) -> Outcome | None:
-        """Say which error grows. Of a loop as designed, but for disturbances and noise, proofs keep it bounded."""
+        """Say which error grows. Of a loop as designed, but for disturbances and noise, or of a box none does."""
         conditions = self._loop.conditions
-        if conditions.plant is None and conditions.limits is None and conditions.sampling is None:
+        designed = conditions.plant is None and conditions.limits is None and conditions.sampling is None
+        if designed or self._robust is not None:
             return None
         sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._error
         for k, name in enumerate(self._names):
@@ -249,6 +269,13 @@ class Watch:
 
     def _with_unit(self, value: float, name: str) -> str:
         return f"{value:.3g} {self._units.get(name, '')}".rstrip()
+
+
+def _believed_not(name: str, t: Array, error: Array, bound: Array, k: int) -> str:
+    return (
+        f"above its own proved bound: {name} is {error[k]:.3g} at t = {t[k]:.9g} s, where at most "
+        f"{bound[k]:.3g} is proved: what is simulated is not to be believed"
+    )
 
 
 def _balanced(loop: ClosedLoop) -> tuple[Array, float]:

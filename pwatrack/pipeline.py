@@ -148,7 +148,10 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
-    plant, watch = spec.problem.plant, Watch(loop, samples, units=spec.problem.units)
+    plant, watch = (
+        spec.problem.plant,
+        Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain),
+    )
     measuring = Measuring(samples, outputs=plant.tracked_names, inputs=plant.inputs, bands=spec.scenario.bands)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None

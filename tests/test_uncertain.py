@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from math import prod
@@ -231,6 +232,28 @@ def test_deviation_is_that_of_the_worst_plant_of_the_box(tmp_path: Path) -> None
             reached = max(reached, abs(w[1]))
     assert reached == pytest.approx(found[1])
     assert found[0] == 0
+
+
+def test_a_run_of_the_box_is_held_to_what_is_proved_for_the_box(tmp_path: Path) -> None:
+    spec = load_spec(spring(tmp_path, box="m: 5%, k: 5%", conditions=", plant: {parameters: {m: 2.05}}"))
+    result = simulate(spec)
+    robust = result.controller.robust
+    assert result.outcome.code == 0
+    assert robust is not None
+    smaller = tuple(
+        replace(
+            bounds,
+            sizes={signal: 1e-3 * size for signal, size in bounds.sizes.items()},
+            parts=tuple(
+                replace(part, ellipsoid=replace(part.ellipsoid, sizes=tuple(1e-3 * v for v in part.ellipsoid.sizes)))
+                for part in bounds.parts
+            ),
+        )
+        for bounds in robust.bounds
+    )
+    again = simulate(spec, replace(result.controller, robust=replace(robust, bounds=smaller)))
+    assert again.outcome.kind == "above its bound"
+    assert again.outcome.text.startswith("above its own proved bound: |y − y_d| is ")
 
 
 def drop_a_corner(box: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.control.controller import Controller
-from pwatrack.report.figures import per_second, signal_text, sized, up
+from pwatrack.report.wording import per_second, signal_text, sized, up
 from pwatrack.spec.spec import Spec
 
 BOUNDS = "bounds.json"

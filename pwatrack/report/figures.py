@@ -3,19 +3,15 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
-from pwatrack.control.bounds import Form
+from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
-from pwatrack.model.loads import Load
-from pwatrack.model.sizes import Sizes
+from pwatrack.report.wording import load_kind
 from pwatrack.result import Result
 from pwatrack.simulation.region import Box, Region
-from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult
 
 
@@ -34,19 +30,6 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
         name: figure_content(value) if isinstance(value, Mapping) else _finite(value) if value == np.inf else value
         for name, value in figures.items()
     }
-
-
-def error_unit(result: Result) -> str:
-    """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
-    plant = result.spec.problem.plant
-    names = plant.tracked_names if result.controller.generator is not None else plant.states
-    return result.spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
-
-
-def states_unit(spec: Spec) -> str:
-    """Return the unit of a norm of all states: of several it is in sizes."""
-    states = spec.problem.plant.states
-    return spec.problem.units.get(states[0], "") if len(states) == 1 else "sizes"
 
 
 def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
@@ -110,11 +93,6 @@ def gain_figures(controller: Controller) -> dict[str, float]:
     }
 
 
-def load_kind(load: Load) -> str:
-    """Return what is known of an unknown load."""
-    return f"{number_text(float(load.frequency), 'g')} rad/s" if load.frequency.centre else "constant"
-
-
 def load_content(result: Result) -> dict[str, dict[str, Any]]:
     """Return what run.json says of each load that is estimated: what is known of it, what it and its estimate are."""
     loads, response = result.controller.plant.loads, result.response
@@ -127,68 +105,6 @@ def load_content(result: Result) -> dict[str, dict[str, Any]]:
         }
         for k, load in enumerate(() if loads is None else loads.each)
     }
-
-
-def signal_text(spec: Spec, signal: Form) -> tuple[str, str]:
-    """Return a signal that is bounded, as text, and its unit."""
-    kind, k = signal
-    plant = spec.problem.plant
-    named = {"output": plant.tracked_names, "input": plant.inputs}.get(kind, plant.states)
-    loads = {} if plant.loads is None else dict(zip(plant.loads.where, plant.loads.names, strict=True))
-    name = named[k] if k < len(named) else loads[k - len(named)]
-    texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
-    return texts.get(kind, f"{name} - {name}_d"), spec.problem.units.get(name, "")
-
-
-def size_texts(sizes: Sizes, most: int) -> list[str]:
-    """Return the sizes as a file would give them, of many the first, and where they are from.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.sizing import spec_sizes
-        >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")), 20)[1]
-        'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001449 1/s'
-    """
-    known = sizes.by_name
-    shown = list(known)[:most]
-    said = [f"sizes: {{{', '.join(f'{name}: {known[name]:.4g}' for name in shown)}}}"]
-    if most < len(known):
-        said.append(f"… and {len(known) - most} more sizes (--json lists all)")
-    origins = dict.fromkeys(sizes.origins[name] for name in shown)
-    groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
-    return [*said, f"{'; '.join(groups)}; speed {sizes.speed:.4g} 1/s"]
-
-
-def sized(name: str) -> str:
-    """Return the size of a signal in words."""
-    return f"|{name.replace('-', '−')}|"
-
-
-def down(value: float) -> str:
-    """Return a number in four digits, not larger: what is said must be proved too.
-
-    Example:
-        >>> down(0.0826799), up(1.4001)
-        ('0.08267', '1.41')
-    """
-    return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
-
-
-def up(value: float) -> str:
-    """Return a number in three digits, not smaller."""
-    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
-
-
-def per_second(unit: str) -> str:
-    """Return the unit of a derivative.
-
-    Example:
-        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
-        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
-    """
-    if unit.endswith("/s"):
-        return f"{unit}²"
-    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:

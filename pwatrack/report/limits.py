@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import number_text
 from pwatrack.control.controller import Controller
 from pwatrack.control.limits import Limited, Peak, Promise
-from pwatrack.report.figures import down
+from pwatrack.report.wording import down
 from pwatrack.spec.spec import Spec
 
 

@@ -12,8 +12,8 @@ from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.figures import size_texts
 from pwatrack.report.terminal import remark_rows, titled
+from pwatrack.report.wording import size_texts
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that

@@ -7,7 +7,8 @@ from typing import Any
 
 from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.report.figures import error_unit, gain_figures, measures
+from pwatrack.report.figures import gain_figures, measures
+from pwatrack.report.wording import error_unit
 from pwatrack.result import Result
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec

@@ -17,25 +17,14 @@ from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smal
 from pwatrack.control.guarantees import Contraction
 from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import bound_rows, cause
-from pwatrack.report.figures import (
-    down,
-    ensemble_measures,
-    error_unit,
-    load_content,
-    load_kind,
-    measures,
-    member_figures,
-    signal_text,
-    sized,
-    states_unit,
-    up,
-)
+from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
 from pwatrack.report.limits import limit_rows
 from pwatrack.report.preview import preview_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.report.uncertain import box_rows, largest_text, run_rows
+from pwatrack.report.wording import down, error_unit, load_kind, signal_text, sized, states_unit, up
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks

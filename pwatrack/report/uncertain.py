@@ -11,7 +11,7 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
 from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import cause, limit_texts
-from pwatrack.report.figures import down, signal_text, sized, up
+from pwatrack.report.wording import down, signal_text, sized, up
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 

@@ -25,7 +25,7 @@ WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
-_SPIKE, _EARLY = 3.0, 0.1  # so many times the rest is a spike, in so much of the time at the start
+_SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
 _STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
 _ROOM = 0.06  # of a scale, above and below what it shows
 

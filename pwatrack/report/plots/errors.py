@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
-from pwatrack.report.figures import error_unit, states_unit
 from pwatrack.report.plots.canvas import (
     ACTUAL,
     BAND,
@@ -23,6 +22,7 @@ from pwatrack.report.plots.canvas import (
     span,
 )
 from pwatrack.report.plots.requirements import error_lines, limits
+from pwatrack.report.wording import error_unit, states_unit
 from pwatrack.result import Result
 
 _MOST = 8  # panels of single errors

@@ -8,8 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pwatrack.control.pareto import Front
-from pwatrack.report.figures import error_unit
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, span
+from pwatrack.report.wording import error_unit
 from pwatrack.variation import EnsembleResult
 
 
