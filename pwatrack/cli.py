@@ -210,6 +210,44 @@ def batch(
         raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
 
 
+@app.command(epilog="Example: pwatrack sweep specs/two_mass_backlash.yaml --sweep k2=0.1:0.9:17 --sweep d1=0.1:1:10")
+def sweep(
+    spec_path: SpecPath,
+    ranges: Annotated[
+        list[str], typer.Option("--sweep", metavar="NAME=LOW:HIGH:POINTS", help="A parameter that varies.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", show_default="runs/<name>-sweep")] = None,
+    parameters: Set = None,
+    method: Annotated[Literal["grid", "random", "lhs"], typer.Option(help="Where to look.")] = "grid",
+    count: Annotated[int, typer.Option("--points", min=1, help="How often, where it is no grid.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 1,
+    simulated: Annotated[bool, typer.Option("--simulate/--design", help="Whether to simulate too.")] = True,
+    refine: Annotated[
+        float | None,
+        typer.Option(min=1e-15, max=1, metavar="SHARE", help="Find where the proof ends, to a share of each range."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Designs at a time.")] = 1,
+) -> None:
+    """Design a spec at many values of its parameters: a table, curves or maps, and where the proof ends."""
+    with refusals():
+        from pwatrack.batch.command import swept
+        from pwatrack.batch.find import run_name
+
+        folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
+        swept(
+            spec_path,
+            ranges,
+            folder,
+            parameters=parameters or (),
+            method=method,
+            count=count,
+            seed=seed,
+            simulated=simulated,
+            refine=refine,
+            jobs=jobs,
+        )
+
+
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
 def verify(
     path: Annotated[
