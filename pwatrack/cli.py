@@ -248,6 +248,20 @@ def sweep(
         )
 
 
+@app.command(epilog="Example: pwatrack compare runs/first runs/softer --picture errors.png")
+def compare(
+    folders: Annotated[list[Path], typer.Argument(metavar="RUN…", help="Run folders.", show_default=False)],
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE", help="Draw all errors in one picture.")
+    ] = None,
+) -> None:
+    """Put runs beside each other: verdicts and figures in a table, errors in one picture."""
+    with refusals():
+        from pwatrack.report.compare import compare
+
+        compare(console(), folders, picture)
+
+
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
 def verify(
     path: Annotated[
