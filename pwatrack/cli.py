@@ -36,6 +36,7 @@ Plots = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
+Outside = Annotated[bool, typer.Option("--allow-outside", help="Let specs refer to files outside of their folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
@@ -62,6 +63,7 @@ def check(
     spec_path: SpecPath,
     parameters: Set = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
+    outside: Outside = False,
 ) -> None:
     """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
     with refusals():
@@ -76,7 +78,7 @@ def check(
         report, refusal, reference, sizes, name = None, None, "", None, ""
         remarks: tuple[str, ...] = ()
         try:
-            spec = load_spec(spec_path, assignments(parameters or []))
+            spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
             sizes = spec_sizes(spec)
             name, report = spec.name, applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=sizes)
             reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
@@ -106,6 +108,7 @@ def design(
     quiet: Quiet = False,
     verbose: Verbose = False,
     as_json: Json = False,
+    outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
     _run(
@@ -117,6 +120,7 @@ def design(
         fronts=pareto,
         scaled=robust is not None,
         shown=_shown(quiet, verbose, as_json),
+        outside=outside,
     )
 
 
@@ -138,6 +142,7 @@ def simulate(
     quiet: Quiet = False,
     verbose: Verbose = False,
     as_json: Json = False,
+    outside: Outside = False,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
@@ -152,6 +157,7 @@ def simulate(
         members=ensemble,
         plots=plots,
         shown=_shown(quiet, verbose, as_json),
+        outside=outside,
         **chosen,
     )
 
@@ -181,6 +187,7 @@ def batch(
         typer.Option("--rerun", help="Run also what failed, or all.", show_default="all"),
     ] = None,
     plots: Plots = "all",
+    outside: Outside = False,
     reports: Annotated[
         list[Path] | None,
         typer.Option("--report", metavar="FILE", help="Write a report: .xml, .jsonl, .sarif or .html."),
@@ -201,6 +208,7 @@ def batch(
             pattern=pattern,
             parameters=tuple(parameters or ()),
             plots=plots,
+            outside=outside,
             jobs=jobs,
             timeout=timeout,
             memory=memory,
