@@ -36,6 +36,7 @@ Plots = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
+Outside = Annotated[bool, typer.Option("--allow-outside", help="Let specs refer to files outside of their folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
@@ -62,6 +63,7 @@ def check(
     spec_path: SpecPath,
     parameters: Set = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
+    outside: Outside = False,
 ) -> None:
     """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
     with refusals():
@@ -76,7 +78,7 @@ def check(
         report, refusal, reference, sizes, name = None, None, "", None, ""
         remarks: tuple[str, ...] = ()
         try:
-            spec = load_spec(spec_path, assignments(parameters or []))
+            spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
             sizes = spec_sizes(spec)
             name, report = spec.name, applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=sizes)
             reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
@@ -106,6 +108,7 @@ def design(
     quiet: Quiet = False,
     verbose: Verbose = False,
     as_json: Json = False,
+    outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
     _run(
@@ -117,6 +120,7 @@ def design(
         fronts=pareto,
         scaled=robust is not None,
         shown=_shown(quiet, verbose, as_json),
+        outside=outside,
     )
 
 
@@ -138,6 +142,7 @@ def simulate(
     quiet: Quiet = False,
     verbose: Verbose = False,
     as_json: Json = False,
+    outside: Outside = False,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
@@ -152,6 +157,7 @@ def simulate(
         members=ensemble,
         plots=plots,
         shown=_shown(quiet, verbose, as_json),
+        outside=outside,
         **chosen,
     )
 
@@ -181,6 +187,7 @@ def batch(
         typer.Option("--rerun", help="Run also what failed, or all.", show_default="all"),
     ] = None,
     plots: Plots = "all",
+    outside: Outside = False,
     reports: Annotated[
         list[Path] | None,
         typer.Option("--report", metavar="FILE", help="Write a report: .xml, .jsonl, .sarif or .html."),
@@ -201,6 +208,7 @@ def batch(
             pattern=pattern,
             parameters=tuple(parameters or ()),
             plots=plots,
+            outside=outside,
             jobs=jobs,
             timeout=timeout,
             memory=memory,
@@ -208,6 +216,58 @@ def batch(
             again="changed" if resume else rerun or "all",
         )
         raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
+
+
+@app.command(epilog="Example: pwatrack sweep specs/two_mass_backlash.yaml --sweep k2=0.1:0.9:17 --sweep d1=0.1:1:10")
+def sweep(
+    spec_path: SpecPath,
+    ranges: Annotated[
+        list[str], typer.Option("--sweep", metavar="NAME=LOW:HIGH:POINTS", help="A parameter that varies.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", show_default="runs/<name>-sweep")] = None,
+    parameters: Set = None,
+    method: Annotated[Literal["grid", "random", "lhs"], typer.Option(help="Where to look.")] = "grid",
+    count: Annotated[int, typer.Option("--points", min=1, help="How often, where it is no grid.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 1,
+    simulated: Annotated[bool, typer.Option("--simulate/--design", help="Whether to simulate too.")] = True,
+    refine: Annotated[
+        float | None,
+        typer.Option(min=1e-15, max=1, metavar="SHARE", help="Find where the proof ends, to a share of each range."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Designs at a time.")] = 1,
+) -> None:
+    """Design a spec at many values of its parameters: a table, curves or maps, and where the proof ends."""
+    with refusals():
+        from pwatrack.batch.command import swept
+        from pwatrack.batch.find import run_name
+
+        folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
+        swept(
+            spec_path,
+            ranges,
+            folder,
+            parameters=parameters or (),
+            method=method,
+            count=count,
+            seed=seed,
+            simulated=simulated,
+            refine=refine,
+            jobs=jobs,
+        )
+
+
+@app.command(epilog="Example: pwatrack compare runs/first runs/softer --picture errors.png")
+def compare(
+    folders: Annotated[list[Path], typer.Argument(metavar="RUN…", help="Run folders.", show_default=False)],
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE", help="Draw all errors in one picture.")
+    ] = None,
+) -> None:
+    """Put runs beside each other: verdicts and figures in a table, errors in one picture."""
+    with refusals():
+        from pwatrack.report.compare import compare
+
+        compare(console(), folders, picture)
 
 
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from pwatrack import load_spec
+from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.model.reference import OutputReference, exosystem
 
@@ -221,7 +223,7 @@ def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypa
     (tmp_path / "zero.csv").symlink_to("/dev/zero")
     for name, message in {
         "pipe.csv": "not a regular file",
-        "zero.csv": "not a regular file",
+        "zero.csv": "outside of the spec's folder",
         ".": "not a regular file",
         "none.csv": "No such file",
         '"a\\0b"': r"a\\x00b: embedded null",
@@ -258,3 +260,24 @@ def test_a_refusal_of_a_formula_that_grows_is_about_the_theory_and_no_warning(tm
 
     with pytest.raises(PwatrackError, match="y_d is not bounded"):
         design(load_spec(write(tmp_path, "exp(400*t) + sin(t)")))
+
+
+OUTSIDE = ["../wanted.csv", "below/../../wanted.csv", "link.csv", "linked/wanted.csv", "{absolute}"]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_table_outside_of_the_folder_is_read_only_if_that_is_allowed(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "specs"
+    (folder / "below").mkdir(parents=True)
+    (tmp_path / "wanted.csv").write_text("t,y\n0,0\n1,0.1\n2,0\n3,0.1\n4,0\n")
+    (folder / "link.csv").symlink_to(tmp_path / "wanted.csv")
+    (folder / "linked").symlink_to(tmp_path)
+    starter = (Path(__file__).parents[1] / "pwatrack" / "starters" / "output.yaml").read_text(encoding="utf-8")
+    table = f"{{table: {{file: {name.format(absolute=tmp_path / 'wanted.csv')}}}}}"
+    text = starter.replace('"0.12*sin(2*t)"', table).replace("duration: 20", "duration: 3")
+    (folder / "spec.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=r"spec\.yaml:\d+:\d+: table .*outside of the spec's folder.*--allow-outside"):
+        load_spec(folder / "spec.yaml")
+    assert load_spec(folder / "spec.yaml", outside=True).name == "Cart with a stop"
+    for option, code in (([], 2), (["--allow-outside"], 0)):
+        assert CliRunner().invoke(app, ["check", str(folder / "spec.yaml"), *option]).exit_code == code

@@ -11,7 +11,10 @@ from pwatrack.batch.junit import write_junit
 from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.page import write_page
+from pwatrack.batch.pool import Pool
 from pwatrack.batch.run import Options, Work, run_batch
+from pwatrack.batch.sweep import Method, axis, places, sweep
+from pwatrack.batch.sweep_files import draw_sweep, write_sweep
 from pwatrack.batch.table import print_batch, print_left_out
 from pwatrack.batch.work import simulate
 from pwatrack.errors import InvalidSpec
@@ -82,3 +85,52 @@ def _report(outcomes: Sequence[Outcome], writers: Sequence[tuple[Writer, Path]])
             refused.append(refusal)
     if refused:
         raise InvalidSpec(*(problem for refusal in refused for problem in refusal.problems))
+
+
+def swept(
+    spec: Path,
+    ranges: Sequence[str],
+    out: Path,
+    *,
+    parameters: Sequence[str] = (),
+    method: Method = "grid",
+    count: int = 100,
+    seed: int = 1,
+    simulated: bool = True,
+    refine: float | None = None,
+    jobs: int = 1,
+    timeout: float = 600.0,
+) -> None:
+    """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
+
+    Raises:
+        InvalidSpec: If a range is not one, the spec is in error with the parameters given, or files cannot be written.
+    """
+    from pwatrack.spec.load import assignments, load_spec
+
+    axes = [axis(text) for text in ranges]
+    at, fixed = places(axes, method, count, seed), assignments(parameters)
+    name = load_spec(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}}).name
+    with (
+        console(stderr=True).status("Starting") as status,
+        Pool(jobs, timeout=timeout, preload=["pwatrack.batch.warm"]) as pool,
+    ):
+        points, edges = sweep(
+            spec,
+            axes,
+            pool,
+            at=at,
+            fixed=fixed,
+            simulated=simulated,
+            refine=refine if method == "grid" else None,
+            progress=lambda done, total: status.update(f"{done:,} of {total:,}"),
+        )
+    screen = console()
+    files = write_sweep(out, axes, points, edges)
+    if draw_sweep(out / "sweep.png", f"{name}: {len(points):,} designs", axes, points, edges):
+        files.append(out / "sweep.png")
+    for verdict in dict.fromkeys(point.verdict for point in points):
+        screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
+    if edges:
+        screen.print(f"the proof ends at {len(edges):,} places: boundary.csv has both sides of each")
+    screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)

@@ -18,12 +18,14 @@ class Job:
         out: Its run folder.
         parameters: Replacements as NAME=VALUE.
         plots: Of which runs pictures are drawn.
+        outside: Whether the spec may refer to files outside of its folder.
     """
 
     spec: Path
     out: Path
     parameters: tuple[str, ...] = ()
     plots: Plots = "all"
+    outside: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

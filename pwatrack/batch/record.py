@@ -29,6 +29,7 @@ def key(job: Job, files: Sequence[Path]) -> str:
         "spec": str(job.spec),
         "parameters": job.parameters,
         "plots": job.plots,
+        "outside": job.outside,
         "files": [[str(file), _digest(file)] for file in (job.spec, *files)],
     }
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

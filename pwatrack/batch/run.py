@@ -28,6 +28,7 @@ class Options:
         pattern: What specs below a folder are named like; None: all that end in .yaml or .yml.
         parameters: Replacements as NAME=VALUE, in every spec.
         plots: Of which runs pictures are drawn.
+        outside: Whether specs may refer to files outside of their folders.
         jobs: How many run at a time.
         timeout: Seconds after which a spec is given up.
         memory: Megabytes that a spec may take beyond the program itself; None for any.
@@ -38,6 +39,7 @@ class Options:
     pattern: str | None = None
     parameters: tuple[str, ...] = ()
     plots: Plots = "all"
+    outside: bool = False
     jobs: int = 1
     timeout: float = 600.0
     memory: float | None = None
@@ -85,7 +87,7 @@ def run_batch(
     options, watcher, ended = options or Options(), watcher or Watcher(), [] if ended is None else ended
     places = find_specs([paths] if isinstance(paths, Path) else paths, options.pattern)
     jobs = [
-        Job(spec=spec, out=out / place, parameters=options.parameters, plots=options.plots)
+        Job(spec=spec, out=out / place, parameters=options.parameters, plots=options.plots, outside=options.outside)
         for spec, place in places.items()
     ]
     watcher.begins(len(jobs))

@@ -22,7 +22,16 @@ def simulate(job: Job) -> Ended:
     (key, files), before = inputs(job), _stamp(job.out)
     with contextlib.redirect_stderr(said):
         try:
-            run(job.spec, job.out, job.parameters, None, simulated=True, plots=job.plots, shown="nothing")
+            run(
+                job.spec,
+                job.out,
+                job.parameters,
+                None,
+                simulated=True,
+                plots=job.plots,
+                shown="nothing",
+                outside=job.outside,
+            )
         except MemoryError:
             raise
         except Exception as error:

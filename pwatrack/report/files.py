@@ -20,6 +20,7 @@ from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import (
     ensemble_measures,
+    error_unit,
     figure_content,
     gain_figures,
     load_content,
@@ -135,6 +136,7 @@ def _result_content(result: Result) -> dict[str, Any]:
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
+        "tracked": _tracked_content(result),
         **limit_content(result.spec, result.controller),
         **preview_content(result.controller),
     }
@@ -142,6 +144,14 @@ def _result_content(result: Result) -> dict[str, Any]:
         along = {"along_x_d": box_figures(result, robust)}
         content["uncertain"] = robust_content(result.spec, robust) | along
     return content
+
+
+def _tracked_content(result: Result) -> dict[str, Any]:
+    """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
+    plant = result.spec.problem.plant
+    names = plant.states if result.controller.generator is None else plant.tracked_names
+    sizes = dict(zip(names, result.response.error_sizes.tolist(), strict=True))
+    return {"sizes": sizes, "unit": error_unit(result)}
 
 
 def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:

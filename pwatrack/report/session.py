@@ -48,6 +48,7 @@ def run(
     seed: int = 1,
     plots: Plots = "all",
     shown: Shown = "summary",
+    outside: bool = False,
 ) -> None:
     """Design, simulate if asked, write the files, and print what came out.
 
@@ -60,12 +61,13 @@ def run(
         members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
+        outside: Whether the spec may refer to files outside of its folder.
 
     Raises:
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
-    made, many = _Made(path=path, parameters=assignments(parameters)), None
+    made, many = _Made(path=path, parameters=assignments(parameters), outside=outside), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
@@ -100,6 +102,7 @@ class _Made:
 
     path: Path
     parameters: dict[str, str]
+    outside: bool
     seconds: dict[str, float] = field(default_factory=dict)
     spec: Spec | None = None
     controller: Controller | None = None
@@ -107,7 +110,7 @@ class _Made:
 
     def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
         with self.timed("load"):
-            spec = load_spec(self.path, self.parameters)
+            spec = load_spec(self.path, self.parameters, outside=self.outside)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
         status.update("Solving the matrix inequalities")
         with self.timed("design"):

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -30,6 +29,7 @@ from pwatrack.spec.courses import build_courses
 from pwatrack.spec.design_section import LoadSection
 from pwatrack.spec.plant_section import DeadZoneSection, SpringSection, SystemSection
 from pwatrack.spec.signal_section import CourseSection, ReferenceSection
+from pwatrack.spec.table import Folder
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
@@ -102,7 +102,7 @@ def _reals(column: BallMatrix) -> dict[int, Real]:
     return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
 
 
-def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Path, horizon: float) -> Reference:
+def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Folder, horizon: float) -> Reference:
     """Return what is to be tracked.
 
     Args:

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import scipy
@@ -13,14 +12,14 @@ from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.paths import path_text
 from pwatrack.spec.signal_section import CourseSection, PolylineSection, StepSection, TrapezoidSection
-from pwatrack.spec.table import FINEST, read_table
+from pwatrack.spec.table import FINEST, Folder, read_table
 
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
 
 
-def build_courses(section: CourseSection, folder: Path, horizon: float, subject: Subject) -> tuple[Course, ...]:
+def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
     """Return the courses whose sum is a signal.
 
     Args:
@@ -48,7 +47,7 @@ def build_courses(section: CourseSection, folder: Path, horizon: float, subject:
         makers.append(lambda: _polyline(corners, horizon, (*subject, "polyline", "points")))
     if section.table is not None:
         table = section.table
-        makers.append(lambda: read_table(folder / table.file, table, (*subject, "table")))
+        makers.append(lambda: read_table(folder, table, (*subject, "table")))
     courses, problems = list[Course](), list[Problem]()
     for make in makers:
         try:

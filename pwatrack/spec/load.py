@@ -27,18 +27,20 @@ from pwatrack.spec.scenario import build_conditions, build_objectives, build_sce
 from pwatrack.spec.schema import ExpectSection, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
+from pwatrack.spec.table import Folder
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
 
-def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None) -> Spec:
+def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None, *, outside: bool = False) -> Spec:
     """Read a spec file.
 
     Args:
         path: The YAML file.
         parameters: Values that replace those in the file, as numbers or expressions.
+        outside: Whether it may refer to files outside of its folder.
 
     Raises:
         InvalidSpec: With every error in the file (exit code 2).
@@ -57,7 +59,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     context = _context(document.data, values)
     requirements, missing = read_requirements(document.data.get("require"), context)
     file = _checked(document, context, [*problems, *missing])
-    simulation, folder = file.simulation, path.parent
+    simulation, folder = file.simulation, Folder(path=path.parent, outside=outside)
     parametric = ParametricPlant.of(
         document.data.get("parameters", {}),
         parameters or {},

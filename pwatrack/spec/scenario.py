@@ -1,7 +1,6 @@
 """Checked sections -> the objectives of a design, and the scenario that is simulated."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from pwatrack.spec.signal_section import CourseSection
 from pwatrack.spec.simulation_section import SimulationSection
 from pwatrack.spec.spec import Objectives, Scenario
 from pwatrack.spec.starts import initial_states, regions
+from pwatrack.spec.table import Folder
 
 
 def build_objectives(section: DesignSection, values: Mapping[str, Real | None]) -> Objectives:
@@ -48,7 +48,7 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
 
 
 def build_conditions(
-    section: SimulationSection, plant: PWASystem, parametric: ParametricPlant, folder: Path
+    section: SimulationSection, plant: PWASystem, parametric: ParametricPlant, folder: Folder
 ) -> Conditions:
     """Return what is not as the theorems assume.
 

@@ -4,6 +4,7 @@ import csv
 import stat
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +24,37 @@ FINEST = 1e-12  # of the time: rows that are closer are one time, but for roundi
 _WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte-order marks of UTF-16
 
 
-def read_table(path: Path, section: TableSection, subject: Subject) -> Table:
-    """Return the course of a table.
+@dataclass(frozen=True, kw_only=True)
+class Folder:
+    """Where the files are that a spec refers to, and whether others may be read too."""
+
+    path: Path
+    outside: bool = False
+
+    def file(self, name: str) -> Path:
+        """Return the path of a file; raises ValueError if it is not to be read, wherever links lead."""
+        path = self.path / name
+        if not self.outside and not path.resolve().is_relative_to(self.path.resolve()):
+            raise ValueError("it is outside of the spec's folder, and is read with --allow-outside only")
+        return path
+
+
+def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
+    """Return the course of a table: a text file with a header, a column of times and others.
+
+    A byte-order mark at its start is no part of it.
 
     Args:
-        path: A text file with a header, a column of times and others; a byte-order mark at its start is no part of it.
-        section: Which columns, how they are written, in which units, and how they are filtered.
+        folder: Where it is.
+        section: Its name, which columns, how they are written, in which units, and how they are filtered.
         subject: Where it stands.
 
     Raises:
         InvalidSpec: If it cannot be read, its times do not increase, or its filter does not fit them.
     """
+    path = folder.path / section.file
     try:
-        values = _values(path, section)
+        values = _values(folder.file(section.file), section)
         _check(values)
         t, y = values.T
         if section.filter is not None:

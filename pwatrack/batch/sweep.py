@@ -1,0 +1,233 @@
+"""A spec at many values of its parameters, and where on the way between two of them the proof ends."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, as_completed
+from dataclasses import dataclass, field
+from fractions import Fraction
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import Any, Literal
+
+from pwatrack.batch.pool import Lost
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
+from pwatrack.report.terminal import told
+
+Method = Literal["grid", "random", "lhs"]
+_AXIS = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
+_MOST = 1_000_000  # points
+_HALVINGS = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """A parameter that varies from `low` to `high`, on a grid at so many points."""
+
+    name: str
+    low: Fraction
+    high: Fraction
+    points: int = 11
+
+    def at(self, share: Fraction | float) -> float:
+        """Return the value at a share of the way."""
+        return float(self.low + (self.high - self.low) * Fraction(share))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """What came out at one place.
+
+    Attributes:
+        values: The parameters, by name.
+        exit: The exit code that a run there ends with; None if it did not end.
+        said: Why it was refused, or did not end.
+        figures: Those of the design, and of the run if it was simulated.
+    """
+
+    values: Mapping[str, float]
+    exit: int | None
+    said: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proved(self) -> bool:
+        """Whether a design is proved there, whatever its simulation came to."""
+        return self.exit in (ExitCode.DONE, ExitCode.CHECK_FAILED)
+
+    @property
+    def verdict(self) -> str:
+        """The exit code in words."""
+        return "lost" if self.exit is None else ExitCode(self.exit).verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edge:
+    """Where the proof ends along one parameter: proved at one value, not at the other, each by a design of its own."""
+
+    proved: Point
+    refused: Point
+    name: str
+
+
+def axis(text: str) -> Axis:
+    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
+
+    Raises:
+        InvalidSpec: If it is not written so.
+
+    Example:
+        >>> axis("k2=0.1:0.9:17").at(0.5)
+        0.5
+    """
+    found = _AXIS.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        low, high = Fraction(found[2].strip()), Fraction(found[3].strip())
+    except (ValueError, ZeroDivisionError):
+        raise InvalidSpec(f"--sweep {text}: expected NAME=LOW:HIGH:POINTS, such as --sweep k2=0.1:0.9:17") from None
+    points = int(found[4] or 11)
+    if not low < high or points < 2:
+        raise InvalidSpec(f"--sweep {text}: LOW is to be below HIGH, with at least two points")
+    return Axis(name=found[1], low=low, high=high, points=points)
+
+
+def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
+    """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
+
+    Raises:
+        InvalidSpec: If they are too many, or a parameter varies twice.
+
+    Example:
+        >>> places([axis("a=0:1:2"), axis("b=0.1:0.3:3")])[1]
+        {'a': 0.0, 'b': 0.2}
+    """
+    names = [one.name for one in axes]
+    if len(set(names)) < len(names):
+        raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")
+    total = prod(one.points for one in axes) if method == "grid" else count
+    if total > _MOST:
+        raise InvalidSpec(f"--sweep: {total:,} points, at most {_MOST:,} are looked at")
+    if method == "grid":
+        shares = product(*([Fraction(k, one.points - 1) for k in range(one.points)] for one in axes))
+        return [{one.name: one.at(share) for one, share in zip(axes, row, strict=True)} for row in shares]
+    import numpy as np
+    from scipy.stats import qmc
+
+    draw = np.random.default_rng(seed)
+    rows = (
+        draw.random((total, len(axes))) if method == "random" else qmc.LatinHypercube(len(axes), rng=draw).random(total)
+    )
+    return [{one.name: one.at(share) for one, share in zip(axes, row, strict=True)} for row in rows.tolist()]
+
+
+def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, simulated: bool) -> Point:
+    """Design at one place, and simulate if asked."""
+    from pwatrack import pipeline
+    from pwatrack.report.figures import figure_content, gain_figures, measures
+    from pwatrack.spec.load import load_spec
+
+    figures: dict[str, Any] = {}
+    code, said = int(ExitCode.DONE), ""
+    try:
+        loaded = load_spec(spec, {**fixed, **{name: repr(value) for name, value in values.items()}})
+        controller = pipeline.design(loaded, growing=simulated)
+        figures = gain_figures(controller)
+        if simulated:
+            result = pipeline.simulate(loaded, controller)
+            figures |= figure_content(measures(result))
+            code, said = int(result.outcome.code), result.outcome.text
+    except MemoryError:
+        raise
+    except PwatrackError as error:
+        code, said = int(error.code), error.problems[0].short or error.problems[0].message
+    except Exception as error:
+        number, lines = told(error)
+        code, said = int(number), lines[0]
+    numbers = {n: float(v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    return Point(values=values, exit=code, said=said, figures=numbers)
+
+
+def bisect(spec: Path, fixed: Mapping[str, str], one: Point, other: Point, name: str, width: float) -> Edge:
+    """Return where the proof ends between two places that differ in one parameter: closer than `width`."""
+    proved, refused = (one, other) if one.proved else (other, one)
+    for _ in range(_HALVINGS):
+        low, high = proved.values[name], refused.values[name]
+        middle = (low + high) / 2
+        if abs(high - low) <= width or middle in (low, high):
+            break
+        found = look(spec, fixed, {**proved.values, name: middle}, simulated=False)
+        proved, refused = (found, refused) if found.proved else (proved, found)
+    return Edge(proved=proved, refused=refused, name=name)
+
+
+def sweep(
+    spec: Path,
+    axes: Sequence[Axis],
+    executor: Executor,
+    *,
+    at: Sequence[Mapping[str, float]],
+    fixed: Mapping[str, str] | None = None,
+    simulated: bool = True,
+    refine: float | None = None,
+    progress: Callable[[int, int], object] = lambda *_: None,
+) -> tuple[list[Point], list[Edge]]:
+    """Look at many places, and refine where the proof ends.
+
+    Args:
+        spec: The file.
+        axes: The parameters that vary.
+        executor: Who does the work: `look` and `bisect`, one place at a time.
+        at: Where to look, from `places`.
+        fixed: Other parameters, as text.
+        simulated: Whether to simulate too.
+        refine: Share of each range to which to find the ends, between neighbours of a grid; None: not at all.
+        progress: Is told how many places and ends are done, and how many there are.
+
+    Returns:
+        The points in the order of `at`, and the ends of the proof in the order of the grid.
+    """
+    set_ = dict(fixed or {})
+    futures = [executor.submit(look, spec, set_, values, simulated=simulated) for values in at]
+    points = [_point(f, v) for f, v in zip(_ended(futures, progress), at, strict=True)]
+    if refine is None:
+        return points, []
+    pairs = [
+        (one, other, axis)
+        for one, other, axis in neighbours(points, axes)
+        if one.proved != other.proved and _told(one, other)
+    ]
+    found = [
+        executor.submit(bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low))
+        for one, other, axis in pairs
+    ]
+    return points, [future.result() for future in _ended(found, progress) if not future.exception()]
+
+
+def neighbours(points: Sequence[Point], axes: Sequence[Axis]) -> Iterator[tuple[Point, Point, Axis]]:
+    """Yield the neighbours on a grid, with the parameter in which they differ."""
+    step = 1
+    for one in reversed(axes):
+        for k, point in enumerate(points):
+            if k // step % one.points < one.points - 1:
+                yield point, points[k + step], one
+        step *= one.points
+
+
+def _told(*points: Point) -> bool:
+    """Whether all points say something: not those that were lost, or where the spec is in error."""
+    return all(point.exit not in (None, ExitCode.BUG, ExitCode.INVALID) for point in points)
+
+
+def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:
+    for done, _ in enumerate(as_completed(futures), 1):
+        progress(done, len(futures))
+    return futures
+
+
+def _point(future: Future[Point], values: Mapping[str, float]) -> Point:
+    try:
+        return future.result()
+    except Lost as lost:
+        return Point(values=values, exit=None, said=lost.reason)

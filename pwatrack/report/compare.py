@@ -1,0 +1,119 @@
+"""Runs beside each other: their figures in a table, their errors in one picture."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from pwatrack.arrays import Array
+from pwatrack.errors import InvalidSpec
+from pwatrack.report.run_folder import read_index, written_at_once
+
+_MOST = 20  # runs: more columns and curves are not told apart
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What a run folder says.
+
+    Attributes:
+        folder: The folder.
+        index: Its run.json.
+        t, error: Times in s, and the norm of the tracking error there; empty if it was not simulated.
+        unit: Of the error.
+    """
+
+    folder: Path
+    index: Mapping[str, Any]
+    t: Array
+    error: Array
+    unit: str
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Its figures that are one number each, and those of each signal as `figure signal`."""
+        found: dict[str, float] = {}
+        for name, value in self.index.get("figures", {}).items():
+            parts = value.items() if isinstance(value, dict) else [("", value)]
+            for of, number in parts:
+                if isinstance(number, int | float) and not isinstance(number, bool):
+                    found[f"{name} {of}".strip()] = number
+        return found
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder.
+
+    Raises:
+        InvalidSpec: If it tells no run, or its trace is not as its index says.
+    """
+    index = read_index(folder)
+    if index is None:
+        raise InvalidSpec(f"{folder} tells no run: there is no run.json of ours in it")
+    tracked = index.get("tracked") or {}
+    sizes: dict[str, float] = tracked.get("sizes", {})
+    if "trace.csv" not in index["files"] or not sizes:
+        return Run(folder=folder, index=index, t=np.zeros(0), error=np.zeros(0), unit="")
+    try:
+        with (folder / "trace.csv").open(encoding="utf-8", newline="") as file:
+            header = next(csv.reader(file))
+            wanted = [header.index(name) for name in ("t", *sizes, *(f"{name}_d" for name in sizes))]
+            values = np.loadtxt(file, delimiter=",", usecols=wanted, ndmin=2)
+    except (OSError, ValueError, StopIteration) as broken:
+        reason = getattr(broken, "strerror", None) or broken
+        raise InvalidSpec(f"cannot read {folder / 'trace.csv'}: {reason}") from None
+    count = len(sizes)
+    error = np.linalg.norm((values[:, 1 : count + 1] - values[:, count + 1 :]) / np.array([*sizes.values()]), axis=1)
+    return Run(folder=folder, index=index, t=values[:, 0], error=error, unit=str(tracked.get("unit", "")))
+
+
+def names_of(runs: Sequence[Run]) -> list[str]:
+    """Return names that tell runs apart: of their folders, with as many of the folders above as that takes."""
+    parts = [run.folder.resolve().parts for run in runs]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(part[-depth:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(run.folder) for run in runs]
+
+
+def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
+    """Print the verdict and every figure of runs beside each other."""
+    table = Table()
+    table.add_column("figure", overflow="fold")
+    for name in names_of(runs):
+        table.add_column(name, justify="right", overflow="fold")
+    for label, key in (("spec", "name"), ("verdict", "verdict"), ("exit", "exit")):
+        table.add_row(label, *(str(run.index.get(key, "")) for run in runs))
+    simulations = [run.index.get("simulation") for run in runs]
+    table.add_row("simulation", *(str(s.get("outcome", "")) if isinstance(s, dict) else "" for s in simulations))
+    for name in dict.fromkeys(name for run in runs for name in run.figures):
+        table.add_row(name, *(f"{run.figures[name]:.4g}" if name in run.figures else "" for run in runs))
+    screen.print(table)
+
+
+def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
+    """Print runs beside each other, and draw their errors over each other.
+
+    Raises:
+        InvalidSpec: If a folder tells no run, they are too many, or the picture cannot be written.
+    """
+    if len(folders) > _MOST:
+        raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
+    runs = [read_run(folder) for folder in folders]
+    print_comparison(screen, runs)
+    drawn = [(name, run) for name, run in zip(names_of(runs), runs, strict=True) if len(run.t)]
+    if picture is None or not drawn:
+        return
+    from pwatrack.report.plots.compare import errors
+
+    units = {run.unit for _, run in drawn}
+    figure = errors({name: (run.t, run.error) for name, run in drawn}, units.pop() if len(units) == 1 else "")
+    with written_at_once(picture) as temporary:
+        figure.savefig(temporary, format="png", dpi=150)
+    screen.print(str(picture), soft_wrap=True)
