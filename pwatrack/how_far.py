@@ -244,7 +244,7 @@ class _Inequality:
             assert task.exact is not None
             return [*task.exact[0], task.exact[1]]
         try:
-            return [GENERATOR.exact(A_i) for A_i in normal_form(plant).exact.A_eta]
+            return [GENERATOR.exact(A_i) for A_i in normal_form(plant, input_sizes=self._sizes.input).exact.A_eta]
         except PwatrackError:  # no form (11)
             return None
 

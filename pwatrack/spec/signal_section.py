@@ -2,7 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, GetJsonSchemaHandler, Tag
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core.core_schema import CoreSchema
 
 from pwatrack.spec.entries import (
     TEXT_OR_VALUE,
@@ -101,8 +103,18 @@ def _signal_kind(value: Any) -> str:
     return "by name" if several else "one"
 
 
+class _OneOrByName:
+    """For `pwatrack schema`: `{constant: 1}` is one signal, and reads like one by name, so that both may fit."""
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Return the schema of either."""
+        return {"anyOf": handler(core)["oneOf"]}
+
+
 Signals = Annotated[
-    Annotated[Signal, Tag("one")] | Annotated[dict[Name, Signal], Tag("by name")], Discriminator(_signal_kind)
+    Annotated[Signal, Tag("one")] | Annotated[dict[Name, Signal], Tag("by name")],
+    Discriminator(_signal_kind),
+    _OneOrByName(),
 ]
 
 
