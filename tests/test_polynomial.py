@@ -273,7 +273,7 @@ simulation: {duration: 60, sample_time: 0.1, initial: {plant: [0.2, 0], observer
 def test_given_gains_are_proved_by_polynomials_and_kept_to_what_these_promise(tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text(GIVEN)
     result = simulate(load_spec(tmp_path / "given.yaml"))
-    assert [(p.role.name, p.degree) for p in result.controller.proofs] == [("controller", 4), ("observer", 4)]
+    assert [(p.role.name, p.degree) for p in result.controller.proofs] == [("controller", 8), ("observer", 8)]
     assert result.outcome.kind == "tracks"
     r = result.response
     for bound, error in ((result.tracking_bound, r.error_norm), (result.observer_bound, r.observer_error)):

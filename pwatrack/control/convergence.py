@@ -28,6 +28,8 @@ _CONVERGED = 1e-4  # relative distance to the next rate to try at which the sear
 _NEAR = 1e-2  # gap of the margins: the next one can begin where such a one ended, and P is well inside
 _ENCLOSED = 1e-3  # of a rate that is out of reach: where the best one is that near, the search ends
 _CLOSE = 1e-4  # gap of the least condition number, whose root is the overshoot
+_FEW_ROWS = 250  # of a program for a polynomial, up to which one more costs next to nothing
+_WORTH_IT = 1.1  # times the rate of a polynomial, for which one of a higher degree is taken
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 
 
@@ -228,18 +230,26 @@ def prove_convergence(
 def _polynomial(
     M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None
 ) -> tuple[Polynomial | None, tuple[int, ...]]:
-    """Return the polynomial of the lowest degree that is proved for all cells, and the degrees that were tried."""
+    """Return the polynomial of the lowest degree that is proved for all cells, and the degrees that were tried.
+
+    Where programs are small higher degrees are tried too, for a rate that is clearly larger: near the end of what one
+    degree can prove its rate is next to 0.
+    """
     A = distinct(role.oriented(M))[0]
     if not np.linalg.eigvals(A).real.max() < 0:
         return None, ()
     numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
     near, tried = near_polynomial(A, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
+    best, small = None, degrees(A.shape[1], len(A), _FEW_ROWS)
     for degree in degrees(A.shape[1], len(A)):
+        if best is not None and degree not in small:
+            break
         found = best_polynomial(A, degree, near)
         tried.append(degree)
-        if found is not None and prove_polynomial(role, numbers, found) is not None:
-            return found, tuple(tried)
-    return None, tuple(tried)
+        faster = found is not None and (best is None or found.rate > _WORTH_IT * best.rate)
+        if found is not None and faster and prove_polynomial(role, numbers, found) is not None:
+            best = found
+    return best, tuple(tried)
 
 
 def near_polynomial(A: Array, sizes: Array | None = None) -> Coordinates:
