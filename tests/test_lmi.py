@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 from scipy.optimize import linprog
 
-from benchmarks.corpus import feasible
+from benchmarks.corpus import feasible, infeasible
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.control import candidates, convergence, synthesis
 from pwatrack.control.task import Task
@@ -318,6 +318,27 @@ def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     assert search.smallest(0.9 * found[1].rate) is not None
     assert len(counts) >= 2
     assert max(counts) <= 8
+
+
+@pytest.mark.parametrize(("seed", "damped"), [(0, 0.8316365022), (1, 0.7099422066)])
+def test_a_marginal_plant_is_called_undecided_after_at_most_52_programs(
+    monkeypatch: pytest.MonkeyPatch, seed: int, damped: float
+) -> None:
+    """The least damping with which there is a gain, and a millionth more."""
+    counts, method = list[int](), primal_dual.solve
+
+    def counted(program: Program, **options: Any) -> Solution | None:
+        found = method(program, **options)
+        counts.append(0 if found is None or found.iterations is None else found.iterations)
+        return found
+
+    monkeypatch.setattr(primal_dual, "solve", counted)
+    A, B = infeasible(seed, 4, 1, 3, 1e-2)
+    task = Task(A=A - damped * (1 + 1e-6) * np.eye(4), B=B, cells=["a", "b", "c"])
+    with pytest.raises(Undecided):
+        synthesis.gain(task)
+    assert len(counts) <= 52
+    assert max(counts) <= 60
 
 
 @given(seed=seeds, n=st.integers(2, 8), m=st.integers(1, 3), cells=st.integers(2, 6))

@@ -31,10 +31,16 @@ _CLOSE = 1e-4  # gap of the least condition number, whose root is the overshoot
 _FEW_ROWS = 250  # of a program for a polynomial, up to which one more costs next to nothing
 _WORTH_IT = 1.1  # times the rate of a polynomial, for which one of a higher degree is taken
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
+_SOON = 1  # the same for one gain of many
 
 
 def best_certificate(
-    M: Array, *, start: Array | None = None, sizes: Array | None = None, solver: Solver = "clarabel"
+    M: Array,
+    *,
+    start: Array | None = None,
+    sizes: Array | None = None,
+    soon: bool = False,
+    solver: Solver = "clarabel",
 ) -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found.
 
@@ -46,6 +52,7 @@ def best_certificate(
         M: (l, n, n), with all eigenvalues in the open left half plane.
         start: A P (n, n) that may prove something.
         sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
+        soon: Whether to give up sooner.
         solver: Which interior-point solver to ask.
 
     Returns:
@@ -56,6 +63,8 @@ def best_certificate(
     for step in range(_STEPS):
         margin, best = search.margin(trial), search.best
         if best is None:  # in better coordinates there may be one
+            if soon and step == _SOON:
+                return None
             if step == _RECENTRED:  # sizes may differ by more than doubles can count with
                 return None if sizes is None else best_certificate(M, start=start, solver=solver)
             continue

@@ -194,16 +194,19 @@ class Search:
             self._refutations[rate] = refute(task.A, task.B, rate=rate, solver=task.solver, exact=task.centres)
         return self._refutations[rate]
 
-    def first(self, candidates: Iterable[Candidate], rate: float) -> Proved | None:
+    def first(self, candidates: Iterable[Candidate], rate: float, *, soon: bool = False) -> Proved | None:
         """Return the first candidate that is proved to reach a rate, with the proof of the best one."""
-        return next((found for found in (self.proved(c, rate) for c in candidates) if found is not None), None)
+        proofs = (self.proved(candidate, rate, soon=soon) for candidate in candidates)
+        return next((found for found in proofs if found is not None), None)
 
-    def proved(self, candidate: Candidate, rate: float) -> Proved | None:
-        """Prove the best rate of a candidate, if it reaches the rate that is asked."""
+    def proved(self, candidate: Candidate, rate: float, *, soon: bool = False) -> Proved | None:
+        """Prove the best rate of a candidate, if it reaches the rate that is asked; soon, or not at all."""
         closed = self.task.closed(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
-        certificate = best_certificate(closed, start=candidate.P, sizes=self.task.scale.state, solver=self.task.solver)
+        certificate = best_certificate(
+            closed, start=candidate.P, sizes=self.task.scale.state, soon=soon, solver=self.task.solver
+        )
         return (candidate.K, certificate) if certificate is not None and reaches(certificate, rate) else None
 
     def regulator(self, rate: float) -> Proved | None:
@@ -220,7 +223,7 @@ class Search:
             self.best_margin = max(self.best_margin, candidate.margin)
             if candidate.margin < 0 and self.refuted(rate) is not None:
                 return None
-        return None if self.refuted(rate) is not None else self.first(costs, rate)
+        return None if self.refuted(rate) is not None else self.first(costs, rate, soon=True)
 
     def gentlest(self, rate: float) -> Proved | None:
         """Return the smallest gain that is found in any way: in sizes that differ a lot that of a cost may be."""
