@@ -20,7 +20,6 @@ from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
 from pwatrack.report.figures import (
     ensemble_measures,
-    error_unit,
     figure_content,
     gain_figures,
     load_content,
@@ -33,6 +32,7 @@ from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
+from pwatrack.report.wording import error_unit
 from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response

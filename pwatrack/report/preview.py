@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.control.controller import Controller
-from pwatrack.report.figures import up
+from pwatrack.report.wording import up
 from pwatrack.spec.spec import Spec
 
 
