@@ -89,6 +89,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         "gallery/robust_positioning",
         "gallery/three_tanks_pumps",
         "gallery/kinked_tanks",
+        "gallery/cart_and_pole_on_the_move",
     ):
         yield specs / f"{name}.yaml"
     (tmp_path / "rod.yaml").write_text(ROD)

@@ -65,12 +65,34 @@ def _kinked_or(facts: Facts, *, kinked: bool) -> Answer:
     return stable(facts.plant, facts.zero_dynamics, then, "the zero dynamics do not converge")
 
 
+def _preview(facts: Facts) -> Answer:
+    """Judge whether x_d can be worked out beforehand: see `lmi.dichotomy`."""
+    if facts.form is None:
+        assert facts.refusal is not None
+        return No(facts.refusal.problems[0].message)
+    if facts.stuck:
+        return No(facts.stuck)
+    assert facts.zero_dynamics is not None
+    unstable = (facts.zero_dynamics.real > 0).sum(axis=1)
+    few, many = int(unstable.argmin()), int(unstable.argmax())
+    if not unstable[many]:
+        return No("no mode of the zero dynamics is unstable")
+    if unstable[few] != unstable[many]:
+        names = facts.plant.cell_names
+        return No(
+            f"cell '{names[few]}' has {unstable[few]} unstable modes of the zero dynamics, '{names[many]}' has "
+            f"{unstable[many]}"
+        )
+    return Needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
+
+
 ROUTES: tuple[Route, ...] = (
     Route(name="Theorem 1", judge=_alone),
     Route(name="Theorem 2", judge=_state, takes=frozenset({"state"})),
     Route(name="Theorem 3", judge=_theorem_3, takes=_OUTPUT),
     Route(name="several outputs", judge=_several, takes=_OUTPUT),
     Route(name="kinked derivative", judge=_kinked, takes=_OUTPUT),
+    Route(name="preview", judge=_preview, takes=_OUTPUT),
 )
 """In the order in which `design` tries them. A new one is a module with its Route, and a line here."""
 
