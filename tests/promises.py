@@ -143,6 +143,8 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
     e, delta = response.x - response.x_d, response.x_hat - response.x
     y, output = (response.y - response.y_d), loop.controller.generator is not None
     sizes = loop.controller.sizes.state if e.shape[1] > 1 else np.ones(1)
+    tracked = loop.controller.plant.tracked
+    counted = loop.controller.sizes.tracked if len(tracked) > 1 else np.ones(1)
     floor = FLOOR * max(1.0, float(np.abs(response.x).max()), float(np.abs(response.x / sizes).max()))
 
     def part(error: Array, bound: Array) -> float:
@@ -164,7 +166,7 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
             ],
             axis=0,
         )
-        for S in (np.diag(1 / sizes), loop.controller.plant.C)
+        for S in (np.diag(1 / sizes), tracked / counted[:, None])
     ]
     ours = [promised.tracking_error(t, e[0], delta[0], output=which) for which in (False, True)]
     ratio = np.concatenate([a / b for a, b in zip(ours, opinion, strict=True)])
