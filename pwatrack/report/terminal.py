@@ -93,7 +93,7 @@ def told(error: Exception) -> tuple[int, list[str]]:
         return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
     where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
     place = f"{Path(where.filename).name}:{where.lineno}"
-    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})"
+    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place}) [P100]"
     return ExitCode.BUG, [said, "  hint: please report it together with the spec"]
 
 
