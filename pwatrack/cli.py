@@ -270,6 +270,15 @@ def compare(
         compare(console(), folders, picture)
 
 
+@app.command(epilog="Example: pwatrack explain P303")
+def explain(code: Annotated[str, typer.Argument(metavar="CODE", help="As errors end.", show_default=False)]) -> None:
+    """Say what an error means, and what to do about it."""
+    with refusals():
+        from pwatrack.report.codes import explanation
+
+        typer.echo(explanation(code))
+
+
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
 def verify(
     path: Annotated[

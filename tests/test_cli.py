@@ -294,7 +294,8 @@ def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
     (out / "notes.txt").write_text("mine")
     assert (out / "trace.csv").exists()
     assert call("design", simulated[0], "--out", out).exit_code == 0
-    assert set(contents(out)) == {"gains.json", "certificate.json", "generator.json", "run.json", "notes.txt"}
+    names = {"gains.json", "bounds.json", "certificate.json", "generator.json", "run.json", "notes.txt"}
+    assert set(contents(out)) == names
 
 
 def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path: Path) -> None:
@@ -421,7 +422,7 @@ def test_the_help_of_a_command_shows_an_example(command: str) -> None:
 
 
 def test_a_bug_is_said_on_a_line_with_exit_code_1(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a fault")
 
     monkeypatch.setattr("pwatrack.spec.load.load_spec", fail)

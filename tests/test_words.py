@@ -52,7 +52,7 @@ def test_a_refusal_of_many_cells_is_a_few_words_with_the_worst_first_and_complet
     assert problem.short.endswith(
         "+1 in cell 'cell 47', +0.9362 in cell 'cell 46', +0.8723 in cell 'cell 45' … and 45 more"
     )
-    assert refusal_lines(caught.value)[0] == f"error: {problem.short}"
+    assert refusal_lines(caught.value)[0].startswith(f"error: {problem.short} [P")
 
 
 @pytest.mark.parametrize(("kind", "most"), [(OutsideTheory, 11), (InvalidSpec, 21)])
@@ -63,7 +63,7 @@ def test_however_many_problems_there_are_the_terminal_shows_a_few_and_counts_the
     lines = refusal_lines(error)
     shown = [line for line in lines if line.startswith("error: wrong")]
     assert lines[-1] == f"error: … and {300 - len(shown)} more; 'check --json' lists them"
-    assert shown == [f"error: wrong {k}" for k in range(len(shown))]
+    assert shown == [f"error: wrong {k} [P{int(kind.code)}00]" for k in range(len(shown))]
     assert len(lines) <= most + 6 * (kind is InvalidSpec)
 
 
@@ -76,7 +76,7 @@ def test_each_shown_problem_has_its_hint_below_it_or_below_its_neighbours(hints:
             assert {hints[k] for k in waiting if hints[k]} == {line.removeprefix("  hint: ")}
             waiting = []
         elif "… and" not in line:
-            waiting.append(int(line.removeprefix("error: ")))
+            waiting.append(int(line.removeprefix("error: ").removesuffix(" [P300]")))
     assert not any(hints[k] for k in waiting)
 
 

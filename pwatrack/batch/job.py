@@ -30,9 +30,10 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One thing that is wrong: what, what helps, and where it stands if that is known."""
+    """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
 
     message: str
+    code: str = ""
     hint: str = ""
     place: Place | None = None
 

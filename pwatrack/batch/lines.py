@@ -49,9 +49,9 @@ def write_sarif(outcomes: Sequence[Outcome], path: Path) -> None:
         InvalidSpec: If the file cannot be written.
     """
     failed = [outcome for outcome in outcomes if outcome.failed]
-    rules = sorted({_rule(outcome) for outcome in failed})
-    driver = {"name": "pwatrack", "version": __version__, "rules": [{"id": rule} for rule in rules]}
     results = [result for outcome in failed for result in _results(outcome)]
+    rules = [{"id": rule} for rule in sorted({result["ruleId"] for result in results})]
+    driver = {"name": "pwatrack", "version": __version__, "rules": rules}
     run = {"tool": {"driver": driver}, "columnKind": "unicodeCodePoints", "results": results}
     with written_at_once(path) as temporary:
         temporary.write_text(json.dumps({"$schema": _SARIF, "version": "2.1.0", "runs": [run]}, indent=1), "utf-8")
@@ -64,10 +64,11 @@ def _rule(outcome: Outcome) -> str:
 def _results(outcome: Outcome) -> list[dict[str, Any]]:
     """Return the results of one spec: one for each fault, or one that says how it ended."""
     if not outcome.faults:
-        return [_result(outcome, outcome.ending, None)]
+        return [_result(outcome, _rule(outcome), outcome.ending, None)]
     return [
         _result(
             outcome,
+            fault.code or _rule(outcome),
             fault.message + (f"\n{fault.hint}" if fault.hint else ""),
             {"startLine": fault.place.line, "startColumn": fault.place.column} if fault.place else None,
         )
@@ -75,9 +76,9 @@ def _results(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _result(outcome: Outcome, text: str, region: dict[str, int] | None) -> dict[str, Any]:
+def _result(outcome: Outcome, rule: str, text: str, region: dict[str, int] | None) -> dict[str, Any]:
     place: dict[str, Any] = {"artifactLocation": {"uri": quote(bytes(outcome.spec))}}
     if region:
         place["region"] = region
-    rule, message = _rule(outcome), {"text": text}
+    message = {"text": text}
     return {"ruleId": rule, "level": "error", "message": message, "locations": [{"physicalLocation": place}]}

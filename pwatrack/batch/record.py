@@ -71,7 +71,9 @@ def recall(job: Job, out: Path) -> tuple[Ended, float] | None:
         if index is None or record["index"] != _digest(job.out / INDEX) or not _whole(job.out, index, record["stamps"]):
             return None
         faults = tuple(
-            Fault(message=f["message"], hint=f["hint"], place=Place(**f["place"]) if f["place"] else None)
+            Fault(
+                message=f["message"], code=f["code"], hint=f["hint"], place=Place(**f["place"]) if f["place"] else None
+            )
             for f in record["faults"]
         )
         ended = Ended(exit=record["exit"], expected=record["expected"], messages=record["messages"], faults=faults)

@@ -2,11 +2,13 @@
 
 import contextlib
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 from pwatrack.batch.job import Ended, Fault, Job
 from pwatrack.batch.record import inputs
 from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.report.codes import code_of
 from pwatrack.report.run_folder import INDEX, read_index
 from pwatrack.report.terminal import told
 
@@ -36,8 +38,7 @@ def simulate(job: Job) -> Ended:
             raise
         except Exception as error:
             code, lines = told(error)
-            problems = error.problems if isinstance(error, PwatrackError) else ()
-            faults = tuple(Fault(message=p.message, hint=p.hint, place=p.place) for p in problems)
+            faults = tuple(_faults(error)) if isinstance(error, PwatrackError) else ()
     index = (read_index(job.out) if _stamp(job.out) != before else None) or {}
     return Ended(
         exit=int(code),
@@ -48,6 +49,12 @@ def simulate(job: Job) -> Ended:
         key=key,
         inputs=files,
     )
+
+
+def _faults(refusal: PwatrackError) -> Iterator[Fault]:
+    for problem in refusal.problems:
+        code = code_of(problem.message, refusal.code)
+        yield Fault(message=problem.message, code=code, hint=problem.hint, place=problem.place)
 
 
 def _stamp(folder: Path) -> tuple[int, int] | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.cells import cell_len
 
 from pwatrack.errors import Place, PwatrackError
+from pwatrack.report.codes import code_of
 
 _PROPERTY = {"%": "%25", "\r": "%0D", "\n": "%0A", ":": "%3A", ",": "%2C"}
 _WIDEST = 100  # characters of a line that are shown
@@ -59,7 +60,7 @@ def annotations(error: PwatrackError) -> list[str]:
     return [
         annotation(
             problem.message + (f"\nhint: {problem.hint}" if problem.hint else ""),
-            title=error.code.verdict,
+            title=f"{error.code.verdict} {code_of(problem.message, error.code)}",
             file=problem.place.file if problem.place else "",
             line=problem.place.line if problem.place else None,
             column=problem.place.column if problem.place else None,
@@ -72,6 +73,7 @@ def as_json(error: PwatrackError) -> str:
     """Return a refusal as one line of JSON."""
     problems = [
         {
+            "code": code_of(p.message, error.code),
             "message": p.message,
             "hint": p.hint,
             "place": {"file": p.place.file, "line": p.place.line, "column": p.place.column} if p.place else None,

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from pwatrack.errors import ExitCode, Problem, PwatrackError
 from pwatrack.report.annotation import annotations, as_json, excerpt
+from pwatrack.report.codes import code_of
 
 Style = Literal["text", "json", "github"]
 STYLE: ContextVar[Style] = ContextVar("how refusals are said", default="text")
@@ -82,7 +83,7 @@ def told(error: Exception) -> tuple[int, list[str]]:
 
     Example:
         >>> told(PwatrackError("no proof"))
-        (<ExitCode.BUG: 1>, ['error: no proof'])
+        (<ExitCode.BUG: 1>, ['error: no proof [P100]'])
     """
     if isinstance(error, PwatrackError):
         if STYLE.get() == "json":
@@ -92,7 +93,7 @@ def told(error: Exception) -> tuple[int, list[str]]:
         return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
     where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
     place = f"{Path(where.filename).name}:{where.lineno}"
-    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place})"
+    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place}) [P100]"
     return ExitCode.BUG, [said, "  hint: please report it together with the spec"]
 
 
@@ -118,26 +119,26 @@ def refusal_lines(error: PwatrackError) -> list[str]:
     Example:
         >>> from pwatrack.errors import OutsideTheory
         >>> refusal_lines(OutsideTheory(*(f"cell {k} is wrong" for k in range(48)), hint="mend it"))[-3:]
-        ['error: cell 8 is wrong', '  hint: mend it', "error: … and 39 more; 'check --json' lists them"]
+        ['error: cell 8 is wrong [P300]', '  hint: mend it', "error: … and 39 more; 'check --json' lists them"]
     """
     shown = error.problems[:_MOST_FAULTS]
     if error.code is not ExitCode.INVALID:
-        while len(shown) > 1 and len(_hints_last(shown)) > _MOST_LINES:
+        while len(shown) > 1 and len(_hints_last(shown, error.code)) > _MOST_LINES:
             shown = shown[:-1]
     hidden = len(error.problems) - len(shown)
     excerpts = error.code is ExitCode.INVALID or len(shown) == 1
-    return _hints_last(shown, excerpts=excerpts) + (
+    return _hints_last(shown, error.code, excerpts=excerpts) + (
         [f"error: … and {hidden:,} more; 'check --json' lists them"] if hidden else []
     )
 
 
-def _hints_last(problems: Sequence[Problem], *, excerpts: bool = False) -> list[str]:
-    """Return the messages of problems, with each hint once, below the last of those in a row that have it."""
+def _hints_last(problems: Sequence[Problem], code: ExitCode, *, excerpts: bool = False) -> list[str]:
+    """Return the messages of problems, with code, and each hint once, below the last in a row that have it."""
     lines = []
     for k, problem in enumerate(problems):
         message = (problem.short or problem.message).replace("\n", "\\n")  # no text of a file looks like a line of ours
         message = message if len(message) <= _LONGEST else f"{message[:_LONGEST]} …"
-        lines.append(f"error: {problem.where}{message}")
+        lines.append(f"error: {problem.where}{message} [{code_of(problem.message, code)}]")
         if excerpts and problem.place:
             lines += excerpt(problem.place, message)
         if problem.hint and (k + 1 == len(problems) or problems[k + 1].hint != problem.hint):
