@@ -68,6 +68,8 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}{about}")
         decided.add("" if "X" in proof else of)
     loop = Loop(plant, K or [], L or [], X)
+    if not all(isinstance(content.get(name, []), list) for name in ("bounds", "limits")):
+        raise Fault("bounds or limits are no list")
     for entry in content.get("bounds", []):
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
     if content.get("bounds"):
