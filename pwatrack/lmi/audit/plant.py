@@ -88,6 +88,8 @@ class Plant:
         """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
         pivot = next(p for p, v in enumerate(plane) if v)
         for a, b, c, d in zip(self.A[i][0], self.A[j][0], self.b[i][0], self.b[j][0], strict=True):
+            if (a, c) == (b, d):
+                continue
             row = [v - w for v, w in zip((*a, *c), (*b, *d), strict=True)]
             if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
                 return True

@@ -2,6 +2,7 @@
 
 import re
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 from .balls import Ball
@@ -9,12 +10,13 @@ from .matrices import Fault, Matrix, transposed
 
 _NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/0*[1-9][0-9]*)?")
 _LARGEST = 100_000  # characters of a number, and binary exponent
+_fraction = lru_cache(2**16)(Fraction)  # the entries of many cells are written alike
 
 
 def number(value: Any) -> Fraction:
     """Return a number of the file as the decimal or fraction it is written as."""
     if isinstance(value, str) and len(value) < _LARGEST and _NUMBER.fullmatch(value):
-        return Fraction(value)
+        return _fraction(value)
     if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() < _LARGEST:
         return Fraction(value)
     raise Fault(f"not a number: {str(value)[:40]}")
