@@ -70,6 +70,10 @@ false-accepts: $(READY) ## look for false proofs: tampered certificates, nearly 
 promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
 
+.PHONY: previews
+previews: $(READY) ## follow references with 100 random plants that are not minimum phase
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview 100
+
 .PHONY: bounds
 bounds: $(READY) ## hold the bounds of random designs against the worst that can be found
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bounds 200
