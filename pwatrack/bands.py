@@ -38,7 +38,11 @@ def bands(loop: ClosedLoop, response: Response, box: Box) -> dict[Form, Array]:
     if with_noise.nominal:
         most = from_start(controller.bounds, controller.starts, start, response.t, states=n)
         _with_norms(most, loop, response, start)
-        return with_acting(most, controller.bounds, _acting(loop, response))
+        found = with_acting(most, controller.bounds, _acting(loop, response))
+        if controller.practical is None:
+            return found
+        left = controller.practical.final  # what merged cells leave comes on top
+        return {form: values + left[form] for form, values in found.items() if form in left}
     robust = controller.robust
     if robust is None or not covered(box, free):
         return {}

@@ -68,12 +68,12 @@ def check(
     """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
     with refusals():
         from pwatrack.control.applicability import applicability
-        from pwatrack.control.modes import check_modes
         from pwatrack.errors import PwatrackError
+        from pwatrack.merged import checked
         from pwatrack.report.plant import check_json, print_plant
         from pwatrack.sizing import spec_sizes
         from pwatrack.spec.load import assignments, load_spec
-        from pwatrack.tracking import check_reference, reference_remarks
+        from pwatrack.tracking import reference_remarks
 
         report, refusal, reference, sizes, name = None, None, "", None, ""
         remarks: tuple[str, ...] = ()
@@ -81,9 +81,8 @@ def check(
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
             sizes = spec_sizes(spec)
             name, report = spec.name, applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=sizes)
-            reference, remarks = check_reference(spec, report.form), reference_remarks(spec, report.form)
-            with spec.located():
-                check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
+            reference, sizes = checked(spec, report.form)
+            remarks = reference_remarks(spec, report.form)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

@@ -83,12 +83,8 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
     Example: the springs of the example made stiffer, both at once: (17) ends at k2 = k3 = 0.69 N/m.
 
         >>> from pwatrack import design, load_spec
-        >>> from pwatrack.errors import Infeasible
-        >>> spec = load_spec("specs/refused/stiff_springs.yaml", {"k3": "k2"})
-        >>> try:
-        ...     design(spec)
-        ... except Infeasible as refusal:
-        ...     found = how_far(spec, refusal.evidence)
+        >>> spec = load_spec("specs/gallery/stiff_springs.yaml", {"k3": "k2"})
+        >>> found = how_far(spec, design(spec).practical.evidence)
         >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
         ('k2', 0.69)
     """

@@ -18,7 +18,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.box import Box
 
-Kind = Literal["tracks", "off", "grows", "above its bound"]
+Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 
 _TRACKS = 0.01  # of the size of reference and start: what is left of an error then is small
 _ROUNDING = 8 * EPS  # signals are known to about eps ‖F‖ T of their size, measured: 1.1 times that
@@ -33,9 +33,10 @@ class Outcome:
 
     Attributes:
         kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
-            its reference and start, or of its largest size where these are 0. "off": one is. "grows": an error does,
-            see `grows`, or the desired trajectory. "above its bound": the loop is the one that the proofs are about,
-            and an error is larger than they allow.
+            its reference and start, or of its largest size where these are 0. "within its bound": cells are merged,
+            and the norm of the error then is below what it is proved to end below. "off": neither. "grows": an error
+            does, see `grows`, or the desired trajectory. "above its bound": the loop is the one that the proofs are
+            about, and an error is larger than they allow.
         text: In words and figures.
     """
 
@@ -45,7 +46,7 @@ class Outcome:
     @property
     def code(self) -> ExitCode:
         """What the shell sees."""
-        return ExitCode.DONE if self.kind in ("tracks", "off") else ExitCode.CHECK_FAILED
+        return ExitCode.DONE if self.kind in ("tracks", "within its bound", "off") else ExitCode.CHECK_FAILED
 
 
 def grows(high: Array, low: Array, size: float) -> bool:
@@ -149,18 +150,18 @@ class Watch:
             return Outcome(kind="grows", text=growth.message)
         if self._broken:
             return Outcome(kind="above its bound", text=self._broken)
-        return self._growing() or self._settled()
+        return self._growing() or self._practical() or self._settled()
 
     def _above_its_bound(self, block: Response, norm: Array) -> str:
         """Say where an error is above what is proved of it and of the rounding of the simulation, or nothing."""
         assert self._first is not None
-        first, promised = self._first, self._loop.controller.guarantees
+        first, promised = self._first, self._loop.controller
         starts, t = (first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]), block.t
         sizes, states = block.error_sizes, block.state_sizes
         rounding, of_x = self._rounding(t[-1]), self._rounding_of_x(t[-1]) / (states if len(states) > 1 else 1.0)
         bounds = (
-            (self._norm_name, norm, promised.tracking_error(t, *starts, output=self._output), rounding / sizes),
-            ("‖x̂ − x‖", block.observer_error, promised.observer_error(t, starts[1]), of_x),
+            (self._norm_name, norm, promised.tracking_bound(t, *starts), rounding / sizes),
+            ("‖x̂ − x‖", block.observer_error, promised.observer_bound(t, starts[1]), of_x),
         )
         for name, error, bound, rounding in bounds:
             above = np.flatnonzero(error > bound + np.linalg.norm(rounding))
@@ -222,6 +223,19 @@ class Watch:
                 )
                 return Outcome(kind="grows", text=text)
         return None
+
+    def _practical(self) -> Outcome | None:
+        """Say that the error is below what it is proved to end below, where cells are merged and it is."""
+        practical = self._loop.controller.practical
+        if practical is None or not self._loop.conditions.nominal:
+            return None
+        bound = practical.norm("output" if self._output else "state", self._loop.controller.error_sizes.tolist())
+        if self._final_norm > bound:
+            return None
+        unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
+        final, worst = (f"{v:.2e} {unit}".rstrip() for v in self._norms)
+        text = f"within its bound: {self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
+        return Outcome(kind="within its bound", text=text)
 
     def _settled(self) -> Outcome:
         """Say what is left of the error, and of which entry most."""

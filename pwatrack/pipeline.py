@@ -13,9 +13,10 @@ from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.merged import may_merge, practical_design
 from pwatrack.model.sizes import Sizes
 from pwatrack.outcome import Outcome, Watch
 from pwatrack.result import Result
@@ -39,7 +40,7 @@ MOST_KEPT = 250_000  # samples
 
 
 def design(spec: Spec, *, growing: bool = False) -> Controller:
-    """Find the gains and prove that the closed loop tracks: Theorem 2 or 3.
+    """Find the gains and prove that the closed loop tracks: Theorem 2 or 3, or with cells merged practically.
 
     Args:
         spec: What is asked.
@@ -59,6 +60,19 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         >>> controller.generator.shift.round(12).tolist()
         [[1.0, 0.0], [0.0, 0.0]]
     """
+    try:
+        return _designed(spec, growing)
+    except PwatrackError as refusal:
+        if not may_merge(spec, refusal):
+            raise
+        found = practical_design(spec, refusal, lambda merged: _designed(merged, growing))
+        if found is None:
+            raise
+        return found
+
+
+def _designed(spec: Spec, growing: bool) -> Controller:
+    """Design for exact tracking."""
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)

@@ -78,9 +78,8 @@ class Result:
         """
         if not self.loop.conditions.nominal:
             return None
-        r, output = self.response, self.controller.generator is not None
-        starts = r.x[0] - r.x_d[0], r.x_hat[0] - r.x[0]
-        return self.controller.guarantees.tracking_error(r.t, *starts, output=output)
+        r = self.response
+        return self.controller.tracking_bound(r.t, r.x[0] - r.x_d[0], r.x_hat[0] - r.x[0])
 
     @property
     def observer_bound(self) -> Array | None:
@@ -88,7 +87,7 @@ class Result:
         if not self.loop.conditions.nominal:
             return None
         r = self.response
-        return self.controller.guarantees.observer_error(r.t, r.x_hat[0] - r.x[0])
+        return self.controller.observer_bound(r.t, r.x_hat[0] - r.x[0])
 
     @cached_property
     def bands(self) -> dict[Form, Array]:

@@ -12,13 +12,13 @@ from rich.console import Console
 from pwatrack import ensemble, load_spec, simulate, write_result
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
+from pwatrack.merged import checked as known
 from pwatrack.pipeline import design
 from pwatrack.report import summary, terminal
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.verify import verify
 from pwatrack.sizing import spec_sizes
-from pwatrack.tracking import check_reference
 from tests.test_outcome import ROD, RUNAWAY, cart
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
@@ -60,7 +60,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
         try:
-            reference = check_reference(spec)
+            reference, _ = known(spec)
         except PwatrackError as error:
             reference = str(error)
         sizes, tracking = spec_sizes(spec), spec.problem.tracking
@@ -90,6 +90,8 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         "gallery/three_tanks_pumps",
         "gallery/kinked_tanks",
         "gallery/cart_and_pole_on_the_move",
+        "gallery/gear_with_backlash",
+        "gallery/carriage_on_slack_rope",
     ):
         yield specs / f"{name}.yaml"
     (tmp_path / "rod.yaml").write_text(ROD)

@@ -18,7 +18,7 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.cli import app
 from pwatrack.report.run_folder import read_index
 
-STIFF = ("--set", "k2=1.2", "--set", "k3=1.2")
+PUSHED = ("--set", "d1=-0.5")  # the load is driven on: zero dynamics that are unstable in every cell
 
 
 def call(*arguments: object) -> Run:
@@ -177,7 +177,7 @@ def test_a_discontinuous_field_ends_with_3_and_its_place(specs: Path, tmp_path: 
         assert contents(tmp_path / "out").keys() == {"run.json"}
 
 
-@pytest.mark.parametrize("name", ["printed_gains.yaml", "stiff_springs.yaml"])
+@pytest.mark.parametrize("name", ["printed_gains.yaml", "tank_without_outlet.yaml"])
 @pytest.mark.parametrize("command", ["design", "simulate"])
 def test_what_is_proved_infeasible_ends_with_4_and_its_place(
     specs: Path, tmp_path: Path, command: str, name: str
@@ -259,7 +259,7 @@ def test_a_folder_tells_the_last_run_alone_whatever_came_of_it(spec: Path, specs
     out = tmp_path / "out"
     for arguments, code, verdict in (
         (("simulate", spec), 0, "proved"),
-        (("design", spec, *STIFF), 4, "infeasible"),
+        (("design", spec, *PUSHED), 4, "infeasible"),
         (("design", spec), 0, "proved"),
         (("simulate", specs / "refused" / "printed_A1.yaml"), 3, "outside the theory"),
     ):
@@ -280,7 +280,7 @@ def test_an_invalid_spec_changes_no_earlier_result_and_says_so(spec: Path, tmp_p
 
 
 def test_a_refusal_whose_folder_cannot_be_written_is_still_that_refusal(spec: Path) -> None:
-    message = refused(call("design", spec, "--out", spec, *STIFF), 4)
+    message = refused(call("design", spec, "--out", spec, *PUSHED), 4)
     assert "cannot write results" in message
 
 

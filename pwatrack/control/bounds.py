@@ -41,6 +41,7 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
+from pwatrack.lmi.chords import PeakGain
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.exact_polynomial import AnyProof
@@ -55,7 +56,7 @@ _KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
 _ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
-Channel = tuple[Literal["disturbance", "noise", "start", "input"], int]
+Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation"], int]
 Form = tuple[Literal["output", "state", "input", "estimate", "coupling", "drive"], int]
 
 
@@ -68,7 +69,8 @@ class Part:
             "observer": z = Δ, A_j + L C.
         channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
             (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k; ("start", k): z(0) = ε_k of (e, Δ) and no
-            d; of a sinusoidal load all starts |v| ≤ 1 in its two entries, of which k is the first.
+            d; of a sinusoidal load all starts |v| ≤ 1 in its two entries, of which k is the first; ("deviation", k):
+            see `practical`.
         signals: The rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of
             which a single loop has its half; ("estimate", k): Δ; ("coupling", k), for the observer's loop only: what
             of Δ drives e_k, where loads are estimated.
@@ -86,6 +88,19 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProvedPeak:
+    """A peak gain that is less than what the ellipsoid says: where a loop has one matrix.
+
+    Attributes:
+        part: Which of the parts has the ellipsoid for the same loop, channel and signal, counted from 0.
+        gain: What is proved.
+    """
+
+    part: int
+    gain: PeakGain
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bounds:
     """What one channel can do to each signal, per sup |d|, or per 1 of an entry of the start.
 
@@ -97,12 +112,15 @@ class Bounds:
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
         peaks: Where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound.
+        proved: Peak gains, with their proofs, that stand for the sizes of some of them.
     """
 
     channel: Channel
     sizes: dict[Form, float]
     parts: tuple[Part, ...]
     peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
+
+    proved: tuple[ProvedPeak, ...] = ()
 
     @property
     def certified(self) -> dict[Form, float]:
@@ -182,8 +200,9 @@ class Loops:
             "observer": [A_i + L @ seen.C for A_i in different(seen.A)],
         }
         self.at_inputs = () if plant.loads is None else plant.loads.inputs(exact.B) or ()
-        few = len(A) ** 2 * (n + N) ** 4 <= MOST_WORK
-        self.few_pairs, self.few_cells = few, len(A) * N**4 <= MOST_WORK
+        cells, watched = len(A), len(self.M["observer"])
+        few = cells * watched * (n + N) ** 4 <= MOST_WORK
+        self.few_pairs, self.few_cells = few, max(cells, watched) * N**4 <= MOST_WORK
         self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
@@ -253,7 +272,7 @@ class Loops:
         signals, kind = self.tracked + self.inputs, self.driven_as
         return {driver: self.sizes("controller", (kind, driver[1]), signals) for driver in self.drivers}
 
-    def sizes(self, loop: Loop, channel: Channel, signals: list[Form]) -> Sized:
+    def sizes(self, loop: Loop, channel: Channel, signals: list[Form], *, tries: int | None = None) -> Sized:
         """Return the bounds of signals and the ellipsoid they are from; nothing where none could be proved."""
         g = self.drive(loop, channel)
         if not signals or (g.radius is None and not any(g.centre.entries())):
@@ -264,7 +283,7 @@ class Loops:
         if channel[0] == "start":
             found = from_start(self.M[loop], g, rows, self.inners[loop])
         else:
-            tries = 3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2
+            tries = tries or (3 if len(self.M[loop]) * g.shape[0] ** 4 <= _MUCH_WORK else 2)
             found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
         if found is None:
             return {}, ()

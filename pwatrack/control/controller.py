@@ -12,6 +12,7 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.limits import Limited, Promise
+from pwatrack.control.practical import Practical
 from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -29,7 +30,7 @@ class Controller:
     observer runs these too, and `compensation` says what they add to x_d and u_ff.
 
     Attributes:
-        plant: The system (1).
+        plant: The system (1); for practical tracking with merged cells.
         design: The gains with their proofs.
         trajectory: Where x_d and u_ff come from.
         generator: The trajectory generator (15), for output tracking only.
@@ -38,6 +39,7 @@ class Controller:
         costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
         robust: What is proved for uncertain parameters, where some are.
         limited: What is known of inputs that have limits, where some have.
+        practical: What is proved of the loop with the true plant, where cells of it are merged.
     """
 
     plant: PWASystem
@@ -49,6 +51,12 @@ class Controller:
     costs: Mapping[str, Array] = field(default_factory=dict)
     robust: Robust | None = None
     limited: Limited | None = None
+    practical: Practical | None = None
+
+    @property
+    def running(self) -> PWASystem:
+        """The plant that it controls."""
+        return self.plant if self.practical is None else self.practical.plant
 
     @property
     def form(self) -> NormalForm | None:
@@ -65,6 +73,24 @@ class Controller:
     def guarantees(self) -> Guarantees:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
         return guarantees(self.plant, self.design, self.proofs, self.sizes, self.compensation.X)
+
+    def tracking_bound(self, t: Array, start: Array, observer_start: Array) -> Array:
+        """Return what is proved of |x − x_d|, in sizes where there are several, or of |y − y_d|: see `guarantees`.
+
+        With merged cells what these leave in the end comes on top of it.
+        """
+        output = self.generator is not None
+        bound = self.guarantees.tracking_error(t, start, observer_start, output=output)
+        if self.practical is None:
+            return bound
+        return bound + self.practical.norm("output" if output else "state", self.error_sizes.tolist())
+
+    def observer_bound(self, t: Array, start: Array) -> Array:
+        """Return what is proved of |x̂ − x|, likewise."""
+        bound, sizes = self.guarantees.observer_error(t, start), self.sizes.state
+        if self.practical is None:
+            return bound
+        return bound + self.practical.norm("estimate", sizes.tolist() if len(sizes) > 1 else [1.0])
 
     @property
     def error_sizes(self) -> Array:

@@ -59,7 +59,7 @@ class Task:
             B=role.oriented(B.floats),
             exact=(each(role.exact, A), role.exact(B)),
             role=role,
-            cells=plant.cell_names,
+            cells=(plant if role is CONTROLLER else plant.model).cell_names,
             states=plant.states,
             sizes=sizes if role is CONTROLLER else sizes.dual(),
             solver=solver,

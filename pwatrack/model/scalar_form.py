@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.errors import InvalidSpec
+from pwatrack.errors import InvalidSpec, listed
 from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
@@ -29,7 +29,7 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
         >>> from pwatrack import load_spec
         >>> form = scalar_form(load_spec("specs/two_mass_backlash.yaml").problem.plant)
         >>> [(e.name, [float(s) for s in e.function.breakpoints]) for e in form.elements]
-        [('z2 - z1', [-0.1, 0.05])]
+        [('gap', [-0.1, 0.05])]
     """
     if plant.written is not None:
         return plant.written
@@ -127,7 +127,7 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int]) ->
     value = sum((left * (first - where) for where, _, left in hinges), Fraction(0))
     count = len(hinges)
     return Nonlinearity(
-        name=linear_form_text(np.array([float(v) for v in row]), plant.states),
+        name=_between(plant, row, first, hinges[-1][0]),
         function=PiecewiseLinear(
             breakpoints=tuple(Real.of(where) for where, *_ in hinges),
             slopes=tuple(map(Real.of, slopes)),
@@ -142,6 +142,16 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int]) ->
         constant=Fraction(0),
         direction=direction,
     )
+
+
+def _between(plant: PWASystem, row: Row, low: Fraction, high: Fraction) -> str:
+    """Return the names of the cells that lie between two values of a form, of many the first; else the form."""
+    names = [
+        name
+        for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True)
+        if low < _value(row, Fraction(0), _point(plant.partition, signs)) < high
+    ]
+    return listed(names, 1) if names else linear_form_text(np.array([float(v) for v in row]), plant.states)
 
 
 def _is_field(form: ScalarForm, plant: PWASystem) -> bool:

@@ -48,7 +48,10 @@ def from_sizes(controller: Controller) -> dict[Form, float]:
     for bounds in found:
         for signal in total:
             total[signal] += bounds.sizes[signal] * within[bounds.channel[1]] * _ABOVE
-    return total
+    if controller.practical is None:
+        return total
+    left = controller.practical.final  # what merged cells leave comes on top
+    return {signal: (size + left[signal]) * _ABOVE for signal, size in total.items() if signal in left}
 
 
 def cause(spec: Spec, channel: Channel, *, uncertain: bool = False) -> tuple[Kind, str, str]:
@@ -73,9 +76,10 @@ def cause(spec: Spec, channel: Channel, *, uncertain: bool = False) -> tuple[Kin
 def bound_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     """Yield what acts and what it does to what is tracked, the inputs and what has a size; declared ones come first."""
     found = sorted(controller.bounds, key=lambda bounds: not declared(spec, bounds.channel))
+    merged = ", beside what is merged" * (controller.practical is not None)
     yield (
-        "in the loop as designed, for any switching, each signal is in the end at most the sum of these, in proportion "
-        "to what acts; from error 0 at all times"
+        f"in the loop as designed, for any switching, each signal is in the end at most the sum of these{merged}, in "
+        "proportion to what acts; from error 0 at all times"
     )
     for bounds in found[:_CAUSES]:
         kind, on, unit = cause(spec, bounds.channel)

@@ -21,9 +21,13 @@ from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.merged import merged_spec
 from pwatrack.model.loads import Loads
+from pwatrack.model.merging import Merge
+from pwatrack.model.nonlinearity import Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.real import Real
 from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
 
@@ -46,9 +50,11 @@ CLAIM = (
     "without a bound are 0. Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d "
     "= starts v with x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time; drive: with "
     "constant loads at inputs (x - x_d, x_hat - x, s_hat - s) = starts v, u_ff without estimates, and u + s for u. "
-    "Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any "
-    "gain, or for the one that is given. The file can be checked with pwatrack verify, or with the folder audit of "
-    "pwatrack alone."
+    "Under practical: the field of the true plant there is that of this plant and the sum of direction (function - "
+    "merged)(row x + constant), each difference at most largest; the loop is that of the true plant, and each signal "
+    "ends below ends_below, from every start. Multipliers Z_i prove, for the numbers as they are written, that no "
+    "such P exists for any gain, or for the one that is given. The file can be checked with pwatrack verify, or with "
+    "the folder audit of pwatrack alone."
 )
 
 
@@ -62,9 +68,12 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
         proofs.append({"of": of, "X": decimals(X), "Q": decimals(goal.Q), "R": decimals(goal.R)})
     bounds = [_bounds(bounds) for bounds in (*controller.bounds, *controller.starts) if bounds.sizes]
     uncertain = None if controller.robust is None else _uncertain(spec, controller.robust)
+    practical = None if controller.practical is None else _practical(spec, controller)
+    if controller.practical is not None:
+        spec = merged_spec(spec, controller.practical.merges, watched=controller.plant.watched is not None)
     content = _content(spec, controller.design.K, controller.design.L, proofs)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
-    return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain}
+    return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain, "practical": practical}
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -84,6 +93,28 @@ def corner_content(spec: Spec, corners: Sequence[Matrices]) -> dict[str, Any]:
             for interval in spec.objectives.uncertain
         ],
         "corners": [_corner(X) for X in corners],
+    }
+
+
+def merged_content(spec: Spec, merges: Sequence[Merge]) -> dict[str, Any]:
+    """Return the part of a proof of practical tracking that the spec and the choice of what is merged decide."""
+    return {
+        "plant": _plant(spec.problem.plant),
+        "merged": [
+            {
+                "element": merge.element,
+                "first": merge.first,
+                "last": merge.last,
+                "name": merge.nonlinearity.name,
+                "row": [_centre(v) for v in merge.nonlinearity.row],
+                "constant": _centre(merge.nonlinearity.constant),
+                "direction": [_centre(v) for v in merge.nonlinearity.direction],
+                "function": _function(merge.nonlinearity.function),
+                "merged": _function(merge.function),
+                "largest": text(merge.largest),
+            }
+            for merge in merges
+        ],
     }
 
 
@@ -228,6 +259,29 @@ def _uncertain(spec: Spec, robust: Robust) -> dict[str, Any]:
     return corner_content(spec, robust.corners) | {"bounds": [_bounds(bounds) for bounds in robust.bounds]}
 
 
+def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
+    practical = controller.practical
+    assert practical is not None
+    runs = "all cells" if controller.plant.watched is not None else "merged cells"
+    return merged_content(spec, practical.merges) | {
+        "observer_runs": runs,
+        "ends_below": _sizes((form, size) for form, size in practical.final.items() if size),
+        "bounds": [_bounds(bounds) for bounds in practical.bounds],
+    }
+
+
+def _function(function: PiecewiseLinear) -> dict[str, Any]:
+    return {
+        "breakpoints": [_centre(v) for v in function.breakpoints],
+        "slopes": [_centre(v) for v in function.slopes],
+        "value": _centre(function.value),
+    }
+
+
+def _centre(value: Number) -> str:
+    return text(Real.of(value).centre)
+
+
 def _radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
     return None if all(X.radius is None for X in matrices) else [X.radius_texts for X in matrices]
 
@@ -287,7 +341,18 @@ def _bounds(bounds: Bounds) -> dict[str, Any]:
         }
         for part in bounds.parts
     ]
-    return {"channel": list(bounds.channel), "signals": _sizes(bounds.certified.items()), "parts": parts}
+    peaks = [
+        {
+            "part": peak.part,
+            "unit": peak.gain.unit,
+            "steps": [list(run) for run in peak.gain.steps],
+            "P": {"integers": [list(row) for row in peak.gain.integers], "exponents": list(peak.gain.exponents)},
+            "size": _decimal(peak.gain.size),
+        }
+        for peak in bounds.proved
+    ]
+    found = {"channel": list(bounds.channel), "signals": _sizes(bounds.certified.items()), "parts": parts}
+    return found | ({"peaks": peaks} if peaks else {})
 
 
 def _limit(promise: Promise) -> dict[str, Any]:

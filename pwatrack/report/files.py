@@ -28,6 +28,7 @@ from pwatrack.report.figures import (
 )
 from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.limits import limit_content
+from pwatrack.report.practical import practical_content
 from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
@@ -82,6 +83,7 @@ def write_design(
         }
         index |= _requirements(required(spec, controller))
         index |= limit_content(spec, controller) | preview_content(controller)
+        index |= _practical(spec, controller)
         if controller.robust is not None:
             index["uncertain"] = robust_content(spec, controller.robust)
         if largest is not None:
@@ -143,7 +145,7 @@ def _result_content(result: Result) -> dict[str, Any]:
     if (robust := result.controller.robust) is not None:
         along = {"along_x_d": box_figures(result, robust)}
         content["uncertain"] = robust_content(result.spec, robust) | along
-    return content
+    return content | _practical(result.spec, result.controller)
 
 
 def _tracked_content(result: Result) -> dict[str, Any]:
@@ -165,6 +167,14 @@ def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> No
             figure.savefig(run.place(name), format="png", dpi=150, pil_kwargs={"compress_level": 1})
 
 
+def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
+    """Return what the index says of practical tracking: a verdict of its own."""
+    if controller.practical is None:
+        return {}
+    found = practical_content(spec, controller.practical, watched=controller.plant.watched is not None)
+    return {"verdict": "practical", "practical": found}
+
+
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     """Return what the index says of requirements; one that is missed is a check that failed."""
     missed = {"exit": int(ExitCode.CHECK_FAILED)} if not all(each.met for each in checked) else {}
@@ -181,6 +191,8 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
     run.json(BOUNDS, bound_content(spec, controller))
     if generator is not None:
         run.json("generator.json", generator_content(generator.form, generator.shift))
+    if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
+        run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
 
 
 def write_refusal(
@@ -317,7 +329,8 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
         return " and ".join(f"{loop.controller.plant.inputs[part.input]} = {limit:g}" for limit in sorted(limits))
     if isinstance(part, RateLimit):
         return f"change of {loop.controller.plant.inputs[part.input]} by {part.most:g}"
-    plant = loop.plant if part.name == "plant" else loop.controller.plant
+    model = loop.controller.plant
+    plant = {"plant": loop.plant, "observer": model.model}.get(part.name, model)
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 

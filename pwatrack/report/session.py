@@ -229,7 +229,7 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
-    gains, plant = controller.design, spec.problem.plant
+    gains, plant = controller.design, controller.plant
     solver, sizes = spec.objectives.solver, controller.sizes
     with spec.located():
         return [

@@ -19,6 +19,7 @@ from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
 from pwatrack.report.limits import limit_rows
+from pwatrack.report.practical import practical_rows
 from pwatrack.report.preview import preview_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
@@ -57,18 +58,21 @@ def print_design(
 def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     design, generator = controller.design, controller.generator
     promised = controller.guarantees
+    for row in practical_rows(spec, controller):
+        table.add_row(*row)
+    counts = {"(8)": len(controller.plant.cell_names), "(9)": len(controller.plant.model.cell_names)}
     norms = controller.sizes.norms(design.K, design.L)
     for claim, proved, letter, gain, norm, goal in (
         ("(8) controller", promised.controller, "K", design.K, f"{norms[0]:.4g}", spec.objectives.controller),
         ("(9) observer", promised.observer, "Lᵀ", design.L.T, f"{norms[1]:.4g} 1/s", spec.objectives.observer),
     ):
-        table.add_row(claim, f"proved for all {len(spec.problem.plant.A)} cells{_rate(proved)}")
+        table.add_row(claim, f"proved for all {counts[claim[:3]]} cells{_rate(proved)}")
         acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
         origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
         origin += " within the limits" * (letter == "K" and acts and _within_limits(goal, controller))
         size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
         table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
-        if claim.split()[1] in controller.costs:
+        if claim.split()[1] in controller.costs and controller.practical is None:
             table.add_row("", _cost_text(claim.split()[1], spec, controller))
     if (loads := controller.plant.loads) is not None:
         named = [f"{load.name} ({load_kind(load)})" for load in loads.each]
@@ -80,7 +84,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
         table.add_row("Assumption 1", f"x_d and u_ff satisfy (3){end}")
         condition = "" if bounded else ", as long as x_d stays bounded, which is not proved"
-        table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
+        if controller.practical is None:
+            table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
     else:
         _generator_rows(table, spec, controller, generator)
     _promise_rows(table, controller)
@@ -149,9 +154,10 @@ def _generator_rows(table: Table, spec: Spec, controller: Controller, generator:
         else:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
-    desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
-    condition = "" if controller.trajectory.preview is None else ", but for what is played back"
-    table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0{condition}")
+    if controller.practical is None:
+        desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
+        condition = "" if controller.trajectory.preview is None else ", but for what is played back"
+        table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0{condition}")
 
 
 def _rate(proved: Sequence[Contraction]) -> str:
@@ -164,6 +170,10 @@ def _rate(proved: Sequence[Contraction]) -> str:
 def _promise_rows(table: Table, controller: Controller) -> None:
     """Say how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
+    if controller.practical is not None:
+        ends = "from every start errors go to these bounds at least as fast as"
+        table.add_row("promise", f"{ends} e^(−{down(promised.rate)} t), for any switching")
+        return
     errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
     error = f"{errors} and x − x_d go" if controller.generator is not None else "x − x_d goes"
     text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"

@@ -19,12 +19,16 @@ from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
+from pwatrack.merged import merged_spec
+from pwatrack.model.merging import Merge, merges
+from pwatrack.model.scalar_form import scalar_form
 from pwatrack.report.bounds import BOUNDS
 from pwatrack.report.certificate import (
     CLAIM,
     corner_content,
     decimals,
     generator_content,
+    merged_content,
     output_form,
     subject_content,
 )
@@ -79,6 +83,10 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
             faults.append(f"it, or a file beside it, is not that of a run: {type(error).__name__}: {error}"[:200])
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
+    beside = file.parent / REFUSAL
+    if file.name == CERTIFICATE and content.get("practical") is not None and beside.is_file():
+        verify(beside, spec)
+        said.append(f"{REFUSAL} beside it proves that exact tracking is impossible")
     return said
 
 
@@ -105,17 +113,25 @@ def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
 
 def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     """Return what of a certificate is not what the spec asks for."""
+    practical, missing = content.get("practical"), list[str]()
+    if practical is not None:
+        ways = _ways(practical, spec)
+        wanted = merged_content(spec, ways) if ways else {}
+        missing = [f"what is merged, in practical, is not that of {spec.path}"] * (
+            any(practical.get(name) != value for name, value in wanted.items()) or not wanted
+        )
+        spec = merged_spec(spec, ways, watched=practical["observer_runs"] == "all cells")
     subject = subject_content(spec, (content["generator"] or {}).get("directions"))
-    faults = [
+    faults = missing + [
         f"{name} is not that of {spec.path}"
         for name in ("tracking", "plant", "generator")
         if content[name] != subject[name]
     ]
-    faults += _other_box(content.get("uncertain"), spec)
+    impossible = any("Z" in proof for proof in content["proofs"])
+    faults += [] if impossible else _other_box(content.get("uncertain"), spec)
     faults += _other_starts(content.get("limits"), spec)
     if content["spec_sha256"] != spec.sha256:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
-    impossible = any("Z" in proof for proof in content["proofs"])
     norms = {} if impossible else _norms(content, spec)
     for part, letter in (("controller", "K"), ("observer", "L")):
         goal: Goal = getattr(spec.objectives, part)
@@ -130,6 +146,16 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         if given is not None and not impossible and content[letter] != decimals(given):
             faults.append(f"{letter} is not the one that {spec.path} gives")
     return faults
+
+
+def _ways(practical: Any, spec: Spec) -> list[Merge]:
+    """Return what is merged, as it would be in the plant of a spec; nothing where that has not such elements."""
+    form = scalar_form(spec.problem.plant)
+    if form is None:
+        return []
+    places = {(way.element, way.first, way.last): way for k in range(len(form.elements)) for way in merges(form, k)}
+    found = [places.get((one["element"], one["first"], one["last"])) for one in practical["merged"]]
+    return [way for way in found if way is not None] if None not in found else []
 
 
 def _other_box(uncertain: Any, spec: Spec) -> list[str]:
@@ -186,6 +212,8 @@ def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[s
 
 def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spec | None) -> Iterator[tuple[str, str]]:
     """Yield each file of the folder that was looked at, and what is wrong with it ('' for nothing)."""
+    if spec is not None and (practical := content.get("practical")) is not None:
+        spec = merged_spec(spec, _ways(practical, spec), watched=practical["observer_runs"] == "all cells")
     if (gains := _json(folder / "gains.json")) is not None:
         wrong = [letter for letter in ("K", "L") if _exact(gains.get(letter)) != _exact(content[letter])]
         costs = {proof["of"]: _exact(proof["X"]) for proof in content["proofs"] if "X" in proof}
@@ -212,8 +240,16 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
                 proved.setdefault(f"{proof['of']}_rate", []).append(float(number(proof["rate"])))
         wrong = [name for name, rates in proved.items() if figures.get(name) != max(rates)]
         wrong += ["spec_sha256"] * (index.get("spec_sha256") != content["spec_sha256"])
+        wrong += ["practical"] * (not _ends(index.get("practical"), content.get("practical")))
         wrong += ["limits"] * (not _kept(index.get("limits"), content.get("limits", [])))
         yield INDEX, f"{', '.join(wrong)} in {INDEX} is not what was proved" if wrong else ""
+
+
+def _ends(told: Any, proved: Any) -> bool:
+    """Say whether what the index tells of practical tracking is what a certificate proves."""
+    shown = [signal["bound"] for signal in told["ends_below"].values() if signal["bound"]] if told else []
+    sizes = [float(number(size)) for *_, size in proved["ends_below"]] if proved else []
+    return [float(np.nextafter(size, np.inf)) for size in shown] == sizes
 
 
 def _kept(told: Any, proved: list[dict[str, Any]]) -> bool:

@@ -41,7 +41,7 @@ class ClosedLoop:
     @property
     def plant(self) -> PWASystem:
         """The plant that runs."""
-        return self.conditions.plant or self.controller.plant
+        return self.conditions.plant or self.controller.running
 
     def start(self, *, plant: Array, observer: Array, generator: Array) -> Array:
         """Return z(0) for x(0), x̂(0) and η̂(0)."""
@@ -194,7 +194,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
         >>> [part.name for part in loop.flow.parts], loop.flow.parts[-1].cells
         (['plant', 'observer', 'generator', 'actuator u'], ('low', 'linear', 'low', 'linear', 'low', 'linear'))
     """
-    plant, model, trajectory = conditions.plant or controller.plant, controller.plant, controller.trajectory
+    plant, model, trajectory = conditions.plant or controller.running, controller.plant, controller.trajectory
     K, L, sampling = controller.design.K, controller.design.L, conditions.sampling
     at = Layout.of(controller, conditions)
     z = np.eye(at.order)  # z[part] are the rows that read it
@@ -219,7 +219,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
         SwitchedPart.of("plant", plant, z[at.x], _affine(plant, at.x, z)),
-        SwitchedPart.of("observer", model, z[at.x_hat], _affine(model, at.x_hat, z)),
+        SwitchedPart.of("observer", model.model, z[at.x_hat], _affine(model.model, at.x_hat, z)),
         SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F_generator),
     ]
     if conditions.limits is not None:

@@ -1,6 +1,6 @@
 """What one sample does to errors in each cell, and which sample times are short enough."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import ROUND_FLOOR, Context
 
 import numpy as np
@@ -30,6 +30,8 @@ def check_sample_time(controller: Controller, conditions: Conditions) -> None:
         CheckFailed: With the cell, the spectral radius there, and the longest time that is found to do.
     """
     sampling, plant = conditions.sampling, conditions.plant or controller.plant
+    if controller.practical is not None:  # cells that are merged need not be stable by themselves
+        plant = controller.plant
     if sampling is None:
         return
     maps = SampleMaps(controller, plant, sampling)
@@ -94,7 +96,7 @@ class SampleMaps:
         model, L, law = self.controller.plant, self.controller.design.L, self._law(cell)
         (n, m), (N, q), late = model.B.shape, L.shape, self.sampling.delay
         plant = self._exactly(self.plant.A[cell], self.plant.B, h)
-        seen = model.observed.A[cell].floats + L @ model.observed.C.floats
+        seen = replace(model, watched=None).observed.A[cell].floats + L @ model.observed.C.floats
         inputs = np.hstack([np.vstack([model.B, np.zeros((N - n, m))]), -L])
         observer = self._stepped(np.block([[seen, inputs], [np.zeros((m + q, N + m + q))]]), h)
         k = n + law.shape[1]  # of plant, observer and, with loads, generator

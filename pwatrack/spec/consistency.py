@@ -118,8 +118,13 @@ def reference_problems(file: SpecFile) -> list[Problem]:
     """Check that there is one reference, of the kind that is tracked."""
     reference, tracking = file.reference, file.design.tracking
     given = [kind for kind in ("output", "state", "input", "setpoint") if getattr(reference, kind) is not None]
-    fitting = ["output"] if tracking == "output" else ["state", "input", "setpoint"]
+    fitting = (["output"] if tracking != "state" else []) + (
+        ["state", "input", "setpoint"] if tracking != "output" else []
+    )
     problems = []
+    if tracking == "practical" and file.design.uncertain:
+        message = "practical tracking is proved without uncertain parameters"
+        problems.append(Problem(message=message, subject=("design", "uncertain"), hint="leave out one or the other"))
     if len(given) != 1 or given[0] not in fitting:
         found = " and ".join(given) or "nothing"
         message = f"{tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"

@@ -62,7 +62,7 @@ Estimate = Annotated[
 class DesignSection(Section):
     """What to design."""
 
-    tracking: Literal["output", "state"] = "output"
+    tracking: Literal["output", "state", "practical"] = "output"
     controller: ControllerSection = ControllerSection()
     observer: ObserverSection = ObserverSection()
     estimate: Estimate | None = None

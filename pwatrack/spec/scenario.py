@@ -29,6 +29,7 @@ def build_objectives(section: DesignSection, values: Mapping[str, Real | None]) 
         observer=_goal(section.observer, section.observer.L),
         solver=section.solver,
         uncertain=build_box(section, values),
+        practical=section.tracking == "practical",
     )
 
 

@@ -54,12 +54,14 @@ class Objectives:
         controller, observer: Goals of K and Lᵀ.
         solver: Which interior-point solver to ask.
         uncertain: Parameters of which only intervals are known.
+        practical: Whether cells are merged after any refusal of the theory.
     """
 
     controller: Goal
     observer: Goal
     solver: Solver
     uncertain: Box = ()
+    practical: bool = False
 
 
 @dataclass(frozen=True)

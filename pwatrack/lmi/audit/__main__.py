@@ -37,6 +37,12 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
   bounds are such bounds for M = [A_ci + B_c K, B_c K; A_i - A_ci - (B_c - B) K, A_j + L C - (B_c - B) K], all corners
   and all i, j; M is affine in A_c and B_c, so they hold for all means of the corners. g = (w, -w) with one entry of w;
   each entry in which a corner differs from the plant has its bounds.
+- Practical tracking has a true plant with cells of its own, whose field in each of them, less direction f(row x +
+  constant) for each merged element, is that of the plant less direction g(row x + constant), in all cells that may
+  meet; |f - g| <= largest, as it is so at all breakpoints and the outer slopes are the same. The design is that of the
+  plant, and g of a bound is (E, -E), E the direction of an element; or (E, 0) where the observer runs the true cells,
+  which (9) is then about. A signal ends below the sum of largest times its bound. A bound of one matrix M may be
+  a peak gain, the integral of |c exp(M t) g|, see peaks.py.
 - A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
 - An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
   all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P

@@ -6,6 +6,7 @@ from typing import Any
 
 from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, stacked, times, unlike
 from .matrices import Fault, Matrix, added, definite, identity, product, sizes, transposed
+from .peaks import peak_bound
 from .plant import Plant
 from .reading import number, packed, place
 
@@ -45,6 +46,15 @@ class Loop:
                 if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
+        for peak in entry.get("peaks", []):
+            part = entry["parts"][place(peak["part"], len(entry["parts"]))]
+            loop, ((kind, k, _),) = part["loop"], part["signals"]
+            M, row, g = self.matrices(loop), self.row(loop, kind, k), self.drive(loop, part["channel"])
+            if part["channel"][0] == "start" or len(M) != 1 or any(X[1] for X in (*M, row, g)):
+                raise Fault("a peak gain is one of one matrix without radius")
+            if peak_bound(M[0][0], g[0], row[0], part, peak) > number(peak["size"]):
+                faults.append(f"the peak gain of {kind} {k} is above {peak['size']}")
+            found[loop, *part["channel"], kind, k] = number(peak["size"])
         for kind, k, size in entry["signals"]:
             self.row("joint", kind, k)
             if self.bound(found, entry["channel"], kind, k) > number(size):

@@ -9,13 +9,14 @@ from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
 from .matrices import Fault, transposed
+from .merged import Deviations, merged
 from .plant import Plant
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, refuted
 from .reading import matrix, number
 from .starts import near
 
-FORMAT = "pwatrack certificate 8"
+FORMAT = "pwatrack certificate 9"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -42,7 +43,9 @@ def audit(text: str) -> tuple[list[str], list[str]]:
 
 def judged(content: Any) -> tuple[list[str], list[str]]:
     """Decide every claim of a certificate."""
-    plant = Plant(content["plant"])
+    plant, practical = Plant(content["plant"]), content.get("practical")
+    if practical is not None and practical["observer_runs"] == "all cells":
+        plant.seen_A = Plant(practical["plant"]).A
     open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
     inexact = any(any(part["radius"].values()) for part in open_)
     centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
@@ -82,6 +85,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         wrong, sentence = uncertain(content["plant"], box, K or [], L or [])
         faults += [f"uncertain parameters: {fault}" for fault in wrong]
         said.append(sentence)
+    if practical is not None:
+        wrong, sentence = merged(Deviations(plant, practical, K or [], L or [], X), practical)
+        faults += [f"practical tracking: {fault}" for fault in wrong]
+        said.append(sentence + centres)
     if not refusal:
         wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
         absent = sorted(NAMES[of] for of in wanted - decided)
@@ -89,7 +96,8 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
             faults.append("a generator goes with output tracking, and only with that")
         theorem = "Theorem 3, output tracking" if A_eta is not None else "Theorem 2, state tracking"
         faults += [f"{name} is absent, which {theorem} needs" for name in absent]
-        said.append(f"{theorem}: none of its inequalities is absent")
+        of = ", of the plant with merged cells" if practical is not None else ""
+        said.append(f"{theorem}{of}: none of its inequalities is absent")
     return said, faults
 
 
@@ -97,7 +105,7 @@ def misplaced(content: Any) -> list[str]:
     """Return what does not belong into the proof of a refusal."""
     proof, *more = content["proofs"]
     of = proof["of"]
-    extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain"))
+    extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain", "practical"))
     faults = ["a refusal has one proof, and no bounds"] if extra else []
     if of == "plant" or (of == "generator" and number(proof["rate"])):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))

@@ -1,0 +1,151 @@
+"""Cells that are merged: the field of the true plant is that of the plant of the design and bounded deviations."""
+
+from fractions import Fraction
+from typing import Any
+
+from .balls import Ball, negative, stacked
+from .bounds import Loop
+from .matrices import Fault, Matrix, added
+from .plant import Plant
+from .reading import number, place
+
+Field = list[list[Fraction]]  # [A b] less what merged elements add
+
+
+class Function:
+    """A continuous function of one number, linear between breakpoints."""
+
+    def __init__(self, content: Any) -> None:
+        self.breakpoints, self.slopes = ([number(v) for v in content[name]] for name in ("breakpoints", "slopes"))
+        if len(self.slopes) != len(self.breakpoints) + 1 or not self.breakpoints:
+            raise Fault("a merged element does not fit together")
+        if sorted(set(self.breakpoints)) != self.breakpoints:
+            raise Fault("the breakpoints of a merged element do not increase")
+        self.intercepts = [number(content["value"]) - self.slopes[0] * self.breakpoints[0]]
+        for k, s in enumerate(self.breakpoints):
+            self.intercepts.append(self.intercepts[-1] + (self.slopes[k] - self.slopes[k + 1]) * s)
+
+    def at(self, s: Fraction) -> Fraction:
+        """Return its value."""
+        k = sum(mark < s for mark in self.breakpoints)
+        return self.slopes[k] * s + self.intercepts[k]
+
+    def segment(self, low: Fraction | None, high: Fraction | None) -> int:
+        """Return the segment of all s from low to high, None for without end; where slopes are equal, either."""
+        below = 0
+        for k, mark in enumerate(self.breakpoints):
+            if low is not None and mark <= low:
+                below = k + 1
+            elif (high is None or mark < high) and self.slopes[k] != self.slopes[k + 1]:
+                raise Fault("a merged element has a corner inside a cell")
+        return below
+
+
+class Element:
+    """direction f(row x + constant) in the true field, direction g(row x + constant) in that of the design."""
+
+    def __init__(self, content: Any, n: int) -> None:
+        self.row, self.direction = ([number(v) for v in content[name]] for name in ("row", "direction"))
+        self.constant, self.largest = number(content["constant"]), number(content["largest"])
+        self.function, self.other = Function(content["function"]), Function(content["merged"])
+        if len(self.row) != n or len(self.direction) != n or not any(self.row):
+            raise Fault("a merged element does not fit the plant")
+
+    def faults(self) -> list[str]:
+        """Return whether f and g differ by more than is said: at a breakpoint, or without bound."""
+        f, g = self.function, self.other
+        if (f.slopes[0], f.slopes[-1]) != (g.slopes[0], g.slopes[-1]):
+            return ["a merged element deviates without bound"]
+        gaps = [abs(f.at(s) - g.at(s)) for s in (*f.breakpoints, *g.breakpoints)]
+        return ["a merged element deviates by more than is said"] if max(gaps) > self.largest else []
+
+    def part(self, function: Function, plant: Plant, cell: int) -> Field:
+        """Return what it adds to [A b] in a cell of a plant."""
+        low: Fraction | None = None
+        high: Fraction | None = None
+        pivot = next(p for p, v in enumerate(self.row) if v)
+        for plane, sign in zip(plant.cells.planes, plant.cells.signs[cell], strict=True):
+            scale = plane[pivot] / self.row[pivot]
+            if not sign or not scale or [scale * v for v in self.row] != plane[:-1]:
+                continue
+            s = self.constant - plane[-1] / scale  # where the plane is: row x = -h / scale
+            if sign * scale > 0:
+                low = s if low is None else max(low, s)
+            else:
+                high = s if high is None else min(high, s)
+        k = function.segment(low, high)
+        line = [
+            *(function.slopes[k] * v for v in self.row),
+            function.slopes[k] * self.constant + function.intercepts[k],
+        ]
+        return [[d * v for v in line] for d in self.direction]
+
+
+class Deviations(Loop):
+    """The loop of the design, where the true plant runs: driven by what merged elements leave out."""
+
+    def __init__(self, plant: Plant, content: Any, K: Matrix, L: Matrix, X: Ball | None) -> None:
+        super().__init__(plant, K, L, X)
+        n = len(plant.B[0])
+        self.true, self.watched = Plant(content["plant"]), content["observer_runs"] == "all cells"
+        self.elements = [Element(one, n) for one in content["merged"]]
+        true = self.true
+        same = (true.B, true.C, true.tracked) == (plant.B, plant.C, plant.tracked)
+        if not self.elements or not same or true.loads != plant.loads or (self.watched and plant.loads):
+            raise Fault("the true plant is not that of the design but for merged cells")
+
+    def differs(self) -> bool:
+        """Say whether the fields, each less what merged elements add to it, differ in cells that may meet."""
+        true, plant = self.true, self.plant
+        rest = [self.rest(true, i, [(e, e.function) for e in self.elements]) for i in range(len(true.A))]
+        other = [self.rest(plant, j, [(e, e.other) for e in self.elements]) for j in range(len(plant.A))]
+        places = {(plane[0], plane[1]): k for k, plane in enumerate(true.cells.parallel)}
+        shared = [
+            (places[direction, offset], k, turned * true.cells.parallel[places[direction, offset]][2])
+            for k, (direction, offset, turned) in enumerate(plant.cells.parallel)
+            if (direction, offset) in places
+        ]
+        for i, signs in enumerate(true.cells.signs):
+            for j, others in enumerate(plant.cells.signs):
+                apart = any(signs[k] * others[p] * same < 0 for k, p, same in shared)
+                if not apart and rest[i] != other[j]:
+                    return True
+        return False
+
+    def rest(self, plant: Plant, cell: int, parts: list[tuple[Element, Function]]) -> Field:
+        """Return [A b] of a cell less what merged elements add."""
+        field = [[*row, *b] for row, b in zip(plant.A[cell][0], plant.b[cell][0], strict=True)]
+        for element, function in parts:
+            field = added(field, element.part(function, plant, cell), -1)
+        return field
+
+    def drive(self, loop: str, channel: Any) -> Ball:
+        """Return the column by which a deviation enters a loop."""
+        if channel[0] != "deviation":
+            raise Fault("a bound of what is merged is one of a deviation")
+        element = self.elements[place(channel[1], len(self.elements))]
+        zero, more = Fraction(0), len(self.L) - len(self.plant.B[0])
+        e: Ball = [[v] for v in element.direction], []
+        Delta = negative(stacked(e, ([[zero]] * more, []))) if not self.watched else ([[zero] for _ in self.L], [])
+        return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
+
+
+def merged(loop: Deviations, content: Any) -> tuple[list[str], str]:
+    """Return what is wrong with a split of the true field and with its bounds, and what they claim."""
+    faults = [f"true plant: {fault}" for fault in loop.true.faults()]
+    faults += [fault for element in loop.elements for fault in element.faults()]
+    if loop.differs():
+        faults.append("the true field is not that of the design and what is merged")
+    if [entry["channel"] for entry in content["bounds"]] != [["deviation", k] for k in range(len(loop.elements))]:
+        raise Fault("what is merged has not its bounds")
+    faults += [f"bound of {entry['channel']}: {fault}" for entry in content["bounds"] for fault in loop.faults(entry)]
+    known = [{(kind, k): number(size) for kind, k, size in entry["signals"]} for entry in content["bounds"]]
+    for kind, k, size in content["ends_below"]:
+        total = sum(e.largest * sizes[kind, k] for e, sizes in zip(loop.elements, known, strict=True))
+        if total > number(size):
+            faults.append(f"{kind} {k} does not end below {size}")
+    tracked = "output" if "output" in {kind for kind, *_ in content["ends_below"]} else "state"
+    sizes = ", ".join(f"{float(number(size)):.4g}" for kind, _, size in content["ends_below"] if kind == tracked)
+    count = len(loop.elements)
+    said = f"practical tracking: the field of {len(loop.true.A)} cells is that and {count} bounded deviation"
+    return faults, f"{said}{'s' * (count != 1)}; what is tracked ends below {sizes}"

@@ -1,0 +1,170 @@
+"""Where exact tracking is refused: the design with the least of the cells merged, and what is proved of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from pwatrack.control.controller import Controller
+from pwatrack.control.modes import check_modes
+from pwatrack.control.practical import Practical, deviation_bounds, least_merges, widest
+from pwatrack.control.synthesis import synthesize
+from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
+from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.model.merging import Merge, merged
+from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.pwa import PWASystem
+from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.sizes import Sizes
+from pwatrack.sizing import spec_sizes
+from pwatrack.spec.spec import Spec
+from pwatrack.tracking import check_reference, desired_trajectory
+
+Designed = Callable[[Spec], Controller]
+
+
+def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
+    """Say whether practical tracking is to be tried where exact tracking is refused.
+
+    It is where (8), (9) or (17) is proved impossible, whatever the rate; where the spec asks for it after any refusal
+    of the theory. With uncertain parameters it is not.
+    """
+    if spec.objectives.uncertain:
+        return False
+    if spec.objectives.practical:
+        return isinstance(refusal, Infeasible | Undecided | OutsideTheory)
+    return isinstance(refusal.evidence, Impossibility) and not refusal.evidence.rate
+
+
+def checked(spec: Spec, form: NormalForm | None = None) -> tuple[str, Sizes]:
+    """Check what can be known before anything is solved; of the merged plant where practical tracking is to be tried.
+
+    Args:
+        spec: What is asked.
+        form: The normal form of its plant, where it is at hand.
+
+    Returns:
+        What is known of the reference, and the sizes in force.
+
+    Raises:
+        PwatrackError: As `check_reference` and `check_modes`, where merging cells does not help.
+    """
+    try:
+        return _checked(spec, form)
+    except PwatrackError as refusal:
+        scalar = scalar_form(spec.problem.plant) if may_merge(spec, refusal) else None
+        ways = [] if scalar is None else [*widest(scalar).values()]
+        if not ways:
+            raise
+        try:
+            said, sizes = _checked(merged_spec(spec, ways), None)
+        except PwatrackError:
+            raise refusal from None
+        why = "; ".join(problem.short or problem.message for problem in refusal.problems)
+        return f"{said}, with cells merged; exact tracking is refused: {why}", sizes
+
+
+def _checked(spec: Spec, form: NormalForm | None) -> tuple[str, Sizes]:
+    said, sizes = check_reference(spec, form), spec_sizes(spec)
+    with spec.located():
+        check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
+    return said, sizes
+
+
+def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> Controller | None:
+    """Return the design with the least of the cells merged, or None where none is found.
+
+    Where (9) holds for all cells too, the observer that runs these is tried as well, and the one with the smaller bound
+    of what is tracked is taken.
+
+    Args:
+        spec: What is asked.
+        refusal: Why exact tracking is refused.
+        designed: Designs and proves for a spec, whatever its plant.
+    """
+    plant = spec.problem.plant
+    form = scalar_form(plant)
+    if form is None:
+        return None
+
+    def works(chosen: Mapping[int, Merge]) -> bool:
+        try:
+            _solve(merged_spec(spec, list(chosen.values())))
+        except PwatrackError:
+            return False
+        return True
+
+    chosen = least_merges(form, spec_sizes(spec), works)
+    if chosen is None:
+        return None
+    ways = list(chosen.values())
+    made = merged_spec(spec, ways)
+    found = [_bounded(made, plant, ways, refusal, designed)]
+    if plant.loads is None:
+        watching = merged_spec(spec, ways, watched=True)
+        found.append(_bounded(watching, plant, ways, refusal, designed))
+    proved = [controller for controller in found if controller is not None]
+    return min(proved, key=tracked_bound, default=None)
+
+
+def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> Spec:
+    """Return what is designed for: the same for the plant in which some elements are merged.
+
+    Args:
+        spec: What is asked.
+        ways: How elements of its plant are merged.
+        watched: Whether the observer runs the true cells.
+    """
+    plant = spec.problem.plant
+    form = scalar_form(plant)
+    assert form is not None
+    less = merged(plant, form, {way.element: way for way in ways})
+    if watched:
+        less = replace(less, watched=plant)
+    return replace(spec, problem=replace(spec.problem, plant=less))
+
+
+def tracked_bound(controller: Controller) -> float:
+    """Return below what the tracking error ends, of several entries in sizes."""
+    assert controller.practical is not None
+    return controller.practical.norm(
+        "state" if controller.generator is None else "output", controller.error_sizes.tolist()
+    )
+
+
+def _solve(spec: Spec) -> None:
+    """Solve (17), (8) and (9), or raise."""
+    _, generator = desired_trajectory(spec, False)
+    plant = spec.problem.plant if generator is None else generator.form.plant
+    if plant.repair is not None and spec.problem.plant.repair is None:
+        message = "the merged plant has the form (11) but for rounding"
+        raise OutsideTheory(Problem(message=message))
+    goals = spec.objectives
+    synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec), solver=goals.solver)
+
+
+def _bounded(
+    spec: Spec, true: PWASystem, ways: Sequence[Merge], refusal: PwatrackError, designed: Designed
+) -> Controller | None:
+    """Return a design with the bounds that are proved of it, or None where one is missing."""
+    try:
+        controller = designed(spec)
+    except PwatrackError:
+        return None
+    if controller.trajectory.preview is not None:
+        return None  # what its residual does is not in these bounds
+    given = [k for k, name in enumerate(controller.plant.states) if name in spec.problem.sizes]
+    bounds = deviation_bounds(
+        controller.plant,
+        controller.design,
+        controller.proofs,
+        controller.compensation.X,
+        [way.column for way in ways],
+        output=controller.generator is not None,
+        states=given,
+    )
+    if bounds is None:
+        return None
+    practical = Practical(
+        plant=true, merges=tuple(ways), replaced=refusal.problems, evidence=refusal.evidence, bounds=bounds
+    )
+    limited = controller.limited  # from which starts no limit is reached is not proved where deviations act too
+    return replace(controller, practical=practical, limited=None if limited is None else replace(limited, promises=()))

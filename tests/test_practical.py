@@ -1,0 +1,273 @@
+"""Practical tracking: what is merged is the least, what is proved holds for the true plant, and all files say so."""
+
+import copy
+import json
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pwatrack import Spec, design, load_spec, simulate
+from pwatrack.control.bounds import Form
+from pwatrack.control.practical import least_merges
+from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.model.merging import Merge, merges
+from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.sizes import Sizes
+from pwatrack.report.certificate import design_certificate
+from pwatrack.report.session import run
+from pwatrack.report.verify import verify
+from pwatrack.simulation.closed_loop import closed_loop
+from tests.gaps import plant_with_gaps, practical_controller, worst_found
+from tests.promises import run as run_loop
+from tests.promises import worst
+
+GEAR = "gallery/gear_with_backlash.yaml"
+CART = """
+name: cart on a slack rope
+parameters: {{gap: 0.1}}
+system:
+  states: [z1, v1, z2, v2]
+  inputs: [u]
+  outputs: [y1, y2]
+  track: {{y: z1}}
+  units: {{z1: m, z2: m, v1: m/s, v2: m/s, u: N}}
+  A: [[0, 1, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1], [0, 0, 0, -0.5]]
+  B: [[0], [1], [0], [0]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+  nonlinearities:
+    - {{name: rope, kind: {kind}, of: z1 - z2, {shape}, into: {{v1: -1, v2: 1}}}}
+    {more}
+design: {{tracking: {tracking}}}
+reference: {{output: 0.5*sin(0.5*t)}}
+simulation: {{duration: 40, sample_time: 0.02, initial: {{plant: [0.3, 0, 0.2, 0]}}}}
+"""
+PLAIN = {
+    "kind": "dead_zone",
+    "shape": "lower: -gap, upper: gap, slope: 20",
+    "more": "",
+    "tracking": "output",
+}
+
+
+def cart(folder: Path, **changes: str) -> Path:
+    path = folder / "cart.yaml"
+    path.write_text(CART.format(**PLAIN | changes), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def gear(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, Path]:
+    path, out = specs / GEAR, tmp_path_factory.mktemp("gear")
+    run(path, out, [], None, simulated=True)
+    return load_spec(path), out
+
+
+def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec, Path]) -> None:
+    index = json.loads((gear[1] / "run.json").read_text())
+    assert (index["verdict"], index["exit"]) == ("practical", 0)
+    ends = index["practical"]["ends_below"]
+    assert ends["load - load_d"]["unit"] == "rad"
+    assert 0.0085 < ends["load - load_d"]["bound"] <= 0.0148
+    assert {"u - u_ff", "q1_hat - q1"} <= ends.keys()
+    assert [one["name"] for one in index["practical"]["merged"]] == ["backlash"]
+    assert index["practical"]["merged"][0]["deviates_by"] == {"dw1/dt": 25, "dw2/dt": 5}
+    assert "is infeasible" in index["practical"]["exact_tracking"][0]
+    assert (gear[1] / "refusal.json").is_file()
+    assert index["simulation"]["outcome"] == "within its bound"
+    assert any("ends below" in said for said in verify(gear[1]))
+
+
+def test_the_bound_is_above_the_peak_gain_and_close_to_it(gear: tuple[Spec, Path]) -> None:
+    controller = design(gear[0])
+    practical, plant = controller.practical, controller.plant
+    assert practical is not None
+    A, B, C, K, L = plant.A[0], plant.B, plant.C, controller.design.K, controller.design.L
+    M = np.block([[A + B @ K, B @ K], [np.zeros((4, 4)), A + L @ C]])
+    E = practical.merges[0].column.floats[:, 0]
+    rows: dict[Form, Any] = {("output", 0): np.r_[plant.tracked[0], np.zeros(4)], ("input", 0): np.r_[K[0], K[0]]}
+    for signal, row in rows.items():
+        peak = 0.25 * worst(M[None], np.r_[E, -E], row, duration=2.0, steps=4000)
+        assert 1 < practical.final[signal] / peak < 1.01
+
+
+def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path) -> None:
+    path, out = cart(tmp_path), tmp_path / "out"
+    run(path, out, [], None, simulated=True)
+    index = json.loads((out / "run.json").read_text())
+    assert index["verdict"] == "practical"
+    assert "(8) is infeasible" in index["practical"]["exact_tracking"][0] or "(17)" in str(index["practical"])
+    assert (out / "refusal.json").is_file()
+    assert verify(out)[-1] == "refusal.json beside it proves that exact tracking is impossible"
+    refusal = json.loads((out / "refusal.json").read_text())
+    refusal["proofs"][0]["Z"] = {}
+    (out / "refusal.json").write_text(json.dumps(refusal))
+    with pytest.raises(CheckFailed):
+        verify(out)
+
+
+def test_where_exact_tracking_is_found_nothing_is_merged(specs: Path, tmp_path: Path) -> None:
+    text = (specs / "two_mass_backlash.yaml").read_text().replace("tracking: output", "tracking: practical")
+    path = tmp_path / "asked.yaml"
+    path.write_text(text)
+    assert design(load_spec(path)).practical is None
+
+
+def test_a_rate_out_of_reach_is_refused_unless_practical_tracking_is_asked(specs: Path, tmp_path: Path) -> None:
+    path = specs / "refused" / "rate_out_of_reach.yaml"
+    with pytest.raises(Infeasible, match="at a rate of"):
+        design(load_spec(path))
+    asked = tmp_path / "asked.yaml"
+    asked.write_text(path.read_text().replace("tracking: output", "tracking: practical"))
+    controller = design(load_spec(asked))
+    assert controller.practical is not None
+    assert max(proof.rate for proof in controller.guarantees.controller) >= 0.3
+
+
+def test_what_merging_cannot_help_stays_refused(specs: Path) -> None:
+    for name in ("printed_gains", "tank_without_outlet"):
+        with pytest.raises(Infeasible):
+            design(load_spec(specs / "refused" / f"{name}.yaml"))
+
+
+def test_only_the_slack_is_merged_and_the_stops_stay(tmp_path: Path) -> None:
+    shape = "breakpoints: [-0.6, -gap, gap, 0.6], slopes: [24, 20, 0, 20, 24]"
+    other = "- {name: rail, kind: dead_zone, of: z2, lower: -2, upper: 2, slope: 0.1, into: {v2: -1}}"
+    spec = load_spec(cart(tmp_path, kind="piecewise_linear", shape=shape, more=other))
+    practical = design(spec).practical
+    assert practical is not None
+    (merge,) = practical.merges
+    assert (merge.nonlinearity.name, merge.first, merge.last) == ("rope", 1, 2)
+    assert float(merge.largest) == pytest.approx(2)
+
+
+def test_the_choice_is_the_least_that_works(tmp_path: Path) -> None:
+    more = "- {name: rail, kind: dead_zone, of: z2, lower: -2, upper: 2, slope: 0.1, into: {v2: -1}}"
+    plant = load_spec(cart(tmp_path, more=more)).problem.plant
+    form = scalar_form(plant)
+    assert form is not None
+    asked: list[set[int]] = []
+
+    def needs(*elements: int) -> Any:
+        def works(chosen: Any) -> bool:
+            asked.append(set(chosen))
+            return set(elements) <= set(chosen)
+
+        return works
+
+    for elements in ((0,), (1,), (0, 1)):
+        found = least_merges(form, Sizes.of(plant), needs(*elements))
+        assert found is not None
+        assert set(found) == set(elements)
+    assert all(asked)
+    assert least_merges(form, Sizes.of(plant), lambda _: False) is None
+    both: dict[int, Merge] = {k: merges(form, k)[0] for k in range(2)}
+    assert all(merge.largest > 0 for merge in both.values())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_simulation_ends_above_its_bound(seed: int) -> None:
+    plant, form = plant_with_gaps(seed)
+    controller = practical_controller(plant, form)
+    seen = worst_found(controller, seed, tries=4, steps=3)
+    assert seen.final < 1
+    assert seen.part < 1 + 1e-9
+
+
+def test_an_observer_with_all_cells_has_no_error_in_the_end_and_a_smaller_bound() -> None:
+    plant, form = plant_with_gaps(0)
+    merged_, true = (practical_controller(plant, form, watched=watched) for watched in (False, True))
+    assert merged_.practical is not None
+    assert true.practical is not None
+    assert true.practical.final["output", 0] < merged_.practical.final["output", 0]
+    assert all(size == 0 for (kind, _), size in true.practical.final.items() if kind == "estimate")
+    seen = worst_found(true, 0, tries=4, steps=2)
+    assert seen.final < 1
+    assert seen.part < 1 + 1e-9
+    loop = closed_loop(true)
+    assert [len(part.cells) for part in loop.flow.parts] == [len(plant.A), len(plant.A), 1]
+    duration = 40 / true.guarantees.rate
+    response = run_loop(loop, np.ones(len(plant.states)), duration, duration / 500)
+    assert response.observer_error[-1] < 1e-9 * response.observer_error[0]
+
+
+def test_a_simulation_above_its_own_bound_is_said_first(gear: tuple[Spec, Path]) -> None:
+    controller = design(gear[0])
+    practical = controller.practical
+    assert practical is not None
+    tiny = tuple(replace(bounds, sizes=dict.fromkeys(bounds.sizes, 1e-6)) for bounds in practical.bounds)
+    result = simulate(gear[0], replace(controller, practical=replace(practical, bounds=tiny)))
+    assert result.outcome.kind == "above its bound"
+    assert result.outcome.code == ExitCode.CHECK_FAILED
+    assert "above its own proved bound" in result.outcome.text
+
+
+def test_practical_tracking_goes_without_uncertain_parameters(tmp_path: Path) -> None:
+    path = cart(tmp_path, tracking="practical, uncertain: {gap: 5%}")
+    with pytest.raises(InvalidSpec, match="without uncertain parameters"):
+        load_spec(path)
+
+
+def paths(content: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return where all texts that are numbers stand."""
+    if isinstance(content, dict):
+        return [path for key, value in content.items() for path in paths(value, (*at, key))]
+    if isinstance(content, list):
+        return [path for k, value in enumerate(content) for path in paths(value, (*at, k))]
+    return [at] if isinstance(content, str) and content.lstrip("-")[:1].isdigit() else []
+
+
+def by_ellipsoids(content: Any) -> Any:
+    """The same certificate without peak gains: quick to audit."""
+    found = copy.deepcopy(content)
+    practical = found["practical"]
+    (entry,), (merge,) = practical["bounds"], practical["merged"]
+    del entry["peaks"]
+    sizes = {(kind, k): size for part in entry["parts"] for kind, k, size in part["signals"]}
+    entry["signals"] = [[kind, k, sizes[kind, k]] for kind, k, _ in entry["signals"]]
+    total = {signal: str(Fraction(merge["largest"]) * Fraction(size)) for signal, size in sizes.items()}
+    practical["ends_below"] = [[kind, k, total[kind, k]] for kind, k, _ in practical["ends_below"]]
+    return found
+
+
+def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
+    content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
+    assert audit(json.dumps(content))[1] == []
+    tried = 0
+    for path in paths(content["practical"]):
+        if (path[0] == "plant" and path[1] not in ("A", "b")) or path[-1] == "a" or "Q" in path:
+            continue  # another ellipsoid may be a proof too
+        tampered = copy.deepcopy(content)
+        at: Any = tampered["practical"]
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = "0.7" if Fraction(at[path[-1]]) == 0 else "0"
+        assert audit(json.dumps(tampered))[1], path
+        tried += 1
+    assert tried > 80
+
+
+def test_a_tampered_peak_gain_is_found(specs: Path) -> None:
+    spec = load_spec(specs / "gallery" / "drivetrain_with_backlash.yaml")
+    content = json.loads(json.dumps(design_certificate(spec, design(spec))))
+    assert audit(json.dumps(content))[1] == []
+    (entry,) = content["practical"]["bounds"]
+    first = entry["peaks"][0]
+    changes: list[dict[str, Any]] = [
+        {"size": str(0.99 * float(first["size"]))},
+        {"unit": first["unit"] + 2},
+        {"unit": -99_999},
+        {"steps": []},
+        {"steps": first["steps"][:2]},
+        {"steps": [[0, 1], [101, 1]]},
+        {"part": 0},
+        {"P": entry["parts"][1]["Q"]},
+    ]
+    for change in changes:
+        tampered = copy.deepcopy(content)
+        tampered["practical"]["bounds"][0]["peaks"][0] |= change
+        assert audit(json.dumps(tampered))[1], change
