@@ -2,8 +2,8 @@
 
     python -m benchmarks.preview [plants]
 
-Each has one to four unstable zeros between 0.1 and 2,000 rad/s, up to two stable ones, two cells, and a reference that is
-periodic or goes from rest to rest. Printed: the residual of (15) relative to its terms, and the largest
+Each has one to four unstable zeros between 0.1 and 2,000 rad/s, up to two stable ones, two cells, and a reference that
+is periodic or goes from rest to rest. Printed: the residual of (15) relative to its terms, and the largest
 |y − y_d| of the simulated closed loop from x_d(0), relative to the reference; the worst of all, and what was refused.
 """
 
