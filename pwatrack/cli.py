@@ -142,23 +142,17 @@ def simulate(
     verbose: Verbose = False,
     as_json: Json = False,
     outside: Outside = False,
+    controller: Annotated[
+        Path | None,
+        typer.Option("--controller", metavar="FILE", help="Run this controller.json instead of designing one."),
+    ] = None,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
         raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
-    chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    _run(
-        spec_path,
-        out,
-        parameters,
-        solver,
-        simulated=True,
-        members=ensemble,
-        plots=plots,
-        shown=_shown(quiet, verbose, as_json),
-        outside=outside,
-        **chosen,
-    )
+    chosen: dict[str, Any] = {"over": over or "initial", "seed": 1 if seed is None else seed}
+    chosen |= {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
+    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, **chosen)
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")

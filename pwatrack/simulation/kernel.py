@@ -936,7 +936,8 @@ def _row(row: Array, vector: Array, start: int, stop: int) -> float:
     total = total * vector[start]
     for k in range(1, count):
         total = total + row[k] * vector[start + k]
-    return total + row[count]
+    result: float = total + row[count]
+    return result
 
 
 @_as_written
