@@ -76,6 +76,8 @@ class Plain:
             for a in range(self.n):
                 v = v + self.K[b][a] * (new["x_hat"][a] - new["x_d"][a])
             least, most = new["before"][b] - self.change[b], new["before"][b] + self.change[b]
+            if not isfinite(v - new["before"][b]):
+                return -1
             v = least if v < least else most if v > most else v
             v = self.low[b] if v < self.low[b] else self.high[b] if v > self.high[b] else v
             new["before"][b] = v

@@ -157,7 +157,7 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
 
 def _follows(inside: Inside, s: int) -> Follows:
     return Follows(
-        turn=np.array(inside.turn, dtype=np.float64).reshape(-1, s, s),
+        turn=np.array(inside.turn, dtype=np.float64).reshape(len(inside.turn), s, s),
         w0=np.array(inside.w0, dtype=np.float64),
         pieces=tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces),
         end=inside.end,
@@ -193,6 +193,8 @@ def _check_shapes(known: ControllerFile, path: Path) -> None:
     for name, values, shape in wanted:
         if not _has(values, shape):
             raise _refused(path, f"{name} has not the shape {shape}")
+    if any(low is not None and high is not None and low > high for low, high in zip(part.low, part.high, strict=True)):
+        raise _refused(path, "program: a lower limit is above the upper one")
     ticks = [piece.tick for piece in inside.pieces]
     fits = all(piece.tick > 0 and piece.start + len(piece.w) <= s for piece in inside.pieces)
     if not 1 <= len(inside.turn) <= 3 or ticks != sorted(ticks) or not fits:
