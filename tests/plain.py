@@ -20,7 +20,7 @@ class Plain:
         self.n, self.m, self.delay = of["n"], of["m"], program.sampling.delay
         self.H, self.h, self.K = floats(program.H), floats(program.h), floats(program.K)
         self.observer, self.generator = floats(program.observer), floats(program.generator)
-        self.x_d, self.u_ff = floats(program.x_d), floats(program.u_ff)
+        self.x_d, self.u_ff, self.guards = floats(program.x_d), floats(program.u_ff), floats(program.guards)
         self.change, self.quantum = floats(program.change), floats(program.quantum)
         self.low, self.high = floats(program.limits[:, 0]), floats(program.limits[:, 1])
         self.turn = [] if follows is None else floats(follows.turn)
@@ -40,13 +40,11 @@ class Plain:
             s = s + a[k] * v[k]
         return s + a[len(v)] if len(a) > len(v) else s
 
-    def cell(self, x: Any) -> int:
-        zero = self.real(0.0)
+    def cell(self, cells: Any, values: Any) -> int:
         worst = []
-        for signs in self.program.signs.tolist():
-            wrong = [zero]
-            for H, h, side in zip(self.H, self.h, signs, strict=True):
-                g = self.row(H, x) + h
+        for signs in cells.tolist():
+            wrong = [self.real(0.0)]
+            for g, side in zip(values, signs, strict=True):
                 if side:
                     wrong.append(-g if side > 0 else g)
             worst.append(max(wrong))
@@ -68,8 +66,10 @@ class Plain:
         if follows is None:
             new["w"] = [self.real(v) for v in given]
         known = [*new["x_hat"][self.n :], *new["eta_hat"], *new["w"]]
-        new["x_d"] = [self.row(a, known) for a in self.x_d]
-        new["i"], new["j"] = self.cell(new["x_hat"][: self.n]), self.cell(new["x_d"])
+        values = [self.row(H, new["x_hat"][: self.n]) + h for H, h in zip(self.H, self.h, strict=True)]
+        new["i"] = self.cell(self.program.signs, values)
+        new["j"] = self.cell(self.program.sides, [self.row(guard, known) for guard in self.guards])
+        new["x_d"] = [self.row(a, known) for a in self.x_d[new["j"]]]
         put, new["before"] = [], list(old["before"])
         for b in range(self.m):
             v = self.row(self.u_ff[new["j"]][b], known)

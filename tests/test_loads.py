@@ -436,7 +436,7 @@ def test_the_map_of_one_sample_has_estimates_and_generator_in_it(tmp_path: Path)
             known = np.vstack([z[at.s_hat], z[at.eta_hat], z[at.w_held], z[-1:]])
             step[at.eta_hat] = runs.generator[cell] @ known
             law[at.y] = flow.clock.measured
-            law[at.u] = runs.u_ff[cell] @ known + runs.K @ (z[at.x_hat] - runs.x_d @ known)
+            law[at.u] = runs.u_ff[cell] @ known + runs.K @ (z[at.x_hat] - runs.x_d[cell] @ known)
             whole = law @ step @ whole
             values = np.linalg.eigvals(whole)
             found = np.linalg.eigvals(SampleMaps(controller, controller.plant, sampling).loop(cell, h))

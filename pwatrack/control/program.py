@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
@@ -59,10 +60,12 @@ class Program:
 
     Attributes:
         sampling: Sample time, how observer and generator step, how late u is.
-        H, h, signs: The cells of x̂ and of x_d, (K, n), (K,), (l, K).
+        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
+        guards, sides: Those of x_d: rows on (ŝ, η̂, w, 1) that are 0 where one ends, and on which side of these it is,
+            (k, C), (l, k).
         observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
         generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (l, p, C).
-        x_d: x_d, on the same, (n, C).
+        x_d: x_d in its cell, on the same, (l, n, C).
         u_ff: u_ff in the cell of x_d, on the same, (l, m, C).
         K: (m, n).
         limits: Lower and upper limit of each input, (m, 2); infinite for none.
@@ -76,6 +79,8 @@ class Program:
     H: Array
     h: Array
     signs: IntArray
+    guards: Array
+    sides: IntArray
     observer: Array
     generator: Array
     x_d: Array
@@ -127,7 +132,9 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
     assert sampling is not None
     trajectory, names = _given_trajectory(controller) if given else (controller.trajectory, ())
     m, partition, steps = plant.B.shape[1], plant.partition, _stepper(sampling)
-    added = controller.compensation
+    s_hat = len(controller.design.L) - len(plant.B)
+    added = compensation(plant, None, 0) if given and controller.trajectory.preview else None
+    added = added or controller.compensation
     no_limits = np.tile([-np.inf, np.inf], (m, 1))
     rates, quanta = conditions.rates, conditions.quanta
     return Program(
@@ -137,7 +144,9 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
         signs=partition.signs,
         observer=_observer(controller, steps),
         generator=_generator(controller, trajectory, steps),
-        x_d=_on_estimates(trajectory.x_d, added.X.floats),
+        guards=_on_estimates(trajectory.guards, added.guards),
+        sides=trajectory.signs,
+        x_d=_on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))),
         u_ff=_on_estimates(trajectory.u_ff, added.u_ff),
         K=controller.design.K,
         limits=no_limits if conditions.limits is None else conditions.limits,
@@ -220,10 +229,11 @@ def _given_trajectory(controller: Controller) -> tuple[DesiredTrajectory, tuple[
     """Return the desired trajectory for a reference from outside, and the names of its entries."""
     plant, generator = controller.plant, controller.generator
     n, m = plant.B.shape
-    if generator is not None:
-        (y,) = plant.tracked_names
-        names = [y, *(f"d{k if k > 1 else ''}{y}/dt{k if k > 1 else ''}" for k in range(1, generator.r + 1))]
-        return output_trajectory(generator, _chains(1, generator.r + 1)), tuple(names)
+    if generator is not None and not generator.played_back:
+        degree, outputs = max(generator.form.degrees), plant.tracked_names
+        powers = ["", *map(str, range(2, degree + 1))]
+        names = [*outputs, *(f"d{k}{y}/dt{k}" for k in powers[:degree] for y in outputs)]
+        return output_trajectory(generator, _chains(len(outputs), degree + 1)), tuple(names)
     if controller.trajectory.names:
         return input_trajectory(plant, _chains(m, 1), None), tuple(f"{u}_ff" for u in plant.inputs)
     names = [f"{x}_d" for x in plant.states]

@@ -57,7 +57,7 @@ def check_same(spec: Spec, controller: Controller, known: ControllerFile) -> tup
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)
-    for name in ("observer", "generator", "x_d", "u_ff"):
+    for name in ("observer", "generator", "x_d", "u_ff", "guards"):
         one, other = getattr(found, name), getattr(runs(known.model_copy(update={"program": made})), name)
         if np.abs(one - other).max(initial=0.0) > _CLOSE * np.abs(other).max(initial=0.0):
             raise _other(f"program, '{name}'")

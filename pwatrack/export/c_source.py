@@ -74,6 +74,7 @@ class CSource:
         of = program.sizes
         found: dict[str, Array] = {"H": program.H, "h": program.h, "observer": program.observer}
         found |= {"generator": program.generator, "x_d": program.x_d, "u_ff": program.u_ff, "K": program.K}
+        found["guards"] = program.guards
         found["start_x_hat"] = np.array(start.x_hat) if start else np.zeros(of["N"])
         found["start_eta_hat"] = np.array(start.eta_hat) if start else np.zeros(of["p"])
         if follows is not None:
@@ -84,7 +85,10 @@ class CSource:
     @cached_property
     def whole(self) -> dict[str, tuple[str, IntArray]]:
         """All constants of whole numbers, with their types."""
-        found: dict[str, tuple[str, IntArray]] = {"signs": ("int8_t", self.program.signs)}
+        found: dict[str, tuple[str, IntArray]] = {
+            "signs": ("int8_t", self.program.signs),
+            "sides": ("int8_t", self.program.sides),
+        }
         if self.follows is not None:
             pieces = self.follows.pieces
             found["piece_tick"] = ("uint32_t", np.array([piece.tick for piece in pieces]))
@@ -136,12 +140,13 @@ class CSource:
     def operations(self) -> tuple[int, int, int]:
         """The most multiplications, additions and comparisons of floats in one step."""
         of, program = self.program.sizes, self.program
-        planes, cells, n, m, p, s = len(program.h), len(program.signs), of["n"], of["m"], of["p"], of["s"]
+        planes, guards, cells = len(program.h), len(program.guards), len(program.signs)
+        n, m, p, s = of["n"], of["m"], of["p"], of["s"]
         seen, known = of["q"] + m + of["N"], of["N"] - n + p + s
-        rows = of["N"] * seen + (p + n + m) * known + 2 * planes * n + m * n
+        rows = of["N"] * seen + (p + n + m + guards) * known + planes * n + m * n
         inside = s * s if self.follows is not None else 0
         quanta = int((program.quantum > 0).sum())
-        compared = 2 * (cells * (2 * planes + 1) + 2 * m) + 2 * (2 * seen + p + s + n + m)
+        compared = cells * (2 * planes + 2 * guards + 2) + 4 * m + 2 * (2 * seen + p + s + n + m)
         return rows + inside + 2 * quanta, rows + inside + m * n + 2 * m + quanta, compared
 
 

@@ -52,28 +52,20 @@ static int finite(const {real} v[], int count)
 """
 
 _CELL = """
-/* The first cell that x contradicts least. */
-static uint32_t cell_of(const {real} x[])
+/* The first cell whose signs the guards contradict least. */
+static uint32_t {kind}_cell(const {real} g[])
 {{
-    {real} g[{planes}], least = {zero};
+    {real} least = {zero};
     uint32_t cell = 0u;
-    int i, k, a, found = 0;
+    int i, k, found = 0;
 
-    for (k = 0; k < {planes}; k++) {{
-        {real} total = table_H[k][0] * x[0];
-        for (a = 1; a < {n}; a++) {{
-            const {real} product = table_H[k][a] * x[a];
-            total = total + product;
-        }}
-        g[k] = total + table_h[k];
-    }}
     for (i = 0; (i < {cells}) && (found == 0); i++) {{
         {real} worst = {zero};
-        for (k = 0; k < {planes}; k++) {{
-            if ((table_signs[i][k] > 0) && (-g[k] > worst)) {{
+        for (k = 0; k < {count}; k++) {{
+            if ((table_{kind}[i][k] > 0) && (-g[k] > worst)) {{
                 worst = -g[k];
             }}
-            if ((table_signs[i][k] < 0) && (g[k] > worst)) {{
+            if ((table_{kind}[i][k] < 0) && (g[k] > worst)) {{
                 worst = g[k];
             }}
         }}
@@ -89,12 +81,21 @@ static uint32_t cell_of(const {real} x[])
 }}
 """
 
-_ONE_CELL = """
-static uint32_t cell_of(const {real} x[])
-{{
-    (void)x;
-    return 0u;
-}}
+_OBSERVER_CELL = """    for (a = 0; a < {planes}; a++) {{
+        {real} total = table_H[a][0] * next.v[{X}];
+        for (b = 1; b < {n}; b++) {{
+            const {real} product = table_H[a][b] * next.v[{X} + b];
+            total = total + product;
+        }}
+        g[a] = total + table_h[a];
+    }}
+    next.cell = signs_cell(g);
+"""
+
+_DESIRED_CELL = """    for (a = 0; a < {guards}; a++) {{
+        g_d[a] = row(table_guards[a], &next.v[{S}], {known});
+    }}
+    next.cell_d = sides_cell(g_d);
 """
 
 _INIT = """
@@ -130,7 +131,7 @@ int {name}_step({name}_state *state, const {real} y[], const {real} ref[], {real
 {{
     {name}_state next;
     {real} law[{m}];
-    int a, b, fine = 1, status = {upper}_OK;
+{values}    int a, b, fine = 1, status = {upper}_OK;
 
 {unused}    if ((state == NULL) || (u == NULL)) {{
         return {upper}_REFUSED;
@@ -156,11 +157,9 @@ int {name}_step({name}_state *state, const {real} y[], const {real} ref[], {real
     for (a = 0; a < {q}; a++) {{
         next.v[a] = y[a];
     }}
-{given}    for (a = 0; a < {n}; a++) {{
-        next.x_d[a] = row(table_x_d[a], &next.v[{S}], {known});
+{given}{cells_found}    for (a = 0; a < {n}; a++) {{
+        next.x_d[a] = row(table_x_d[next.cell_d][a], &next.v[{S}], {known});
     }}
-    next.cell = cell_of(&next.v[{X}]);
-    next.cell_d = cell_of(next.x_d);
     for (b = 0; b < {m}; b++) {{
         {real} total = row(table_u_ff[next.cell_d][b], &next.v[{S}], {known});
         for (a = 0; a < {n}; a++) {{
@@ -193,7 +192,7 @@ def source(c: CSource) -> str:
     of, name, program = c.program.sizes, c.name, c.program
     real, zero = f"{name}_real", "0.0f" if c.single else "0.0"
     text = {"name": name, "upper": name.upper(), "real": real, "zero": zero, **of}
-    text |= {"planes": len(program.h), "cells": len(program.signs)}
+    text |= {"planes": len(program.h), "guards": len(program.guards), "cells": len(program.signs)}
     text |= {"U": of["q"], "X": of["q"] + of["m"], "S": of["q"] + of["m"] + of["n"]}
     text |= {"E": of["q"] + of["m"] + of["N"], "known": of["N"] - of["n"] + of["p"] + of["s"]}
     if not text["known"]:
@@ -202,7 +201,10 @@ def source(c: CSource) -> str:
     largest = "FLT_MAX" if c.single else "DBL_MAX"
     also = "" if c.single else " && (FLT_EVAL_METHOD != 1)"
     parts = [_BEGIN.format(**text, math=math, largest=largest, also=also), _tables(c), _HELPERS.format(**text)]
-    parts += [(_CELL if len(program.h) else _ONE_CELL).format(**text), _init(c, text)]
+    kinds = [("signs", len(program.h), "g", _OBSERVER_CELL), ("sides", len(program.guards), "g_d", _DESIRED_CELL)]
+    kinds = [kind for kind in kinds if kind[1]]
+    parts += [_CELL.format(**text, kind=kind, count=count) for kind, count, *_ in kinds]
+    parts.append(_init(c, text))
     if c.follows is not None:
         parts.append(_advance(c))
     generator = ""
@@ -227,6 +229,8 @@ def source(c: CSource) -> str:
             generator=generator,
             reference="        status = advance(state, &next);\n" if c.follows is not None else "",
             given=given,
+            values="".join(f"    {real} {values}[{count}];\n" for _, count, values, _ in kinds),
+            cells_found="".join(found.format(**text) for *_, found in kinds),
             checks="".join(
                 f" || (finite(next.{field}, {length}) == 0)"
                 for _, field, length, _ in c.fields

@@ -73,12 +73,17 @@ class Reference(Part):
 
 
 class Trajectory(Part):
-    """In the cell i of x_d, s = (eta_hat, w, 1): eta_hat' = rate_i s, x_d = x_d s, u_ff = u_ff_i s. All in 1/s."""
+    """In the cell i of x_d, s = (eta_hat, w, 1): eta_hat' = rate_i s, x_d = x_d_i s, u_ff = u_ff_i s.
+
+    It is the cell i where signs_ij guards_j s >= 0 for all j.
+    """
 
     eta: Names
     rate: list[Matrix]
-    x_d: Matrix
+    x_d: Stack
     u_ff: Stack
+    guards: Matrix
+    signs: list[list[Annotated[int, Field(ge=-1, le=1)]]]
     reference: Reference
 
 
@@ -93,8 +98,10 @@ class Followed(Part):
     """A desired trajectory in samples: rows on (s_hat, eta_hat, w, 1)."""
 
     generator: list[Matrix]
-    x_d: Matrix
+    x_d: Stack
     u_ff: Stack
+    guards: Matrix
+    sides: list[list[Annotated[int, Field(ge=-1, le=1)]]]
 
 
 class Piece(Part):

@@ -144,7 +144,9 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
         signs=np.array(known.plant.signs, dtype=np.int64).reshape(cells, -1),
         observer=np.array(part.observer),
         generator=np.array(followed.generator, dtype=np.float64).reshape(cells, p, columns),
-        x_d=np.array(followed.x_d).reshape(n, columns),
+        x_d=np.array(followed.x_d).reshape(cells, n, columns),
+        guards=np.array(followed.guards, dtype=np.float64).reshape(-1, columns),
+        sides=np.array(followed.sides, dtype=np.int64).reshape(cells, -1),
         u_ff=np.array(followed.u_ff).reshape(cells, m, columns),
         K=np.array(known.K),
         limits=np.column_stack([_numbers(part.low, -np.inf), _numbers(part.high, np.inf)]),
@@ -187,7 +189,9 @@ def _check_shapes(known: ControllerFile, path: Path) -> None:
     for name, tables, columns in followed:
         wanted += [
             (f"program.{name}.generator", tables.generator, (cells, p, columns)),
-            (f"program.{name}.x_d", tables.x_d, (n, columns)),
+            (f"program.{name}.x_d", tables.x_d, (cells, n, columns)),
+            (f"program.{name}.guards", tables.guards, (len(tables.guards), columns)),
+            (f"program.{name}.sides", tables.sides, (cells, len(tables.guards))),
             (f"program.{name}.u_ff", tables.u_ff, (cells, m, columns)),
         ]
     for name, values, shape in wanted:
@@ -249,6 +253,8 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
         "rate": trajectory.rate.tolist(),
         "x_d": trajectory.x_d.tolist(),
         "u_ff": trajectory.u_ff.tolist(),
+        "guards": trajectory.guards.tolist(),
+        "signs": trajectory.signs.tolist(),
         "reference": {
             "S": system.S.tolist(),
             "Q": system.Q.tolist(),
@@ -261,7 +267,8 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
 
 
 def _followed(found: Program) -> dict[str, Any]:
-    return {"generator": found.generator.tolist(), "x_d": found.x_d.tolist(), "u_ff": found.u_ff.tolist()}
+    names = ("generator", "x_d", "u_ff", "guards", "sides")
+    return {name: getattr(found, name).tolist() for name in names}
 
 
 def _finite(values: Array) -> list[float | None]:

@@ -150,11 +150,10 @@ def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
     assert file.program is not None
     trajectory, count = controller.trajectory, len(file.program.outside.reference)
     system, w = trajectory.exosystem, trajectory.exosystem.states(t)
-    if controller.generator is None and not trajectory.names:  # x_d and its derivative
-        x_d = trajectory.x_d
+    if not trajectory.names and (controller.generator is None or controller.generator.played_back):
+        x_d = trajectory.x_d[0]  # the same in all cells, with its derivative
         return np.hstack([w @ x_d[:, :-1].T + x_d[:, -1], w @ (x_d[:, :-1] @ system.S).T])
-    rows = system.derivative_rows(count)[:count, : 1 if controller.generator else None]
-    return np.hstack([w @ row.T for row in rows])[:, :count]
+    return np.hstack([w @ row.T for row in system.derivative_rows(count)])[:, :count]
 
 
 def _stored(path: Path, given: bool) -> Subject:

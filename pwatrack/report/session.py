@@ -57,13 +57,11 @@ def run(
     """Design, simulate if asked, write the files, and print what came out.
 
     Args:
-        path, folder: The spec file, and where the files go.
-        parameters: Replacements as NAME=VALUE.
+        path, folder, parameters: The spec file, where the files go, and replacements as NAME=VALUE.
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
-        stored: A controller.json: its gains are proved and simulated instead of new ones; only with a simulation.
-        members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
+        stored, members, over, seed: A controller.json that is simulated instead of a new one, and as for `ensemble`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.

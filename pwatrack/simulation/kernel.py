@@ -114,10 +114,11 @@ class Routine(NamedTuple):
     """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
 
     Attributes:
-        H, h, signs: The cells, (K, n), (K,), (l, K).
+        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
+        guards, sides: Those of x_d, on (ŝ, η̂, w, 1), (k, C), (l, k).
         observer: x̂ and ŝ one sample later, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
         generator: η̂ one sample later, on (ŝ, η̂, w, 1), (l, p, C).
-        x_d, u_ff: On the same, (n, C) and (l, m, C).
+        x_d, u_ff: On the same, (l, n, C) and (l, m, C).
         K: (m, n).
         low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
         turn: w one sample later, and 2¹⁰ and 2²⁰ samples later where these are in range; none where w comes from
@@ -132,6 +133,8 @@ class Routine(NamedTuple):
     H: Array
     h: Array
     signs: IntArray
+    guards: Array
+    sides: IntArray
     observer: Array
     generator: Array
     x_d: Array
@@ -941,22 +944,13 @@ def _row(row: Array, vector: Array, start: int, stop: int) -> float:
 
 
 @_as_written
-def _cell(routine: Routine, vector: Array, start: int, guards: int) -> int:
-    """Return the cell of vector[start:start + n]: the first that contradicts its signs least.
-
-    The values of the hyperplanes are written to vector[guards:].
-    """
-    n = routine.H.shape[1]
-    for k in range(len(routine.h)):
-        total = routine.H[k, 0] * vector[start]
-        for a in range(1, n):
-            total = total + routine.H[k, a] * vector[start + a]
-        vector[guards + k] = total + routine.h[k]
-    cell, least = 0, vector[start]
-    for i in range(len(routine.signs)):
-        worst = routine.h.dtype.type(0.0)
-        for k in range(len(routine.h)):
-            side, value = routine.signs[i, k], vector[guards + k]
+def _cell(signs: IntArray, room: Array, guards: int) -> int:
+    """Return the cell whose signs the guards in room[guards:] contradict least, the first of several."""
+    cell, least = 0, room[0]
+    for i in range(len(signs)):
+        worst = room.dtype.type(0.0)
+        for k in range(signs.shape[1]):
+            side, value = signs[i, k], room[guards + k]
             if side > 0 and -value > worst:
                 worst = -value
             if side < 0 and value > worst:
@@ -966,6 +960,20 @@ def _cell(routine: Routine, vector: Array, start: int, guards: int) -> int:
         if least == 0.0:
             break
     return cell
+
+
+@_as_written
+def _cells(routine: Routine, room: Array, x: int, s_hat: int, end: int, guards: int) -> tuple[int, int]:
+    """Return the cells of x̂, at room[x:], and of x_d; the values of the guards are written to room[guards:]."""
+    for k in range(len(routine.h)):
+        total = routine.H[k, 0] * room[x]
+        for a in range(1, routine.H.shape[1]):
+            total = total + routine.H[k, a] * room[x + a]
+        room[guards + k] = total + routine.h[k]
+    i = _cell(routine.signs, room, guards)
+    for k in range(len(routine.guards)):
+        room[guards + k] = _row(routine.guards[k], room, s_hat, end)
+    return i, _cell(routine.sides, room, guards)
 
 
 @_as_written
@@ -1035,7 +1043,7 @@ def tick(routine: Routine, memory: Array, counts: IntArray, room: Array, y: Arra
             steps, the one wanted, its change, x_d. Changed unless the result is REFUSED.
         counts: Whether it has run, ticks, ticks since a piece of the reference began (or the second copy of w was
             renewed), pieces so far, and the cells of x̂ and x_d. Likewise.
-        room: To work in, as long as memory, and K more.
+        room: To work in, as long as memory, and as long as there are guards, more.
         y: What was measured, (q,).
         given: w from outside, (s,), where it is from there.
 
@@ -1066,9 +1074,9 @@ def tick(routine: Routine, memory: Array, counts: IntArray, room: Array, y: Arra
     if not inside:
         for a in range(s):
             room[w + a] = given[a]
+    i, j = _cells(routine, room, x, s_hat, end, len(memory))
     for a in range(n):
-        room[x_d + a] = _row(routine.x_d[a], room, s_hat, end)
-    i, j = _cell(routine, room, x, len(memory)), _cell(routine, room, x_d, len(memory))
+        room[x_d + a] = _row(routine.x_d[j, a], room, s_hat, end)
     for b in range(m):
         total = _row(routine.u_ff[j, b], room, s_hat, end)
         for a in range(n):

@@ -34,6 +34,8 @@ def routine(program: Program, real: Any = np.float64) -> "Routine":
         H=numbers(program.H),
         h=numbers(program.h),
         signs=np.array(program.signs, dtype=np.int64, order="C"),
+        guards=numbers(program.guards),
+        sides=np.array(program.sides, dtype=np.int64, order="C"),
         observer=numbers(program.observer),
         generator=numbers(program.generator),
         x_d=numbers(program.x_d),
@@ -73,7 +75,7 @@ def memory(program: Program, x_hat: Array, eta_hat: Array, real: Any = np.float6
 
 def room(program: Program, real: Any = np.float64) -> NDArray[Any]:
     """Return room to work in."""
-    return np.zeros(program.places["x_d"].stop + len(program.h), dtype=real)
+    return np.zeros(program.places["x_d"].stop + max(len(program.h), len(program.guards)), dtype=real)
 
 
 NONE = Program(  # one that never runs
@@ -83,7 +85,9 @@ NONE = Program(  # one that never runs
     signs=np.zeros((0, 0), dtype=np.int64),
     observer=np.zeros((0, 0, 1)),
     generator=np.zeros((0, 0, 1)),
-    x_d=np.zeros((0, 1)),
+    guards=np.zeros((0, 1)),
+    sides=np.zeros((0, 0), dtype=np.int64),
+    x_d=np.zeros((0, 0, 1)),
     u_ff=np.zeros((0, 0, 1)),
     K=np.zeros((0, 0)),
     limits=np.zeros((0, 2)),
