@@ -34,8 +34,8 @@ class Controller:
         >>> spec = load_spec("specs/two_mass_machine.yaml")
         >>> folder = write_design(spec, design(spec), "/tmp/pwatrack-controller")
         >>> controller = Controller.load(folder / "controller.json")
-        >>> controller.step([0.1]).tolist(), controller.cells
-        ([6.5], ('gap', 'upper spring'))
+        >>> controller.step([0.1]).shape, controller.cells
+        ((1,), ('gap', 'upper spring'))
     """
 
     def __init__(self, file: ControllerFile, *, single: bool = False) -> None:
