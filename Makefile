@@ -98,6 +98,10 @@ kills: $(READY) ## kill a batch at 200 random moments and look for harm (ten min
 sampling: $(READY) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sampling 120
 
+.PHONY: export
+export: $(READY) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.export
+
 .PHONY: lint
 lint: $(READY) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

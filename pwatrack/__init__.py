@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from pwatrack.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from pwatrack.control.controller import Controller as Controller
     from pwatrack.errors import OutsideTheory as OutsideTheory
     from pwatrack.errors import PwatrackError as PwatrackError
+    from pwatrack.export.controller import Controller as Controller
     from pwatrack.model.cells import Partition as Partition
     from pwatrack.model.pwa import PWASystem as PWASystem
     from pwatrack.pipeline import design as design
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pwatrack.variation import ensemble as ensemble
 
 _HOME = {
-    "Controller": "pwatrack.control.controller",
+    "Controller": "pwatrack.export.controller",
     "Partition": "pwatrack.model.cells",
     "PWASystem": "pwatrack.model.pwa",
     "OutsideTheory": "pwatrack.errors",

@@ -142,23 +142,17 @@ def simulate(
     verbose: Verbose = False,
     as_json: Json = False,
     outside: Outside = False,
+    controller: Annotated[
+        Path | None,
+        typer.Option("--controller", metavar="FILE", help="Run this controller.json instead of designing one."),
+    ] = None,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
     if ensemble is None and (over is not None or seed is not None):
         raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
-    chosen = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    _run(
-        spec_path,
-        out,
-        parameters,
-        solver,
-        simulated=True,
-        members=ensemble,
-        plots=plots,
-        shown=_shown(quiet, verbose, as_json),
-        outside=outside,
-        **chosen,
-    )
+    chosen: dict[str, Any] = {"over": over or "initial", "seed": 1 if seed is None else seed}
+    chosen |= {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
+    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, **chosen)
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")
@@ -333,6 +327,45 @@ def _shown(quiet: bool, verbose: bool, as_json: bool) -> "Shown":
     if quiet + verbose + as_json > 1:
         raise typer.BadParameter("one of --quiet, --verbose and --json", param_hint="--quiet")
     return "nothing" if quiet else "more" if verbose else "json" if as_json else "summary"
+
+
+exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=True)
+app.add_typer(exports, name="export")
+
+
+@exports.command(name="c", epilog="Example: pwatrack export c runs/two_mass_machine --out firmware --float32")
+def export_to_c(
+    target: Annotated[
+        Path, typer.Argument(metavar="RUN|SPEC", help="A run folder, a spec or a controller.json.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the code goes.", show_default=False)],
+    parameters: Set = None,
+    sample_time: Annotated[
+        float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of that of the spec.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")] = None,
+    single: Annotated[bool, typer.Option("--float32", help="Compute in single floats.")] = False,
+    reference: Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")] = "inside",
+    unproved: Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")] = False,
+) -> None:
+    """Write a controller in C99, with a test vector of its simulation."""
+    if sample_time is not None and not 0 < sample_time < float("inf"):
+        raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
+    with refusals():
+        from pwatrack.report.export import export_c
+        from pwatrack.spec.load import assignments
+
+        files = export_c(
+            target,
+            out,
+            parameters=assignments(parameters or []),
+            sample_time=sample_time,
+            name=name,
+            single=single,
+            given=reference == "outside",
+            unproved=unproved,
+        )
+        typer.echo(f"Code in {out}/: {', '.join(files)}")
 
 
 def _run(

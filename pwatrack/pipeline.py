@@ -8,6 +8,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.goal import LeastCost
+from pwatrack.control.program import Program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import Design, synthesize
@@ -106,7 +107,7 @@ def _designed(spec: Spec, growing: bool) -> Controller:
     return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
 
 
-def simulate(spec: Spec, controller: Controller | None = None) -> Result:
+def simulate(spec: Spec, controller: Controller | None = None, runs: Program | None = None) -> Result:
     """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
 
     Of a long run some samples are kept in memory and all of them in a temporary file: see `Spool`.
@@ -115,6 +116,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
         spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
             the outcome says.
+        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
 
     Raises:
         PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
@@ -123,7 +125,7 @@ def simulate(spec: Spec, controller: Controller | None = None) -> Result:
     controller = controller or design(spec, growing=True)
     with spec.located():
         check_sample_time(controller, spec.scenario.conditions)
-        loop = closed_loop(controller, spec.scenario.conditions)
+        loop = closed_loop(controller, spec.scenario.conditions, runs)
         n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
         fixed, initial = controller.trajectory.eta0, spec.scenario.initial
         if initial.generator is not None and start_fixed(spec, controller):

@@ -7,10 +7,11 @@ from itertools import product
 import numpy as np
 from scipy.linalg import expm, sqrtm
 
-from pwatrack import Controller, PWASystem
+from pwatrack import PWASystem
 from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Bounds, Form
+from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.control.proof import prove_design

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pwatrack import Controller, Result, load_spec, simulate
+from pwatrack import Result, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
+from pwatrack.control.controller import Controller
 from pwatrack.report.plots.pictures import draw
 
 PUSHED = "  disturbance: {v1: {constant: 0.05, sine: {amplitude: 0.2, frequency: 3}}}\n"

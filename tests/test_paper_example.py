@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pwatrack import Controller, Result, Spec, design, load_spec, simulate
+from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given

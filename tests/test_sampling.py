@@ -90,7 +90,7 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     assert f"hint: write 'sample_time: {found[3]}' (s) or less: it is stable in all cells" in error
     index = index_of(tmp_path / "out")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "broken off")
-    assert {*index["files"]} == {"gains.json", "certificate.json", "generator.json"}
+    assert {*index["files"]} == {"gains.json", "certificate.json", "generator.json", "bounds.json", "controller.json"}
     good = cart(tmp_path, SLOW.replace("0.5", found[3]), reference="0.08*cos(t)")
     result = simulate(load_spec(good))
     assert result.outcome.code == 0

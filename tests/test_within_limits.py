@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 
-from pwatrack import Controller, Spec, design, load_spec, simulate
+from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
 from pwatrack.control.goal import AtLeast, Fastest
 from pwatrack.control.limits import Limited, Peak, Promise, Starts, promises
 from pwatrack.control.synthesis import gain

@@ -59,6 +59,16 @@ class Controller:
         return self.plant if self.practical is None else self.practical.plant
 
     @property
+    def K(self) -> Array:
+        """Controller gain, (m, n)."""
+        return self.design.K
+
+    @property
+    def L(self) -> Array:
+        """Observer gain, (N, q)."""
+        return self.design.L
+
+    @property
     def form(self) -> NormalForm | None:
         """The plant in the form (11), for output tracking only."""
         return None if self.generator is None else self.generator.form

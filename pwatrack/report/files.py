@@ -13,6 +13,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.export.stored import content, known_start
 from pwatrack.how_far import HowFar
 from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
@@ -31,7 +32,7 @@ from pwatrack.report.limits import limit_content
 from pwatrack.report.practical import practical_content
 from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, json_text, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.report.wording import error_unit
 from pwatrack.result import Result
@@ -57,7 +58,7 @@ def write_design(
     broken: PwatrackError | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write gains, certificate, bounds, generator and run.json, and for fronts pareto.csv and pareto.png.
+    """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
 
     Args:
         spec: What was asked.
@@ -74,7 +75,7 @@ def write_design(
         InvalidSpec: If the folder cannot be written; nothing is changed then.
     """
     with run_folder(folder) as run:
-        _design_files(run, spec, controller)
+        _design_files(run, spec, controller, known_start(spec, controller))
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
@@ -120,7 +121,9 @@ def write_result(
         index["ensemble"] = ensemble_measures(many)
     index |= _requirements(required(result.spec, result.controller, result, many))
     with run_folder(folder) as run:
-        _design_files(run, result.spec, result.controller)
+        at, start = result.loop.at, result.start
+        starts = {"x_hat": start[at.observer].tolist(), "eta_hat": start[at.eta_hat].tolist()}
+        _design_files(run, result.spec, result.controller, starts)
         _signals(run, result)
         if plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit):
             _pictures(run, result, many)
@@ -181,18 +184,22 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
-def _design_files(run: RunFolder, spec: Spec, controller: Controller) -> None:
+def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
     design, generator = controller.design, controller.generator
     convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
     costs = {part: X.tolist() for part, X in controller.costs.items()}
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
-    run.json("certificate.json", design_certificate(spec, controller))
+    proof = json_text(design_certificate(spec, controller))
+    run.text("certificate.json", proof)
     run.json(BOUNDS, bound_content(spec, controller))
-    if generator is not None:
-        run.json("generator.json", generator_content(generator.form, generator.shift))
+    made = None if generator is None else generator_content(generator.form, generator.shift)
+    if made is not None:
+        run.json("generator.json", made)
     if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
         run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
+    digest = hashlib.sha256(proof.encode()).hexdigest()
+    run.json("controller.json", content(spec, controller, proof=digest, generator=made, start=start))
 
 
 def write_refusal(

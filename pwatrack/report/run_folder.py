@@ -67,7 +67,7 @@ class RunFolder:
 
     def json(self, name: str, content: object) -> None:
         """Add a JSON file; floats keep every bit."""
-        self.text(name, _json(content))
+        self.text(name, json_text(content))
 
     def commit(self, index: Mapping[str, object]) -> None:
         """Take the place of the earlier run: its files go, those added here come, and the index last.
@@ -100,7 +100,7 @@ class RunFolder:
                 (self._stage / INDEX).replace(self.path / INDEX)
 
     def _write_index(self, content: Mapping[str, object], name: str) -> None:
-        (self._stage / name).write_text(_json({"format": _FORMAT, **content}), encoding="utf-8")
+        (self._stage / name).write_text(json_text({"format": _FORMAT, **content}), encoding="utf-8")
 
 
 @contextmanager
@@ -262,7 +262,8 @@ def _unwritable(what: str, error: OSError, hint: str) -> InvalidSpec:
     return InvalidSpec(Problem(message=f"cannot write {what}: {error.strerror or error}", hint=hint))
 
 
-def _json(content: object) -> str:
+def json_text(content: object) -> str:
+    """Return JSON with each row of a matrix on one line; floats keep every bit."""
     return _indented(content, "\n") + "\n"
 
 

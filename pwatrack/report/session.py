@@ -13,8 +13,11 @@ from rich.status import Status
 from pwatrack import pipeline
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front, pareto
+from pwatrack.control.program import Program
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
+from pwatrack.export.again import check_same, with_gains
+from pwatrack.export.stored import read
 from pwatrack.how_far import HowFar, how_far
 from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
@@ -43,6 +46,7 @@ def run(
     simulated: bool,
     fronts: bool = False,
     scaled: bool = False,
+    stored: Path | None = None,
     members: int | None = None,
     over: Over = "initial",
     seed: int = 1,
@@ -53,12 +57,11 @@ def run(
     """Design, simulate if asked, write the files, and print what came out.
 
     Args:
-        path, folder: The spec file, and where the files go.
-        parameters: Replacements as NAME=VALUE.
+        path, folder, parameters: The spec file, where the files go, and replacements as NAME=VALUE.
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
-        members, over, seed: As for `ensemble`; None for no ensemble; only with a simulation.
+        stored, members, over, seed: A controller.json that is simulated instead of a new one, and as for `ensemble`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.
@@ -67,7 +70,7 @@ def run(
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
-    made, many = _Made(path=path, parameters=assignments(parameters), outside=outside), None
+    made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
@@ -75,7 +78,7 @@ def run(
             if simulated:
                 status.update("Simulating the closed loop")
                 with made.timed("simulate"):
-                    result = pipeline.simulate(spec, controller)
+                    result = pipeline.simulate(spec, controller, made.runs)
                 if members:
                     with made.timed("ensemble"):
                         many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
@@ -104,18 +107,25 @@ class _Made:
     parameters: dict[str, str]
     outside: bool
     seconds: dict[str, float] = field(default_factory=dict)
+    stored: Path | None = None
     spec: Spec | None = None
     controller: Controller | None = None
+    runs: Program | None = None
     largest: LargestBox | None = None
 
     def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
         with self.timed("load"):
             spec = load_spec(self.path, self.parameters, outside=self.outside)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
+        known = None if self.stored is None else read(self.stored)
+        if known is not None:
+            self.spec = spec = with_gains(spec, known)
         status.update("Solving the matrix inequalities")
         with self.timed("design"):
-            known = replace(spec, objectives=replace(spec.objectives, uncertain=())) if scaled else spec
-            controller = pipeline.design(known, growing=growing)
+            asked = replace(spec, objectives=replace(spec.objectives, uncertain=())) if scaled else spec
+            controller = pipeline.design(asked, growing=growing)
+        if known is not None:
+            self.spec, self.runs = spec, _ = check_same(spec, controller, known)
         if scaled:
             status.update("Scaling the box of uncertain parameters")
             with self.timed("largest box"):

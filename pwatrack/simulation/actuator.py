@@ -22,10 +22,6 @@ class Actuator(SwitchedPart):
     input: int
     levels: tuple[float | None, ...]
 
-    def held(self, z: Array) -> list[Array | None]:
-        """Return the row of what the input is in each cell, None where it goes through; z are the rows of z, (N, N)."""
-        return [None if level is None else level * z[-1] for level in self.levels]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RateLimit(SwitchedPart):
@@ -33,17 +29,11 @@ class RateLimit(SwitchedPart):
 
     Attributes:
         input: Which input it is, from 0.
-        before: Where in z it was before.
         most: By how much it may change.
     """
 
     input: int
-    before: int
     most: float
-
-    def held(self, z: Array) -> list[Array | None]:
-        """Return the row of what the input is in each cell, None where it goes through; z are the rows of z, (N, N)."""
-        return [z[self.before] - self.most * z[-1], None, z[self.before] + self.most * z[-1]]
 
 
 def actuators(
@@ -106,7 +96,7 @@ def rate_limits(steps: Array, model: PWASystem, at: Layout) -> list[RateLimit]:
     """
     parts, z = list[RateLimit](), np.eye(at.order)
     for k in np.flatnonzero(np.isfinite(steps)).tolist():
-        change, most = z[at.computed.start + k] - z[at.before.start + k], float(steps[k])
+        change, most = z[at.change.start + k], float(steps[k])
         parts.append(
             RateLimit(
                 name=f"rate {model.inputs[k]}",
@@ -115,7 +105,6 @@ def rate_limits(steps: Array, model: PWASystem, at: Layout) -> list[RateLimit]:
                 signs=np.array([[-1, -1], [1, -1], [1, 1]]),
                 F=np.zeros((3, at.order, at.order)),
                 input=k,
-                before=at.before.start + k,
                 most=most,
             )
         )

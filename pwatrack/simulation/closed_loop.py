@@ -6,6 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
+from pwatrack.control.program import Program, program
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.actuator import actuators, rate_limits
@@ -179,12 +180,13 @@ class Response:
         return np.asarray(np.linalg.norm(self.tracking_error / self.error_sizes, axis=1))
 
 
-def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> ClosedLoop:
+def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: Program | None = None) -> ClosedLoop:
     """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
     Args:
         controller: The design.
         conditions: What is not as the theorems assume.
+        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
 
     Example: a limited input has segments of its own, in each cell of x_d.
 
@@ -222,21 +224,31 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL) -> Clo
         SwitchedPart.of("observer", model.model, z[at.x_hat], _affine(model.model, at.x_hat, z)),
         SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F_generator),
     ]
-    if conditions.limits is not None:
-        meant = switched + (z[at.computed] if sampling else steady)
-        parts += actuators(conditions.limits, meant, parts[-1], plant, model, at)
-    if conditions.rates is not None and sampling:
-        parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
+    u = switched + steady
+    parts += _limits(conditions, u, parts[-1], model, at)
     flow = Flow(F0=F0, parts=tuple(parts))
     return ClosedLoop(
         controller=controller,
         conditions=conditions,
         at=at,
-        flow=sampled(flow, conditions, at, measured=y, law=u_x + law) if sampling else flow,
+        flow=sampled(flow, runs or program(controller, conditions), conditions, at, measured=y) if sampling else flow,
         x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]) + shift,
         u_ff=u_ff,
-        u=switched + steady,
+        u=u,
     )
+
+
+def _limits(
+    conditions: Conditions, u: Array, generator: SwitchedPart, model: PWASystem, at: Layout
+) -> list[SwitchedPart]:
+    """Return a part for each input that is limited, and for each whose changes are; u are those of no sampling."""
+    parts, sampling = list[SwitchedPart](), conditions.sampling
+    if conditions.limits is not None:
+        u = np.broadcast_to(np.eye(at.order)[at.wanted], u.shape) if sampling else u
+        parts += actuators(conditions.limits, u, generator, conditions.plant or model, model, at)
+    if conditions.rates is not None and sampling:
+        parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
+    return parts
 
 
 def _loads(model: PWASystem, at: Layout) -> Array:

@@ -1,11 +1,11 @@
 """An autonomous piecewise linear flow ż = F(mode) z; its last coordinate is the constant 1."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.control.program import Program
 from pwatrack.model.pwa import PWASystem
 
 Mode = tuple[int, ...]
@@ -38,40 +38,27 @@ class SwitchedPart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SwitchedMap:
-    """z ← (J0 + Σ_p J_p[mode_p]) z.
-
-    Attributes:
-        J0: What does not depend on the mode, (N, N).
-        parts: What does, by the name of the part, (l, N, N).
-        quantum: Entries of z are then rounded to a whole multiple of these, not where it is 0, (N,); None for none.
-    """
-
-    J0: Array
-    parts: Mapping[str, Array]
-    quantum: Array | None = None
-
-    def scaled(self, d: Array) -> "SwitchedMap":
-        """Return the map of D⁻¹ z, D = diag(d)."""
-        parts = {name: J / d[:, None] * d for name, J in self.parts.items()}
-        return SwitchedMap(
-            J0=self.J0 / d[:, None] * d, parts=parts, quantum=None if self.quantum is None else self.quantum / d
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Clock:
-    """At every multiple of the period (s) the maps are applied one after the other, each in the mode it finds.
+    """At every multiple of its sample time a program measures, and some of its numbers become entries of z.
 
     Attributes:
-        period: In s.
-        maps: In order.
-        first: Number of the map that t = 0 begins with.
+        program: What runs.
+        measured: Rows of what it measures, (q, N).
+        quantum: What that is a whole multiple of; 0 for any value, (q,).
+        source, place: Which numbers of the program's memory are in z, and where, (V,).
+        scale: In z they are so many times as large, (V,).
     """
 
-    period: float
-    maps: tuple[SwitchedMap, ...]
-    first: int = 0
+    program: Program
+    measured: Array
+    quantum: Array
+    source: IntArray
+    place: IntArray
+    scale: Array
+
+    def scaled(self, d: Array) -> "Clock":
+        """Return the clock of D⁻¹ z, D = diag(d)."""
+        return replace(self, measured=self.measured * d, scale=self.scale / d[self.place])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,16 +82,6 @@ class Flow:
             total += part.F[cell]
         return total
 
-    def jump(self, number: int, mode: Mode) -> Array:
-        """Return the map of this number of the clock, (N, N)."""
-        assert self.clock is not None
-        switched = self.clock.maps[number]
-        total = switched.J0.copy()
-        for part, cell in zip(self.parts, mode, strict=True):
-            if part.name in switched.parts:
-                total += switched.parts[part.name][cell]
-        return total
-
     def guards(self) -> Array:
         """Return all guards of all parts, (K, N)."""
         return np.vstack([part.guards for part in self.parts])
@@ -118,7 +95,7 @@ class Flow:
         return Flow(
             F0=self.F0 / d[:, None] * d,
             parts=tuple(replace(p, guards=p.guards * d, F=p.F / d[:, None] * d) for p in self.parts),
-            clock=replace(self.clock, maps=tuple(m.scaled(d) for m in self.clock.maps)) if self.clock else None,
+            clock=None if self.clock is None else self.clock.scaled(d),
         )
 
     def subsystem(self, name: str, keep: IntArray) -> "Flow":

@@ -43,18 +43,25 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def _jitted(function: Callable[_P, _R], **options: bool) -> Callable[_P, _R]:
+def _jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
     compiler: Any = njit  # its types do not know every option
-    fused = {"contract"}  # a b + c may be rounded once
     try:
-        compiled: Callable[_P, _R] = compiler(cache=True, nogil=True, fastmath=fused, **options)(function)
+        compiled: Callable[_P, _R] = compiler(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # no folder for the cache is writable
-        compiled = compiler(nogil=True, fastmath=fused, **options)(function)
+        compiled = compiler(nogil=True, **options)(function)
     return compiled
 
 
+_FUSED = {"contract"}  # a b + c may be rounded once
+
+
 def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    return _jitted(function)
+    return _jitted(function, fastmath=_FUSED)
+
+
+def _as_written(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a part of the controller's program: every operation is rounded once, in the order that is written."""
+    return _jitted(function, fastmath=False)  # said, or Numba takes that of whoever calls it
 
 
 def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -63,7 +70,7 @@ def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     Without that, counting references to the arrays of `Room` took twice as long as the steps themselves, and handing
     them over a third of it.
     """
-    return _jitted(function, _nrt=False, forceinline=True)
+    return _jitted(function, fastmath=_FUSED, _nrt=False, forceinline=True)
 
 
 class Field(NamedTuple):
@@ -91,19 +98,79 @@ class Resets(NamedTuple):
 
     Attributes:
         step: When, in finest steps, (R,).
-        map: Number of the map that is applied, or -1 where entries take new values, (R,).
-        start, stop, row: Which entries, and where in `values` the new ones are, (R,).
+        row: Where in `values` the new ones are, or -1 where the controller's program runs, (R,).
+        start, stop: Which entries take new values, (R,).
         values: (V, N).
-        quantum: What each map rounds the entries of z to a multiple of, 0 where it does not, (J, N).
     """
 
     step: Array
-    map: IntArray
+    row: IntArray
     start: IntArray
     stop: IntArray
-    row: IntArray
     values: Array
+
+
+class Routine(NamedTuple):
+    """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
+
+    Attributes:
+        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
+        guards, sides: Those of x_d, on (ŝ, η̂, w, 1), (k, C), (l, k).
+        observer: x̂ and ŝ one sample later, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
+        generator: η̂ one sample later, on (ŝ, η̂, w, 1), (l, p, C).
+        x_d, u_ff: On the same, (l, n, C) and (l, m, C).
+        K: (m, n).
+        low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
+        turn: w one sample later, and 2¹⁰ and 2²⁰ samples later where these are in range; none where w comes from
+            outside, (0 … 3, s, s).
+        piece_tick, piece_start, piece_stop, piece_value: From when on which entries of w have new values, and where
+            these begin in `values`, (pieces,).
+        values: Those new values.
+        end: The last tick at which the reference is defined.
+        delay: How many samples an input is put out late.
+    """
+
+    H: Array
+    h: Array
+    signs: IntArray
+    guards: Array
+    sides: IntArray
+    observer: Array
+    generator: Array
+    x_d: Array
+    u_ff: Array
+    K: Array
+    low: Array
+    high: Array
+    change: Array
     quantum: Array
+    turn: Array
+    piece_tick: IntArray
+    piece_start: IntArray
+    piece_stop: IntArray
+    piece_value: IntArray
+    values: Array
+    end: int
+    delay: int
+
+
+class Ticks(NamedTuple):
+    """How a program sits in the loop.
+
+    Attributes:
+        routine: The program.
+        measured: Rows of the measured output on z, transposed, (N, q).
+        quantum: What it is measured in whole multiples of, 0 for any value, (q,).
+        source, place: Which of its numbers are in z, and where, (V,).
+        scale: These, in z, are so many times as large, powers of two, (V,).
+    """
+
+    routine: Routine
+    measured: Array
+    quantum: Array
+    source: IntArray
+    place: IntArray
+    scale: Array
 
 
 class Modes(NamedTuple):
@@ -119,7 +186,6 @@ class Modes(NamedTuple):
         margin: |z| times it is how far from 0 a guard must be at both ends of a step, (M, D, N, K).
         first, second: Bounds on the two integrals above, (M, D, N, K).
         rounding: |z| times it is the size below which a guard cannot be told from 0 on a finest step, (M, N, K).
-        jumps: The maps of the clock, (M, J, N, N).
     """
 
     cells: IntArray
@@ -132,7 +198,6 @@ class Modes(NamedTuple):
     first: Array
     second: Array
     rounding: Array
-    jumps: Array
 
 
 class Log(NamedTuple):
@@ -165,6 +230,8 @@ class Trajectory(NamedTuple):
         near_since: Since when in s each guard is within rounding of 0; infinite where it is not, (K,).
         crossed: Whether each guard was crossed just now, (K,).
         cells: The cells that were found last; those of a mode that is new are left here, (P,).
+        memory, counts: Of the controller's program, see `tick`.
+        room, y: For it to work in, and what it measures, (q,).
     """
 
     state: Any
@@ -172,6 +239,10 @@ class Trajectory(NamedTuple):
     near_since: Array
     crossed: Any
     cells: IntArray
+    memory: Array
+    counts: IntArray
+    room: Array
+    y: Array
 
 
 class Room(NamedTuple):
@@ -236,7 +307,8 @@ STATE = np.dtype(
         ("left", np.int64),  # steps that may yet be taken
     ]
 )
-DONE, NEW_MODE, FULL, STUCK, SPENT = range(5)  # why the walk stops
+DONE, NEW_MODE, FULL, STUCK, SPENT, TICK = range(6)  # why the walk stops
+RAN, ENDED, REFUSED = 0, 1, -1  # what comes of running the controller
 
 
 @_compiled
@@ -857,42 +929,224 @@ def _first_of_all(field: Field, modes: Modes, length: float, at: Trajectory, log
     return tau, guard
 
 
+@_as_written
+def _row(row: Array, vector: Array, start: int, stop: int) -> float:
+    """Return row · (vector[start:stop], 1): products and sums one after the other, from left to right."""
+    count = stop - start
+    total: float = row[0]
+    if count == 0:
+        return total
+    total = total * vector[start]
+    for k in range(1, count):
+        total = total + row[k] * vector[start + k]
+    result: float = total + row[count]
+    return result
+
+
+@_as_written
+def _cell(signs: IntArray, room: Array, guards: int) -> int:
+    """Return the cell whose signs the guards in room[guards:] contradict least, the first of several."""
+    cell, least = 0, room[0]
+    for i in range(len(signs)):
+        worst = room.dtype.type(0.0)
+        for k in range(signs.shape[1]):
+            side, value = signs[i, k], room[guards + k]
+            if side > 0 and -value > worst:
+                worst = -value
+            if side < 0 and value > worst:
+                worst = value
+        if i == 0 or worst < least:
+            cell, least = i, worst
+        if least == 0.0:
+            break
+    return cell
+
+
+@_as_written
+def _cells(routine: Routine, room: Array, x: int, s_hat: int, end: int, guards: int) -> tuple[int, int]:
+    """Return the cells of x̂, at room[x:], and of x_d; the values of the guards are written to room[guards:]."""
+    for k in range(len(routine.h)):
+        total = routine.H[k, 0] * room[x]
+        for a in range(1, routine.H.shape[1]):
+            total = total + routine.H[k, a] * room[x + a]
+        room[guards + k] = total + routine.h[k]
+    i = _cell(routine.signs, room, guards)
+    for k in range(len(routine.guards)):
+        room[guards + k] = _row(routine.guards[k], room, s_hat, end)
+    return i, _cell(routine.sides, room, guards)
+
+
+@_as_written
+def _advanced(routine: Routine, memory: Array, room: Array, counts: IntArray, w: int) -> None:
+    """Step the reference on by one sample: w, and the copies of it that are renewed every 2¹⁰ and 2²⁰ samples."""
+    s, levels = routine.turn.shape[1], len(routine.turn)
+    tick, since = counts[1] + 1, counts[2] + 1
+    level = 0
+    if levels > 1 and since % 1024 == 0:
+        level = 1
+    if levels > 2 and since == 1048576:
+        level, since = 2, 0
+    for a in range(s):
+        total = routine.turn[level, a, 0] * memory[w + level * s]
+        for k in range(1, s):
+            total = total + routine.turn[level, a, k] * memory[w + level * s + k]
+        for copy in range(level + 1):
+            room[w + copy * s + a] = total
+    while counts[3] < len(routine.piece_tick) and routine.piece_tick[counts[3]] == tick:
+        piece, since = counts[3], 0
+        for k in range(routine.piece_start[piece], routine.piece_stop[piece]):
+            room[w + k] = routine.values[routine.piece_value[piece] + k - routine.piece_start[piece]]
+        for k in range(s):
+            room[w + s + k] = room[w + k]
+            room[w + 2 * s + k] = room[w + k]
+        counts[3] += 1
+    counts[1], counts[2] = tick, since
+
+
+@_as_written
+def _put_out(routine: Routine, room: Array, b: int, u: int, late: int) -> None:
+    """Limit the input b that is wanted, put it behind those that wait, and put the first of them out."""
+    m = len(routine.low)
+    before = late + routine.delay * m
+    wanted, change = before + m, before + 2 * m
+    value, last = room[wanted + b], room[before + b]
+    room[change + b] = value - last
+    if value < last - routine.change[b]:
+        value = last - routine.change[b]
+    elif value > last + routine.change[b]:
+        value = last + routine.change[b]
+    room[wanted + b] = value
+    if value < routine.low[b]:
+        value = routine.low[b]
+    elif value > routine.high[b]:
+        value = routine.high[b]
+    room[before + b] = value
+    quantum = routine.quantum[b]
+    if quantum > 0.0:
+        value = quantum * np.floor(value / quantum + routine.h.dtype.type(0.5))
+    if routine.delay == 0:
+        room[u + b] = value
+        return
+    room[u + b] = room[late + b]
+    for k in range(routine.delay - 1):
+        room[late + k * m + b] = room[late + (k + 1) * m + b]
+    room[late + (routine.delay - 1) * m + b] = value
+
+
+@_as_written
+def tick(routine: Routine, memory: Array, counts: IntArray, room: Array, y: Array, given: Array) -> int:
+    """Run the controller once, as docs/arithmetic.md says.
+
+    Args:
+        routine: The program.
+        memory: Its numbers: y, u, x̂, ŝ, η̂, w, two copies of w, inputs that wait, the input computed last before its
+            steps, the one wanted, its change, x_d. Changed unless the result is REFUSED.
+        counts: Whether it has run, ticks, ticks since a piece of the reference began (or the second copy of w was
+            renewed), pieces so far, and the cells of x̂ and x_d. Likewise.
+        room: To work in, as long as memory, and as long as there are guards, more.
+        y: What was measured, (q,).
+        given: w from outside, (s,), where it is from there.
+
+    Returns:
+        RAN, ENDED (the reference has ended, and w stays as it is) or REFUSED (a number is not finite; nothing changes).
+    """
+    n, m, q = routine.K.shape[1], len(routine.low), len(y)
+    N, p = routine.observer.shape[1], routine.generator.shape[1]
+    u, x, eta = q, q + m, q + m + N
+    s_hat, w, s = x + n, eta + p, routine.turn.shape[1]
+    late, end = w + 3 * s, w + s
+    x_d = late + (routine.delay + 3) * m
+    started, inside, status = counts[0] != 0, len(routine.turn) > 0, RAN
+    before = counts[1], counts[2], counts[3]
+    for k in range(len(memory)):
+        room[k] = memory[k]
+    if started:
+        for a in range(N):
+            room[x + a] = _row(routine.observer[counts[4], a], memory, 0, eta)
+        for a in range(p):
+            room[eta + a] = _row(routine.generator[counts[5], a], memory, s_hat, end)
+        if inside and counts[1] < routine.end:
+            _advanced(routine, memory, room, counts, w)
+        elif inside:
+            status = ENDED
+    for a in range(q):
+        room[a] = y[a]
+    if not inside:
+        for a in range(s):
+            room[w + a] = given[a]
+    i, j = _cells(routine, room, x, s_hat, end, len(memory))
+    for a in range(n):
+        room[x_d + a] = _row(routine.x_d[j, a], room, s_hat, end)
+    for b in range(m):
+        total = _row(routine.u_ff[j, b], room, s_hat, end)
+        for a in range(n):
+            total = total + routine.K[b, a] * (room[x + a] - room[x_d + a])
+        room[late + routine.delay * m + m + b] = total
+        _put_out(routine, room, b, u, late)
+    for k in range(len(memory)):
+        if not np.isfinite(room[k]):
+            counts[1], counts[2], counts[3] = before
+            return REFUSED
+    for k in range(len(memory)):
+        memory[k] = room[k]
+    counts[0], counts[4], counts[5] = 1, i, j
+    return status
+
+
+@_compiled
+def _run(ticks: Ticks, at: Trajectory) -> None:
+    """Measure, and run the controller."""
+    y, z, memory = at.y, at.z, at.memory
+    for a in range(len(y)):
+        total = 0.0
+        for i in range(len(z)):
+            total += ticks.measured[i, a] * z[i]
+        quantum = ticks.quantum[a]
+        y[a] = quantum * np.floor(total / quantum + 0.5) if quantum > 0.0 else total
+    tick(ticks.routine, memory, at.counts, at.room, y, y)
+    for k in range(len(ticks.place)):
+        z[ticks.place[k]] = ticks.scale[k] * memory[ticks.source[k]]
+    at.state[0].resets += 1
+    at.state[0].settling = True
+
+
 @_inlined
-def _reset(modes: Modes, resets: Resets, at: Trajectory, room: Room) -> None:
-    """Carry out what is due: one map, or all that take new values at once; a map comes after, in its own mode."""
+def _reset(resets: Resets, at: Trajectory) -> None:
+    """Carry out what is due: all entries that take new values at once; the controller comes after that."""
     s = at.state[0]
     r, step = s.resets, resets.step[s.resets]
-    if resets.map[r] >= 0:
-        _apply(modes.jumps[s.m, resets.map[r]], at.z, room.v)
-        for i in range(len(at.z)):
-            at.z[i] = room.v[i]
-            quantum = resets.quantum[resets.map[r], i]
-            if quantum > 0.0:
-                at.z[i] = quantum * np.floor(at.z[i] / quantum + 0.5)
+    while r < len(resets.step) and resets.step[r] <= step and resets.row[r] >= 0:
+        for i in range(resets.start[r], resets.stop[r]):
+            at.z[i] = resets.values[resets.row[r], i]
         r += 1
-    else:
-        while r < len(resets.step) and resets.step[r] <= step and resets.map[r] < 0:
-            for i in range(resets.start[r], resets.stop[r]):
-                at.z[i] = resets.values[resets.row[r], i]
-            r += 1
     s.resets, s.settling = r, True
 
 
 @_compiled
-def walk(field: Field, modes: Modes, known: int, resets: Resets, at: Trajectory, log: Log) -> int:
+def walk(field: Field, modes: Modes, known: int, resets: Resets, ticks: Ticks, at: Trajectory, log: Log) -> int:
     """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 
     Args:
-        field, modes, resets: What is given; `known` modes are filled in.
+        field, modes, resets, ticks: What is given; `known` modes are filled in.
         at: The trajectory; `at.cells` is left as the mode that must be filled in first.
         log: What is written down.
 
     Returns:
         DONE, NEW_MODE, FULL (no room for events), STUCK or SPENT (no steps are left).
     """
+    room = _room(len(at.z), len(at.crossed), modes.degree[:known].max() + 1)
+    while True:
+        stop = _to_tick(field, modes, known, resets, at, log, room)
+        if stop != TICK:
+            return stop
+        _run(ticks, at)
+
+
+@_compiled
+def _to_tick(field: Field, modes: Modes, known: int, resets: Resets, at: Trajectory, log: Log, room: Room) -> int:
+    """Do what `walk` does up to the next time at which the controller runs, and return TICK there."""
     s, K = at.state[0], len(at.crossed)
     end = (s.base + len(log.z) - 1) << field.doublings
-    room = _room(len(at.z), K, modes.degree[:known].max() + 1)
     fresh = False  # `room.now` are the guards at z
     while True:
         due = resets.step[s.resets] if s.resets < len(resets.step) else np.inf
@@ -921,8 +1175,10 @@ def walk(field: Field, modes: Modes, known: int, resets: Resets, at: Trajectory,
                 if s.idle > MOST_IDLE:
                     return STUCK
                 continue
+            if falls and resets.row[s.resets] < 0:
+                return TICK
             if falls:
-                _reset(modes, resets, at, room)
+                _reset(resets, at)
                 continue
             s.k, s.done, s.inside = s.k + 1, 0.0, False
         _sample(field, at, log)

@@ -12,13 +12,14 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, ŝ, η̂, w, d, v, u, late, before, y, w', 1); what the conditions do not ask for is empty.
+    """z = (x, x̂, ŝ, η̂, w, d, v, u, late, before, wanted, change, y, w', 1); what nobody asks for is empty.
 
     Attributes:
         x, x_hat, s_hat, eta_hat, w: Plant, observer, its estimates of loads, generator, exosystem.
         d, v: Exosystem of the disturbances, noise.
-        u, late, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next one
-            first, the one computed last where that matters, the measured output, a copy of w.
+        u, late, before, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next
+            one first, the one computed last where that matters, the measured output, its own w.
+        wanted, change: The input that it wants before the limits, and by how much that was to change.
         order: N, the length of z.
     """
 
@@ -32,6 +33,8 @@ class Layout:
     u: slice
     late: slice
     before: slice
+    wanted: slice
+    change: slice
     y: slice
     w_held: slice
     order: int
@@ -45,23 +48,19 @@ class Layout:
         sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
         sizes["v"] = q if conditions.noise else 0
         sampling = conditions.sampling
-        sizes |= dict.fromkeys(("u", "late", "before", "y", "w_held"), 0)
+        sizes |= dict.fromkeys(("u", "late", "before", "wanted", "change", "y", "w_held"), 0)
         if sampling is not None:
             sizes |= {
                 "u": m,
                 "late": m * sampling.delay,
                 "before": m * (conditions.rates is not None),
+                "wanted": m * (conditions.limits is not None),
+                "change": m * (conditions.rates is not None),
                 "y": q,
                 "w_held": s,
             }
         edges = np.cumsum([0, *sizes.values()]).tolist()
         return Layout(**dict(zip(sizes, map(slice, edges[:-1], edges[1:]), strict=True)), order=edges[-1] + 1)
-
-    @property
-    def computed(self) -> slice:
-        """Where a sampled controller writes an input when it has computed it."""
-        m = self.u.stop - self.u.start
-        return slice(self.late.stop - m, self.late.stop)  # u itself where none waits
 
     @property
     def observer(self) -> slice:

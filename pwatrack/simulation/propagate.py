@@ -16,6 +16,7 @@ from pwatrack.causes import Part
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
+from pwatrack.simulation.routine import COUNTS, NONE, memory, room, routine
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Event, Trace, Unresolved
 
@@ -152,6 +153,7 @@ class Propagator:
             unit=unit(len(self.d)),
         )
         self.modes = Tables(flow, self.field.h, doublings)
+        self.ticks = _ticks(flow)
 
     def walk(self, z0: Array, resets: Sequence[StateResets] = ()) -> "Walk":
         """Return the trajectory from z0 (N,).
@@ -181,7 +183,7 @@ class Walk:
         flow, places, d, samples = propagator.flow, propagator.places, propagator.d, propagator.samples
         scaled = [StateResets(t=r.t, where=r.where, values=r.values / d[r.where]) for r in resets]
         self.resets = _schedule(flow, propagator.field.h, (samples - 1) * propagator.sample_time, scaled)
-        early = int(((self.resets.step <= 0) & (self.resets.map < 0)).sum())
+        early = int(((self.resets.step <= 0) & (self.resets.row >= 0)).sum())
         self.first, self.most = 0, samples if most is None else min(most, samples)
         self.z = z0 / d
         for k in range(early):
@@ -201,6 +203,7 @@ class Walk:
             near_since=self.near_since,
             crossed=np.zeros(len(places), dtype=np.bool_),
             cells=starts.copy(),
+            **_controller(flow, self.z),
         )
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
@@ -237,7 +240,7 @@ class Walk:
         """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
         kernel, field, modes = self.kernel, self.propagator.field, self.propagator.modes
         while True:
-            stop = kernel.walk(field, *modes.known(), self.resets, self._at, self.log)
+            stop = kernel.walk(field, *modes.known(), self.resets, self.propagator.ticks, self._at, self.log)
             if stop == kernel.DONE:
                 return self._check_bounded()
             if stop == kernel.NEW_MODE:
@@ -328,30 +331,52 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     times = [r.t for r in resets]
     edges = [np.tile([r.where.start, r.where.stop], (len(r.t), 1)) for r in resets]
     count = sum(map(len, times))
-    row, maps = np.arange(count), [np.full(count, -1)]
+    row = np.arange(count)
     values = np.zeros((count, len(flow.F0)))
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
         values[last - len(r.t) : last, r.where] = r.values
-    quantum = np.zeros((0, len(flow.F0)))
     if flow.clock is not None:
-        quantum = np.array([np.zeros(len(flow.F0)) if m.quantum is None else m.quantum for m in flow.clock.maps])
-        ticks = np.arange(sample_count(end, flow.clock.period))
-        which = np.tile(np.arange(len(flow.clock.maps)), len(ticks))[flow.clock.first :]
-        times.append(np.repeat(flow.clock.period * ticks, len(flow.clock.maps))[flow.clock.first :])
-        edges.append(np.zeros((len(which), 2), dtype=np.int64))
-        row, maps = np.append(row, np.zeros_like(which)), [*maps, which]
+        period = flow.clock.program.sampling.sample_time
+        times.append(period * np.arange(sample_count(end, period), dtype=np.float64))
+        edges.append(np.zeros((len(times[-1]), 2), dtype=np.int64))
+        row = np.append(row, np.full(len(times[-1]), -1))
     step = _snapped(np.concatenate([np.empty(0), *times]) / h)
     order = np.lexsort((np.arange(len(step)), np.round(step, 6)))  # times that differ by rounding are the same
     start, stop = np.concatenate([np.empty((0, 2), dtype=np.int64), *edges])[order].T.copy()
     return Resets(
         step=np.maximum.accumulate(step[order]),
-        map=np.concatenate(maps)[order],
+        row=row[order],
         start=start,
         stop=stop,
-        row=row[order],
         values=values,
-        quantum=quantum,
     )
+
+
+def _ticks(flow: Flow) -> Any:
+    """Return how the program of a clock sits in the loop; one that never runs where there is none."""
+    from pwatrack.simulation.kernel import Ticks
+
+    clock = flow.clock
+    return Ticks(
+        routine=routine(NONE if clock is None else clock.program),
+        measured=np.ascontiguousarray((np.zeros((0, len(flow.F0))) if clock is None else clock.measured).T),
+        quantum=np.zeros(0) if clock is None else clock.quantum.copy(),
+        source=np.zeros(0, dtype=np.int64) if clock is None else clock.source,
+        place=np.zeros(0, dtype=np.int64) if clock is None else clock.place,
+        scale=np.zeros(0) if clock is None else clock.scale,
+    )
+
+
+def _controller(flow: Flow, z: Array) -> dict[str, Any]:
+    """Return what the program of a clock starts with, which is in z, and room for it to work in."""
+    clock = flow.clock
+    program = NONE if clock is None else clock.program
+    found = memory(program, *(np.zeros(program.sizes[name]) for name in ("N", "p")))
+    if clock is not None:
+        found[clock.source] = z[clock.place] / clock.scale
+        found[program.places["w_copies"]] = np.tile(found[program.places["w"]], 2)
+    counts, y = np.zeros(COUNTS, dtype=np.int64), np.zeros(program.sizes["q"])
+    return {"memory": found, "counts": counts, "room": room(program), "y": y}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:

@@ -41,7 +41,6 @@ class Tables:
             first=np.zeros((1, D, N, K)),
             second=np.zeros((1, D, N, K)),
             rounding=np.zeros((1, N, K)),
-            jumps=np.zeros((1, len(flow.clock.maps) if flow.clock else 0, N, N)),
         )
         self.most = max(2, _MOST_BYTES // sum(a.nbytes for a in self.arrays))
 
@@ -76,8 +75,6 @@ class Tables:
         bend = np.abs(F @ F @ self.guards) + u * absolute @ absolute @ guards
         arrays.cells[m], arrays.sides[m] = self.first + mode, self.flow.sides(mode)
         arrays.F[m], arrays.degree[m], arrays.rounding[m] = F, len(terms) - 1, u * size @ guards
-        for number in range(arrays.jumps.shape[1]):
-            arrays.jumps[m, number] = self.flow.jump(number, mode).T
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d], arrays.longest[m] = growth, d
             arrays.margin[m, d] = _OUTWARD * (reach @ (2 * u * guards + 4.0**d / 8 * bend) + off @ guards)

@@ -1,0 +1,146 @@
+"""Exported C against the stored controller, and both against the simulation: every spec that designs, random designs.
+
+    make export [STEPS=100000] [RANDOM=50]
+
+Each is compiled with all warnings as errors at -O0, -O2 and -O3 and with sanitizers, in double and single floats, and
+fed with what was measured in its simulation, over and over again.
+"""
+
+import ctypes
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.fuzz import spec_text
+from pwatrack import load_spec
+from pwatrack.errors import PwatrackError
+from pwatrack.export.c_project import FLAGS, Vector, write_c
+from pwatrack.export.c_source import CSource
+from pwatrack.export.controller import Controller
+from pwatrack.model.conditions import Sampling
+from pwatrack.pipeline import design
+from pwatrack.report.export import Subject, of_spec
+from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.spec.spec import Spec
+
+LEVELS = ("-O0", "-O2", "-O3")
+SANE = "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def compiled(folder: Path, compiler: str, options: str, *, shared: bool) -> Path:
+    """Compile the controller as a library, or the replay of its vector as a program; any warning is an error."""
+    target = folder / ("loop.so" if shared else "replay")
+    sources = ["loop.c"] if shared else ["main.c", "loop.c"]
+    kind = ["-shared", "-fPIC"] if shared else []
+    command = [compiler, *FLAGS.split(), *options.split(), *kind, "-o", target.name, *sources, "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    return target
+
+
+def differing(library: Path, controller: Controller, y: Any, real: Any) -> int:
+    """Return in how many steps an input or the state differs in some bit."""
+    number = ctypes.c_float if real is np.float32 else ctypes.c_double
+    pointer = ctypes.POINTER(number)
+    step = ctypes.CDLL(str(library)).loop_step
+    init = ctypes.CDLL(str(library)).loop_init
+    state, u = np.zeros(4096, dtype=np.uint8), np.zeros(len(controller.file.plant.inputs), dtype=real)
+    init(state.ctypes.data_as(ctypes.c_void_p))
+    v = state[: controller.state("w").nbytes + sum(controller.state(n).nbytes for n in PARTS)].view(real)
+    rows = [row.ctypes.data_as(pointer) for row in y]
+    differ = 0
+    for measured, row in zip(y, rows, strict=True):
+        step(state.ctypes.data_as(ctypes.c_void_p), row, None, u.ctypes.data_as(pointer))
+        expected = controller.step(measured)
+        whole = np.concatenate([controller.state(name) for name in (*PARTS, "w")])
+        differ += u.tobytes() != expected.tobytes() or v.tobytes() != whole.tobytes()
+    return differ
+
+
+PARTS = ("y", "u", "x_hat", "s_hat", "eta_hat")
+
+
+def short_enough(spec: Spec) -> float:
+    """A sample time for a spec that has none: a twentieth of the longest that is stable in all cells."""
+    controller = design(spec, growing=True)
+    sampling = Sampling(sample_time=1.0)
+    longest = SampleMaps(controller, controller.plant, sampling).longest(1.0)
+    return float(f"{(longest or 1e-3) / 20:.2g}")
+
+
+def judged(name: str, subject: Subject, compilers: list[str], steps: int) -> int:
+    """Print and return how many steps differ, in all ways to compile."""
+    wrong, count = 0, 0
+    repeated = np.resize(subject.vector.y, (steps, subject.vector.y.shape[1]))
+    for single in (False, True):
+        real: Any = np.float32 if single else np.float64
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            code = CSource(file=subject.file, name="loop", single=single, given=False, unproved=subject.unproved)
+            short = Vector(subject.vector.y[:300], subject.vector.w[:300], subject.vector.origin)
+            write_c(code, short, folder)
+            for compiler in compilers:
+                for level in (*LEVELS, SANE):
+                    replay = compiled(folder, compiler, level, shared=False)
+                    wrong += subprocess.run([replay], capture_output=True, check=False).returncode != 0
+                    count += 1
+                library = compiled(folder, compiler, "-O2", shared=True)
+                controller = Controller(subject.file, single=single)
+                wrong += differing(library, controller, repeated.astype(real), real)
+    say(f"{name:40} {wrong} of {count} replays and 2 x {steps:,} steps differ")
+    return wrong
+
+
+def subjects(random: int) -> Iterator[tuple[str, Path]]:
+    """Yield each spec in specs/, then random ones until so many of them could be exported, with its name."""
+    for path in (*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))):
+        yield path.stem, path
+    with tempfile.TemporaryDirectory() as place:
+        home = Path(place)
+        table = "".join(f"{0.01 * k},{0.1 * np.sin(0.02 * k)}\n" for k in range(6001))
+        (home / "wanted.csv").write_text("t,y\n" + table, encoding="utf-8")
+        for seed in range(4 * random):
+            path = home / f"random_{seed}.yaml"
+            path.write_text(spec_text(seed), encoding="utf-8")
+            yield path.stem, path
+
+
+def main(steps: int, random: int) -> int:
+    """Judge all, and return 1 if a bit differs."""
+    compilers = [name for name in ("gcc", "clang") if shutil.which(name)]
+    started, wrong, done = time.perf_counter(), 0, Counter[bool]()
+    for name, path in subjects(random):
+        if done[True] == random and name.startswith("random_"):
+            break
+        try:
+            spec = load_spec(path)
+            sampled = spec.scenario.conditions.sampling is not None
+            subject = of_spec(spec, None if sampled else short_enough(spec), steps=2000)
+        except PwatrackError as refusal:
+            say(f"{name:40} left out: {refusal.problems[0].message[:70]}")
+            continue
+        done[name.startswith("random_")] += 1
+        wrong += judged(name, subject, compilers, steps)
+    took = time.perf_counter() - started
+    say(f"{done[False]} specs, {done[True]} random, {', '.join(compilers)}: {wrong} differ; {took:.0f} s")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    given = [int(argument) for argument in sys.argv[1:]]
+    sys.exit(main(*given, *(100_000, 50)[len(given) :]))

@@ -1,0 +1,254 @@
+"""The controller as a program that runs once in a sample time: its numbers. What it does: `docs/arithmetic.md`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from scipy.linalg import expm
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.control.compensation import compensation
+from pwatrack.control.controller import Controller
+from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
+from pwatrack.model.conditions import Conditions, Method, Sampling
+from pwatrack.model.reference import Exosystem
+
+RENEWED = 1, 2**10, 2**20  # samples after which w and its two copies are stepped on
+_ON_TICK = 1e-9  # of a sample time: what is nearer to a tick is on it but for rounding
+_LARGEST = 1e100  # of an entry of a map that a machine may use
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """From a tick on some neighbouring entries of w go on from other values.
+
+    Attributes:
+        tick: Which one.
+        start: The first of the entries.
+        w: Their values at that tick.
+    """
+
+    tick: int
+    start: int
+    w: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Follows:
+    """A reference that the program makes itself.
+
+    Attributes:
+        turn: w one sample later, 2¹⁰ and 2²⁰ samples later, as far as these are in range, (1 … 3, s, s).
+        w0: w at the first tick, (s,).
+        pieces: In order of time.
+        end: The last tick at which it is defined, or None.
+    """
+
+    turn: Array
+    w0: Array
+    pieces: tuple[Piece, ...]
+    end: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """Observer, generator and law of a controller, sampled.
+
+    Rows on v = (y, u, x̂, ŝ, η̂, w) and a last entry for the constant 1; columns that are always 0 are left out.
+
+    Attributes:
+        sampling: Sample time, how observer and generator step, how late u is.
+        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
+        guards, sides: Those of x_d: rows on (ŝ, η̂, w, 1) that are 0 where one ends, and on which side of these it is,
+            (k, C), (l, k).
+        observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
+        generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (l, p, C).
+        x_d: x_d in its cell, on the same, (l, n, C).
+        u_ff: u_ff in the cell of x_d, on the same, (l, m, C).
+        K: (m, n).
+        limits: Lower and upper limit of each input, (m, 2); infinite for none.
+        change: By how much each may change from one sample to the next, (m,); likewise.
+        quantum: Steps of each input, (m,); 0 for none.
+        follows: Where w comes from; None if it is given at each tick.
+        reference: Names of the entries of w, where it is given.
+    """
+
+    sampling: Sampling
+    H: Array
+    h: Array
+    signs: IntArray
+    guards: Array
+    sides: IntArray
+    observer: Array
+    generator: Array
+    x_d: Array
+    u_ff: Array
+    K: Array
+    limits: Array
+    change: Array
+    quantum: Array
+    follows: Follows | None
+    reference: tuple[str, ...] = ()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths of y, u, x, (x̂, ŝ), η̂ and w."""
+        (m, n), (_, N, width), (_, p, C) = self.K.shape, self.observer.shape, self.generator.shape
+        return {"q": width - m - N - 1, "m": m, "n": n, "N": N, "p": p, "s": C - (N - n) - p - 1}
+
+    @property
+    def places(self) -> dict[str, slice]:
+        """Where each of its numbers is in its memory."""
+        of, late = self.sizes, self.sampling.delay
+        lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
+        lengths |= {"w": of["s"], "w_copies": 2 * of["s"], "late": late * of["m"]}
+        lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
+        edges = np.cumsum([0, *lengths.values()]).tolist()
+        return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
+
+
+def program(controller: Controller, conditions: Conditions, *, given: bool = False) -> Program:
+    """Return the program of a controller that is sampled.
+
+    Args:
+        controller: The design.
+        conditions: Sample time, method and delay; limits, rates and steps of the inputs.
+        given: Whether w is given at each tick: y_d and its derivatives up to the relative degree, between ticks a
+            Taylor polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
+
+    Example: the paper's example, 500 times a second.
+
+        >>> from pwatrack import design, load_spec
+        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
+        >>> found = program(controller, Conditions(sampling=Sampling(sample_time=0.002)))
+        >>> found.sizes
+        {'q': 1, 'm': 1, 'n': 4, 'N': 4, 'p': 2, 's': 2}
+        >>> program(controller, Conditions(sampling=Sampling(sample_time=0.002)), given=True).reference
+        ('y', 'dy/dt', 'd2y/dt2')
+    """
+    sampling, plant = conditions.sampling, controller.plant
+    assert sampling is not None
+    trajectory, names = _given_trajectory(controller) if given else (controller.trajectory, ())
+    m, partition, steps = plant.B.shape[1], plant.partition, _stepper(sampling)
+    s_hat = len(controller.design.L) - len(plant.B)
+    added = compensation(plant, None, 0) if given and controller.trajectory.preview else None
+    added = added or controller.compensation
+    no_limits = np.tile([-np.inf, np.inf], (m, 1))
+    rates, quanta = conditions.rates, conditions.quanta
+    return Program(
+        sampling=sampling,
+        H=partition.H,
+        h=partition.h,
+        signs=partition.signs,
+        observer=_observer(controller, steps),
+        generator=_generator(controller, trajectory, steps),
+        guards=_on_estimates(trajectory.guards, added.guards),
+        sides=trajectory.signs,
+        x_d=_on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))),
+        u_ff=_on_estimates(trajectory.u_ff, added.u_ff),
+        K=controller.design.K,
+        limits=no_limits if conditions.limits is None else conditions.limits,
+        change=np.full(m, np.inf) if rates is None else rates * sampling.sample_time,
+        quantum=np.zeros(m) if quanta is None else quanta.inputs,
+        follows=None if given else _follows(trajectory.exosystem, sampling.sample_time),
+        reference=names,
+    )
+
+
+def _stepper(sampling: Sampling) -> Callable[[Array], Array]:
+    """Return what turns F into the map of one sample time under ż = F z."""
+    method: Method = sampling.method
+
+    def step(F: Array) -> Array:
+        F = F * sampling.sample_time
+        return np.asarray(expm(F) if method == "exponential" else np.eye(len(F)) + F)
+
+    return step
+
+
+def _observer(controller: Controller, step: Callable[[Array], Array]) -> Array:
+    """Return the rows of x̂ and ŝ one sample later: (18) with held y and u, and with the loads."""
+    plant, L = controller.plant, controller.design.L
+    (n, m), (N, q) = plant.B.shape, L.shape
+    F = np.zeros((len(plant.A), q + m + N + 1, q + m + N + 1))
+    rows = slice(q + m, q + m + N)
+    F[:, rows, :q] = -L
+    F[:, q + m : q + m + n, q : q + m] = plant.B
+    F[:, rows, rows] = [A.floats + L @ plant.observed.C.floats for A in plant.observed.A]
+    F[:, q + m : q + m + n, -1] = plant.b
+    return np.array([step(F_i)[rows] for F_i in F])
+
+
+def _generator(controller: Controller, trajectory: DesiredTrajectory, step: Callable[[Array], Array]) -> Array:
+    """Return the rows of η̂ one sample later: (15), while its reference and the loads go on."""
+    loads, S, rate = controller.plant.loads, trajectory.exosystem.S, trajectory.rate
+    cells, p, size = rate.shape
+    k = 0 if loads is None else len(loads.S.floats)
+    if not p:
+        return np.zeros((cells, 0, k + size))
+    F = np.zeros((cells, k + size, k + size))
+    F[:, k : k + p] = _on_estimates(rate, controller.compensation.rate)
+    F[:, k + p : k + size - 1, k + p : k + size - 1] = S
+    if loads is not None:
+        F[:, :k, :k] = loads.S.floats
+    return np.array([step(F_i)[k : k + p] for F_i in F])
+
+
+def _on_estimates(rows: Array, added: Array) -> Array:
+    """Return rows on (ŝ, η̂, w, 1) of rows on (η̂, w, 1) and what estimates of loads add."""
+    return np.concatenate([added, rows], axis=-1)
+
+
+def _follows(exosystem: Exosystem, h: float) -> Follows:
+    """Return the exosystem in samples: where a signal has a new piece, its values at the next tick."""
+    S, found = exosystem.S, []
+    for where, times, values in exosystem.pieces():
+        for t, w in zip(times.tolist(), values, strict=True):
+            tick = ceil(t / h - _ON_TICK)
+            found.append(Piece(tick=tick, start=where.start, w=expm(S[where, where] * max(tick * h - t, 0.0)) @ w))
+    latest = {(piece.tick, piece.start): piece for piece in found}
+    turn = list[Array]()
+    with np.errstate(all="ignore"):
+        for count in RENEWED:
+            after = np.asarray(expm(S * (count * h))) if len(S) else np.zeros((0, 0))
+            if turn and not np.abs(after).max(initial=0.0) < _LARGEST:
+                break  # what grows has an end
+            turn.append(after)
+    end = None if exosystem.end is None else int(exosystem.end / h * (1 + 1e-12))
+    return Follows(
+        turn=np.array(turn),
+        w0=exosystem.w0,
+        pieces=tuple(latest[key] for key in sorted(latest)),
+        end=end,
+    )
+
+
+def _given_trajectory(controller: Controller) -> tuple[DesiredTrajectory, tuple[str, ...]]:
+    """Return the desired trajectory for a reference from outside, and the names of its entries."""
+    plant, generator = controller.plant, controller.generator
+    n, m = plant.B.shape
+    if generator is not None and not generator.played_back:
+        degree, outputs = max(generator.form.degrees), plant.tracked_names
+        powers = ["", *map(str, range(2, degree + 1))]
+        names = [*outputs, *(f"d{k}{y}/dt{k}" for k in powers[:degree] for y in outputs)]
+        return output_trajectory(generator, _chains(len(outputs), degree + 1)), tuple(names)
+    if controller.trajectory.names:
+        return input_trajectory(plant, _chains(m, 1), None), tuple(f"{u}_ff" for u in plant.inputs)
+    names = [f"{x}_d" for x in plant.states]
+    return state_trajectory(plant, _chains(n, 2)), (*names, *(f"d{name}/dt" for name in names))
+
+
+def _chains(signals: int, length: int) -> Exosystem:
+    """Return an exosystem whose w are some signals, then their first derivatives, and so on; the last are constant."""
+    size = signals * length
+    return Exosystem(
+        S=np.eye(size, k=signals),
+        rates=np.zeros(size, dtype=np.complex128),
+        Q=np.eye(signals, size),
+        w0=np.zeros(size),
+        resets=(),
+        period=None,
+        end=None,
+    )

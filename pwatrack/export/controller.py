@@ -1,0 +1,133 @@
+"""A controller that runs, step by step, in the arithmetic of `docs/arithmetic.md`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pwatrack.arrays import Array
+from pwatrack.errors import InvalidSpec
+from pwatrack.export.schema import ControllerFile
+from pwatrack.export.stored import read, runs
+from pwatrack.simulation.routine import COUNTS, memory, room, routine
+
+RAN, ENDED, REFUSED = 0, 1, -1
+
+
+class Controller:
+    """A controller of controller.json that runs once in a sample time.
+
+    In every bit of u and of its state it is what `simulate` runs and what `export c` writes.
+
+    Attributes:
+        file: All of controller.json.
+        status: Of the last step: 0; 1 where the reference has ended and stays; −1 where a number was not finite, and
+            nothing was changed.
+
+    Args:
+        file: A file with a program.
+        single: Whether to compute in single floats.
+
+    Example:
+        >>> from pwatrack import design, load_spec, write_design
+        >>> spec = load_spec("specs/two_mass_machine.yaml")
+        >>> folder = write_design(spec, design(spec), "/tmp/pwatrack-controller")
+        >>> controller = Controller.load(folder / "controller.json")
+        >>> controller.step([0.1]).shape, controller.cells
+        ((1,), ('gap', 'upper spring'))
+    """
+
+    def __init__(self, file: ControllerFile, *, single: bool = False) -> None:
+        if file.program is None:
+            raise InvalidSpec(
+                f"the controller '{file.name}' has no sample time, so no steps",
+                hint="design it with a sample time: simulation.controller.sample_time",
+            )
+        self.file = file
+        self.status = RAN
+        self._real: Any = np.float32 if single else np.float64
+        self._programs = {given: runs(file, given=given) for given in (False, True)}
+        self._given: bool | None = None
+        self.reset()
+
+    @classmethod
+    def load(cls, path: str | Path, *, single: bool = False) -> "Controller":
+        """Return the controller of a file.
+
+        Raises:
+            InvalidSpec: If the file cannot be read, is of another version, was changed, or has no sample time.
+        """
+        return cls(read(Path(path)), single=single)
+
+    @property
+    def K(self) -> Array:
+        """Controller gain, (m, n)."""
+        return np.array(self.file.K)
+
+    @property
+    def L(self) -> Array:
+        """Observer gain, (N, q)."""
+        return np.array(self.file.L)
+
+    @property
+    def sample_time(self) -> float:
+        """In s."""
+        return self._programs[False].sampling.sample_time
+
+    @property
+    def cells(self) -> tuple[str, str]:
+        """The cells of x̂ and of x_d, at the last step."""
+        names = self.file.plant.cells
+        return names[int(self._counts[4])], names[int(self._counts[5])]
+
+    def state(self, name: str) -> NDArray[Any]:
+        """Return a part of the state: y, u, x_hat, s_hat, eta_hat, w, late, before, wanted or x_d."""
+        return self._memory[self._programs[bool(self._given)].places[name]].copy()
+
+    def reset(self, x_hat: ArrayLike | None = None, eta_hat: ArrayLike | None = None) -> None:
+        """Start anew: from what the file says, where nothing else is given.
+
+        Args:
+            x_hat: x̂(0) and ŝ(0), (N,).
+            eta_hat: η̂(0), (p,).
+        """
+        start, of = self.file.start, self._programs[False].sizes
+        known = (start.x_hat, start.eta_hat) if start else (np.zeros(of["N"]), np.zeros(of["p"]))
+        self._x_hat = np.array(known[0] if x_hat is None else x_hat, dtype=np.float64)
+        self._eta_hat = np.array(known[1] if eta_hat is None else eta_hat, dtype=np.float64)
+        self._given, self.status = None, RAN
+        self._prepare(False)
+
+    def step(self, y: ArrayLike, y_d: ArrayLike | None = None) -> NDArray[Any]:
+        """Run once, and return the inputs to put out now, (m,).
+
+        Args:
+            y: What is measured, (q,).
+            y_d: The reference and its derivatives, in the order of `file.program.outside.reference`; None for the
+                one that is stored. From a reset on all steps have one, or none has.
+
+        Raises:
+            ValueError: If a length is wrong, or a reference is given in some steps only.
+        """
+        from pwatrack.simulation.kernel import tick
+
+        given = y_d is not None
+        if self._given is None:
+            self._prepare(given)
+            self._given = given
+        elif self._given != given:
+            raise ValueError("the reference is given in some steps and not in others: reset in between")
+        of = self._programs[given].sizes
+        measured, wanted = (np.array(v if v is not None else [], dtype=self._real).reshape(-1) for v in (y, y_d))
+        if len(measured) != of["q"] or (given and len(wanted) != of["s"]):
+            raise ValueError(
+                f"{of['q']} outputs" + f" and {of['s']} entries of the reference" * given + " are expected"
+            )
+        self.status = int(tick(self._routine, self._memory, self._counts, self._room, measured, wanted))
+        return self.state("u")
+
+    def _prepare(self, given: bool) -> None:
+        program, real = self._programs[given], self._real
+        self._routine, self._memory = routine(program, real), memory(program, self._x_hat, self._eta_hat, real)
+        self._room, self._counts = room(program, real), np.zeros(COUNTS, dtype=np.int64)

@@ -1,0 +1,172 @@
+"""What controller.json holds, as pydantic models; `docs/controller.schema.json` is made from them."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+FORMAT = "pwatrack controller 1"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = list[Finite]
+Matrix = list[Vector]
+Stack = list[Matrix]
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Names = list[str]
+Count = Annotated[int, Field(ge=0)]
+
+
+class Part(BaseModel):
+    """A part of the file: nothing is turned into another type, and no key is unknown."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Loads(Part):
+    """Unknown loads E s with s' = S s; the load k is entry where[k] of s. Estimates add to x_d, u_ff and eta_hat'."""
+
+    names: Names
+    where: list[Count]
+    E: Matrix
+    S: Matrix
+    x_d: Matrix
+    u_ff: Stack
+    rate: list[Matrix]
+
+
+class Plant(Part):
+    """x' = A_i x + b_i + B u where signs_ij (H_j x + h_j) >= 0 for all j; y = C x is measured. Cells come first."""
+
+    states: Names
+    inputs: Names
+    outputs: Names
+    tracked: Names
+    units: dict[str, str]
+    cells: Names
+    H: Matrix
+    h: Vector
+    signs: list[list[Annotated[int, Field(ge=-1, le=1)]]]
+    A: Stack
+    b: Matrix
+    B: Matrix
+    C: Matrix
+    tracked_rows: Matrix
+    loads: Loads | None
+
+
+class Jump(Part):
+    """At t (s) the entries of w from `start` on are these."""
+
+    t: Finite
+    start: Count
+    w: Vector
+
+
+class Reference(Part):
+    """w' = S w; signals are Q w; defined up to `end` (s), where there is one."""
+
+    S: Matrix
+    Q: Matrix
+    w0: Vector
+    pieces: list[Jump]
+    period: Finite | None
+    end: Finite | None
+
+
+class Trajectory(Part):
+    """In the cell i of x_d, s = (eta_hat, w, 1): eta_hat' = rate_i s, x_d = x_d_i s, u_ff = u_ff_i s.
+
+    It is the cell i where signs_ij guards_j s >= 0 for all j.
+    """
+
+    eta: Names
+    rate: list[Matrix]
+    x_d: Stack
+    u_ff: Stack
+    guards: Matrix
+    signs: list[list[Annotated[int, Field(ge=-1, le=1)]]]
+    reference: Reference
+
+
+class Start(Part):
+    """What the controller starts with: x_hat, then estimates of loads; eta_hat."""
+
+    x_hat: Vector
+    eta_hat: Vector
+
+
+class Followed(Part):
+    """A desired trajectory in samples: rows on (s_hat, eta_hat, w, 1)."""
+
+    generator: list[Matrix]
+    x_d: Stack
+    u_ff: Stack
+    guards: Matrix
+    sides: list[list[Annotated[int, Field(ge=-1, le=1)]]]
+
+
+class Piece(Part):
+    """At a tick the entries of w from `start` on are these."""
+
+    tick: Count
+    start: Count
+    w: Vector
+
+
+class Inside(Followed):
+    """One whose reference is made inside: w one sample later, 2^10 and 2^20 samples later."""
+
+    turn: Stack
+    w0: Vector
+    pieces: list[Piece]
+    end: Count | None
+
+
+class Outside(Followed):
+    """One whose reference is given at each tick: the names of its entries."""
+
+    reference: Names
+
+
+class Sampled(Part):
+    """The program of docs/arithmetic.md: x_hat one sample later on (y, u, x_hat, s_hat, 1); limits, null for none."""
+
+    sample_time: Annotated[Finite, Field(gt=0)]
+    method: Literal["exponential", "euler"]
+    delay: Annotated[int, Field(ge=0, le=10)]
+    observer: Stack
+    low: list[Finite | None]
+    high: list[Finite | None]
+    change: list[Finite | None]
+    quantum: Vector
+    inside: Inside
+    outside: Outside
+
+
+class ControllerFile(Part):
+    """All of a controller.
+
+    `sha256` is that of the rest: JSON with sorted keys, no white space, and the shortest decimals of each double.
+    `proof` is the digest of certificate.json; `open` says what its theorems do not speak of.
+    """
+
+    format: Literal["pwatrack controller 1"]
+    sha256: Digest
+    name: str
+    spec_sha256: Digest
+    set: dict[str, str]
+    tracking: Literal["output", "state"]
+    proof: Digest
+    open: Names
+    plant: Plant
+    K: Matrix
+    L: Matrix
+    generator: dict[str, Any] | None
+    trajectory: Trajectory
+    start: Start | None
+    program: Sampled | None
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the file."""
+    found = ControllerFile.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found, "$id": FORMAT}

@@ -1,0 +1,207 @@
+"""A spec, a run folder or a controller.json -> exported code, with what is proved of it."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pwatrack import pipeline
+from pwatrack.control.controller import Controller
+from pwatrack.control.program import Program
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.export.again import check_same, with_gains
+from pwatrack.export.c_project import Vector, write_c
+from pwatrack.export.c_source import CSource, prefix
+from pwatrack.export.schema import ControllerFile
+from pwatrack.export.stored import content, parsed, read
+from pwatrack.model.conditions import Sampling
+from pwatrack.report.certificate import design_certificate, generator_content
+from pwatrack.report.run_folder import INDEX, json_text
+from pwatrack.report.verify import CERTIFICATE, verify
+from pwatrack.spec.load import load_spec
+from pwatrack.spec.spec import Spec
+
+CONTROLLER = "controller.json"
+_STEPS = 1000  # of a test vector
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is exported: a controller, what of it is not proved, and what it reads in a test."""
+
+    file: ControllerFile
+    certificate: str
+    unproved: tuple[str, ...]
+    vector: Vector
+
+
+def export_c(
+    target: Path,
+    out: Path,
+    *,
+    parameters: Any,
+    sample_time: float | None,
+    name: str | None,
+    single: bool,
+    given: bool,
+    unproved: bool,
+) -> list[str]:
+    """Write a controller in C99.
+
+    Args:
+        target: A spec, a run folder or a controller.json.
+        out: The folder for the code.
+        parameters: Replacements, for a spec.
+        sample_time: In s, for a spec that has none.
+        name: Prefix of all names; by default from the name of the spec.
+        single: Whether in single floats.
+        given: Whether the reference comes from outside.
+        unproved: Whether to write what is not proved, too.
+
+    Returns:
+        The names of the files.
+
+    Raises:
+        InvalidSpec: If what is exported has no sample time, or cannot be read or written.
+        CheckFailed: If it is not proved, unless `unproved`.
+    """
+    subject = _subject(target, parameters, sample_time, given)
+    if subject.unproved and not unproved:
+        raise CheckFailed(
+            *(Problem(message=f"{target}: not proved: {line}", subject=None) for line in subject.unproved[:-1]),
+            Problem(
+                message=f"{target}: not proved: {subject.unproved[-1]}",
+                subject=None,
+                hint="--unproved exports it all the same, and its header says so",
+            ),
+        )
+    code = CSource(
+        file=subject.file, name=prefix(name or subject.file.name), single=single, given=given, unproved=subject.unproved
+    )
+    try:
+        names = write_c(code, subject.vector, out)
+        beside = {CONTROLLER: json_text(subject.file.model_dump()), CERTIFICATE: subject.certificate}
+        for file, text in beside.items():
+            if text:
+                (out / file).write_text(text, encoding="utf-8")
+                names.append(file)
+        return names
+    except OSError as error:
+        raise InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}")) from None
+
+
+def _subject(target: Path, parameters: Any, sample_time: float | None, given: bool) -> Subject:
+    if target.is_dir() or target.suffix == ".json":
+        if parameters or sample_time is not None:
+            raise InvalidSpec("--set and --sample-time go with a spec, not with a controller that is stored")
+        return _stored(target / CONTROLLER if target.is_dir() else target, given)
+    return of_spec(load_spec(target, parameters), sample_time, given)
+
+
+def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
+    """Design what a spec asks for, simulate so many steps of it, and return it.
+
+    Raises:
+        PwatrackError: Whatever design and simulation raise, and InvalidSpec if it has no sample time.
+    """
+    conditions = spec.scenario.conditions
+    if sample_time is not None:
+        sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
+        spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
+    controller = pipeline.design(spec, growing=True)
+    certificate = json_text(design_certificate(spec, controller))
+    return _simulated(spec, controller, certificate, None, given, steps)
+
+
+def _simulated(
+    spec: Spec, controller: Controller, certificate: str, runs: Program | None, given: bool, steps: int
+) -> Subject:
+    """Return a controller with what it reads in the first steps of its simulation."""
+    sampling = spec.scenario.conditions.sampling
+    if sampling is None:
+        raise InvalidSpec(
+            Problem(message=f"{spec.path}: the controller has no sample time", subject=None, hint="--sample-time")
+        )
+    h, end = sampling.sample_time, controller.trajectory.exosystem.end
+    last = min(steps * h, np.inf if end is None else end)
+    short = replace(spec, scenario=replace(spec.scenario, duration=float(last), sample_time=h))
+    result = pipeline.simulate(short, controller, runs)
+    z, at, generator = result.response.trace.z, result.loop.at, controller.generator
+    starts = {"x_hat": result.start[at.observer].tolist(), "eta_hat": result.start[at.eta_hat].tolist()}
+    found = content(
+        spec,
+        result.controller,
+        proof=hashlib.sha256(certificate.encode()).hexdigest(),
+        generator=None if generator is None else generator_content(generator.form, generator.shift),
+        start=starts,
+    )
+    file = parsed(found, spec.path)
+    y, t = z[:steps, at.y], h * np.arange(min(steps, len(z)))
+    w = _outside(controller, file, t) if given else np.zeros((len(y), 0))
+    return Subject(file, certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"))
+
+
+def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
+    """Return the reference of a controller as it is given from outside, at some times."""
+    assert file.program is not None
+    trajectory, count = controller.trajectory, len(file.program.outside.reference)
+    system, w = trajectory.exosystem, trajectory.exosystem.states(t)
+    if not trajectory.names and (controller.generator is None or controller.generator.played_back):
+        x_d = trajectory.x_d[0]  # the same in all cells, with its derivative
+        return np.hstack([w @ x_d[:, :-1].T + x_d[:, -1], w @ (x_d[:, :-1] @ system.S).T])
+    return np.hstack([w @ row.T for row in system.derivative_rows(count)])[:, :count]
+
+
+def _stored(path: Path, given: bool) -> Subject:
+    """Return a controller from its file, with its proof beside it if it is there."""
+    file, folder = read(path), path.parent
+    certificate, unproved = folder / CERTIFICATE, list(file.open)
+    text = certificate.read_bytes() if certificate.is_file() else b""
+    if not text:
+        unproved.append(f"there is no {CERTIFICATE} beside it")
+    elif hashlib.sha256(text).hexdigest() != file.proof:
+        unproved.append(f"the {CERTIFICATE} beside it is not the one that it names")
+    else:
+        verify(folder)
+    unproved += _other_gains(file, text)
+    if file.program is None:
+        hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
+        raise InvalidSpec(Problem(message=f"{path}: the controller has no sample time", subject=None, hint=hint))
+    spec = _its_spec(file, folder)
+    if spec is not None:
+        again = with_gains(spec, file)
+        controller = pipeline.design(again, growing=True)
+        again, runs = check_same(again, controller, file)
+        found = _simulated(again, controller, "", runs, given, _STEPS)
+        return Subject(file, text.decode(), tuple(unproved), found.vector)
+    q, s = len(file.plant.outputs), len(file.program.outside.reference)
+    t = np.arange(_STEPS)[:, None]
+    y, w = 0.1 * np.sin(0.01 * t * (1 + np.arange(q))), 0.1 * np.cos(0.01 * t * (1 + np.arange(s)))
+    return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"))
+
+
+def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
+    """Return whether a certificate is about other gains than a controller has."""
+    if not certificate:
+        return []
+    proved = json.loads(certificate)
+    same = all(
+        [[float(v) for v in row] for row in proved.get(letter) or []] == getattr(file, letter) for letter in ("K", "L")
+    )
+    return [] if same else ["the proof is about other gains"]
+
+
+def _its_spec(file: ControllerFile, folder: Path) -> Spec | None:
+    """Return the spec that the run in a folder was made from, if it is still there as it was."""
+    try:
+        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        path = Path(str(index["spec"]))
+        if hashlib.sha256(path.read_bytes()).hexdigest() != file.spec_sha256:
+            return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return load_spec(path, file.set)

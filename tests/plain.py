@@ -1,0 +1,110 @@
+"""`docs/arithmetic.md` read word for word, in floats of Python: slow, and nothing is fused or reordered."""
+
+from math import floor, isfinite
+from typing import Any
+
+import numpy as np
+
+from pwatrack.control.program import Program
+
+
+class Plain:
+    """A program that runs."""
+
+    def __init__(self, program: Program, x_hat: Any, eta_hat: Any, real: Any = float) -> None:
+        def floats(values: Any) -> Any:
+            return [floats(v) for v in values] if np.ndim(values) else real(values)
+
+        self.program, self.real = program, real
+        of, follows = program.sizes, program.follows
+        self.n, self.m, self.delay = of["n"], of["m"], program.sampling.delay
+        self.H, self.h, self.K = floats(program.H), floats(program.h), floats(program.K)
+        self.observer, self.generator = floats(program.observer), floats(program.generator)
+        self.x_d, self.u_ff, self.guards = floats(program.x_d), floats(program.u_ff), floats(program.guards)
+        self.change, self.quantum = floats(program.change), floats(program.quantum)
+        self.low, self.high = floats(program.limits[:, 0]), floats(program.limits[:, 1])
+        self.turn = [] if follows is None else floats(follows.turn)
+        self.pieces = [] if follows is None else [(piece, floats(piece.w)) for piece in follows.pieces]
+        zero = real(0.0)
+        self.state: dict[str, Any] = {"y": [zero] * of["q"], "u": [zero] * self.m}
+        self.state |= {"x_hat": floats(x_hat), "eta_hat": floats(eta_hat)}
+        w = [zero] * of["s"] if follows is None else floats(follows.w0)
+        self.state |= {"w": w, "w1": w, "w2": w, "late": [[zero] * self.m] * self.delay, "before": [zero] * self.m}
+        self.state |= {"run": False, "tick": 0, "since": 0, "i": 0, "j": 0, "x_d": [zero] * self.n}
+
+    def row(self, a: Any, v: Any) -> Any:
+        if not v:
+            return a[0]
+        s = a[0] * v[0]
+        for k in range(1, len(v)):
+            s = s + a[k] * v[k]
+        return s + a[len(v)] if len(a) > len(v) else s
+
+    def cell(self, cells: Any, values: Any) -> int:
+        worst = []
+        for signs in cells.tolist():
+            wrong = [self.real(0.0)]
+            for g, side in zip(values, signs, strict=True):
+                if side:
+                    wrong.append(-g if side > 0 else g)
+            worst.append(max(wrong))
+        return worst.index(min(worst))
+
+    def step(self, y: Any, given: Any = None) -> int:
+        old, new, status = self.state, dict(self.state), 0
+        follows = self.program.follows
+        if old["run"]:
+            seen = [*old["y"], *old["u"], *old["x_hat"]]
+            new["x_hat"] = [self.row(a, seen) for a in self.observer[old["i"]]]
+            known = [*old["x_hat"][self.n :], *old["eta_hat"], *old["w"]]
+            new["eta_hat"] = [self.row(a, known) for a in self.generator[old["j"]]]
+            if follows is not None and follows.end is not None and old["tick"] >= follows.end:
+                status = 1
+            elif follows is not None:
+                self.turned(new)
+        new["y"] = [self.real(v) for v in y]
+        if follows is None:
+            new["w"] = [self.real(v) for v in given]
+        known = [*new["x_hat"][self.n :], *new["eta_hat"], *new["w"]]
+        values = [self.row(H, new["x_hat"][: self.n]) + h for H, h in zip(self.H, self.h, strict=True)]
+        new["i"] = self.cell(self.program.signs, values)
+        new["j"] = self.cell(self.program.sides, [self.row(guard, known) for guard in self.guards])
+        new["x_d"] = [self.row(a, known) for a in self.x_d[new["j"]]]
+        put, new["before"] = [], list(old["before"])
+        for b in range(self.m):
+            v = self.row(self.u_ff[new["j"]][b], known)
+            for a in range(self.n):
+                v = v + self.K[b][a] * (new["x_hat"][a] - new["x_d"][a])
+            least, most = new["before"][b] - self.change[b], new["before"][b] + self.change[b]
+            if not isfinite(v - new["before"][b]):
+                return -1
+            v = least if v < least else most if v > most else v
+            v = self.low[b] if v < self.low[b] else self.high[b] if v > self.high[b] else v
+            new["before"][b] = v
+            if self.quantum[b]:
+                v = self.quantum[b] * self.real(floor(v / self.quantum[b] + self.real(0.5)))
+            put.append(v)
+        queue = [*old["late"], put]
+        new["u"], new["late"], new["run"] = queue[0], queue[1:], True
+        if not all(isfinite(v) for name in ("y", "u", "x_hat", "eta_hat", "w", "x_d", "before") for v in new[name]):
+            return -1
+        self.state = new
+        return status
+
+    def turned(self, new: Any) -> None:
+        new["tick"] += 1
+        new["since"] += 1
+        if new["since"] == 2**20 and len(self.turn) == 3:
+            new["w2"] = [self.row(a, new["w2"]) for a in self.turn[2]]
+            new["w1"] = new["w"] = new["w2"]
+            new["since"] = 0
+        elif new["since"] % 2**10 == 0 and len(self.turn) >= 2:
+            new["w1"] = [self.row(a, new["w1"]) for a in self.turn[1]]
+            new["w"] = new["w1"]
+        else:
+            new["w"] = [self.row(a, new["w"]) for a in self.turn[0]]
+        for piece, w in self.pieces:
+            if piece.tick == new["tick"]:
+                new["w"] = [*new["w"][: piece.start], *w, *new["w"][piece.start + len(w) :]]
+                new["w1"] = new["w2"] = new["w"]
+                new["since"] = 0

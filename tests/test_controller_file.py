@@ -1,0 +1,168 @@
+"""controller.json holds all of a controller, runs as the simulation does, and is refused where it was changed."""
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pwatrack
+from pwatrack import Controller, Result, design, load_spec, simulate, write_design, write_result
+from pwatrack.errors import InvalidSpec
+from pwatrack.export.schema import FORMAT, json_schema
+from pwatrack.export.stored import digest, parsed
+from tests.conftest import SPECS
+from tests.test_cli import call, refused
+from tests.test_outcome import cart
+
+DOCS = SPECS.parent / "docs"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """The example on a machine, for 2,000 samples of its controller, written."""
+    path = tmp_path_factory.mktemp("spec") / "machine.yaml"
+    text = (SPECS / "two_mass_machine.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("duration: 60\n  sample_time: 0.01", "duration: 4\n  sample_time: 0.002"))
+    result = simulate(load_spec(path))
+    return write_result(result, path.parent / "run"), result
+
+
+def content(run: tuple[Path, Result]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((run[0] / "controller.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_the_schema_in_the_docs_is_that_of_the_file() -> None:
+    assert json.loads((DOCS / "controller.schema.json").read_text(encoding="utf-8")) == json_schema()
+
+
+def test_a_stored_controller_does_what_the_simulation_did_in_every_bit(run: tuple[Path, Result]) -> None:
+    folder, result = run
+    controller, at = Controller.load(folder / "controller.json"), result.loop.at
+    assert controller.sample_time == 0.002
+    for z in result.response.trace.z:
+        u = controller.step(z[at.y])
+        assert u.tobytes() == z[at.u].tobytes()
+        assert controller.state("x_hat").tobytes() == z[at.x_hat].tobytes()
+        assert controller.state("eta_hat").tobytes() == z[at.eta_hat].tobytes()
+        assert controller.status == 0
+
+
+def test_it_starts_anew_and_takes_a_reference_from_outside(run: tuple[Path, Result]) -> None:
+    controller = Controller.load(run[0] / "controller.json")
+    first = [controller.step([0.1]).tolist() for _ in range(3)]
+    controller.reset()
+    assert [controller.step([0.1]).tolist() for _ in range(3)] == first
+    with pytest.raises(ValueError, match="in some steps and not in others"):
+        controller.step([0.1], [0.0, 0.0, 0.0])
+    assert controller.file.program is not None
+    names = controller.file.program.outside.reference
+    assert names == ["y", "dy/dt", "d2y/dt2"]
+    controller.reset()
+    inside = np.array([controller.step([0.1]) for _ in range(50)])
+    controller.reset()
+    w, t = 2 * np.pi, 0.002 * np.arange(50)
+    y_d = 0.15 * np.column_stack([np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)])
+    found = np.array([controller.step([0.1], row) for row in y_d]) - inside
+    assert np.abs(found).max() < 1e-3  # between ticks one is a sinusoid, the other a polynomial
+    with pytest.raises(ValueError, match="1 outputs and 3 entries"):
+        controller.step([0.1], [0.0])
+
+
+def test_a_measurement_that_is_no_number_holds_the_input(run: tuple[Path, Result]) -> None:
+    controller = Controller.load(run[0] / "controller.json")
+    u, x_hat = controller.step([0.1]), controller.state("x_hat")
+    assert controller.step([np.nan]).tolist() == u.tolist()
+    assert controller.status == -1
+    assert controller.state("x_hat").tolist() == x_hat.tolist()
+
+
+def changed(value: Any, generator: random.Random) -> Any:
+    """One entry of a tree, changed, removed or of another type."""
+    if isinstance(value, dict) and value:
+        key = generator.choice(sorted(value))
+        if generator.random() < 0.1:
+            return {name: entry for name, entry in value.items() if name != key}
+        return {**value, key: changed(value[key], generator)}
+    if isinstance(value, list) and value:
+        k = generator.randrange(len(value))
+        if generator.random() < 0.1:
+            return [*value[:k], *value[k + 1 :]]
+        return [*value[:k], changed(value[k], generator), *value[k + 1 :]]
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return generator.choice(["x", 1.0, [], {"a": 1}])
+    if isinstance(value, int):
+        return value + 1
+    return float(np.nextafter(value, np.inf)) if isinstance(value, float) else "x"
+
+
+def test_a_file_that_was_changed_in_200_ways_is_refused(run: tuple[Path, Result]) -> None:
+    """The least change of a double too; with a digest that was made to fit, what does not fit the schema or itself."""
+    good, generator, refused = content(run), random.Random(1), 0
+    assert parsed(good, Path("f")).format == FORMAT
+    for _ in range(200):
+        bad = changed(good, generator)
+        assert bad != good
+        with pytest.raises(InvalidSpec, match=r"digest|format|Input|valid|missing|Field|match|not permitted"):
+            parsed(bad, Path("f"))
+        try:
+            parsed({**bad, "sha256": digest(bad)}, Path("f"))
+        except InvalidSpec:
+            refused += 1
+    assert refused > 40  # the rest are files of other controllers
+
+
+def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
+    old = tmp_path / "controller.json"
+    old.write_text(json.dumps({**content(run), "format": "pwatrack controller 0"}))
+    with pytest.raises(InvalidSpec, match="'pwatrack controller 0', this program reads 'pwatrack controller 1'"):
+        Controller.load(old)
+    for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 1"}'):
+        old.write_text(text)
+        with pytest.raises(InvalidSpec):
+            Controller.load(old)
+    with pytest.raises(InvalidSpec, match="cannot be read"):
+        Controller.load(tmp_path / "none.json")
+
+
+def test_a_number_that_is_not_finite_is_refused(run: tuple[Path, Result], tmp_path: Path) -> None:
+    text = (run[0] / "controller.json").read_text(encoding="utf-8")
+    file = tmp_path / "controller.json"
+    file.write_text(text.replace('"sample_time": 0.002', '"sample_time": Infinity'))
+    with pytest.raises(InvalidSpec, match=r"program\.sample_time"):
+        Controller.load(file)
+
+
+def test_a_controller_that_is_not_sampled_has_no_steps(tmp_path: Path) -> None:
+    spec = load_spec(SPECS / "two_mass_paper_gains.yaml")
+    folder = write_design(spec, design(spec), tmp_path / "run")
+    with pytest.raises(InvalidSpec, match="no sample time"):
+        Controller.load(folder / "controller.json")
+
+
+def test_a_stored_controller_is_simulated_and_is_no_other(tmp_path: Path) -> None:
+    path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
+    assert call("simulate", path, "--out", tmp_path / "one").exit_code == 0
+    stored = tmp_path / "one" / "controller.json"
+    again = call("simulate", path, "--out", tmp_path / "two", "--controller", stored)
+    assert again.exit_code == 0, again.output
+    assert (tmp_path / "two" / "trace.csv").read_bytes() == (tmp_path / "one" / "trace.csv").read_bytes()
+    slower = cart(tmp_path, "controller: {sample_time: 0.02}", duration=2)
+    error = refused(call("simulate", slower, "--out", tmp_path / "two", "--controller", stored), 2)
+    assert "program.sample_time is 0.01 in the file and 0.02 in the spec" in error
+    unsampled = cart(tmp_path, duration=2)
+    call("simulate", unsampled, "--out", tmp_path / "three", "--controller", stored)
+    traces = [(tmp_path / name / "trace.csv").read_bytes() for name in ("one", "three")]
+    assert traces[0] == traces[1]  # at the sample time of the file
+    other = cart(tmp_path, reference="0.07*cos(t)", duration=2)
+    error = refused(call("simulate", other, "--out", tmp_path / "two", "--controller", stored), 2)
+    assert "the stored controller is not one for this spec: trajectory.reference" in error
+
+
+def test_gains_stand_on_the_controller() -> None:
+    controller = pwatrack.design(load_spec(SPECS / "two_mass_paper_gains.yaml"))
+    assert controller.K is controller.design.K
+    assert controller.L is controller.design.L
