@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwatrack import Controller, PWASystem
+from pwatrack import PWASystem
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control.controller import Controller
 from pwatrack.control.practical import Practical, deviation_bounds
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.model.merging import merged, merges
