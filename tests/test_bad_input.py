@@ -110,7 +110,7 @@ INVALID = [
     ("  controller: {rate: 0.1}", "  rate: 5", 18, "'rate' belongs under controller or observer"),
     ("  controller: {rate: 0.1}", "  K: [[1, 1]]", 18, "'K' belongs under controller"),
     ("  controller: {rate: 0.1}", "  contoller: {rate: 0.1}", 18, "did you mean 'controller'?"),
-    ("  controller: {rate: 0.1}", "  tracking: outputs", 18, "'outputs' is not 'output' or 'state'"),
+    ("  controller: {rate: 0.1}", "  tracking: outputs", 18, "'outputs' is not 'output', 'state' or 'practical'"),
     ("  controller: {rate: 0.1}", "  controller: 3", 18, "a mapping is expected"),
     ("kind: spring", "kind: sprng", 14, "kind 'sprng' is none of"),
     ("kind: spring, ", "", 14, "kind is missing"),

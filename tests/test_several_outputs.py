@@ -59,10 +59,10 @@ def changed(
 
 def verdict(plant: PWASystem) -> str:
     try:
-        trajectory_generator(normal_form(plant))
+        generator = trajectory_generator(normal_form(plant))
     except PwatrackError as refusal:
         return type(refusal).__name__
-    return "proved"
+    return "played back" if generator.played_back else "proved"
 
 
 def destabilised(plant: PWASystem, form_of: PWASystem, rate: float) -> PWASystem:

@@ -92,7 +92,9 @@ def in_units(path: Path, units: Units) -> str:
                 "R": scaled(matrix(asked["cost"]["R"], *[[f"1/({g})" for g in y]] * 2), f"1/({units.time})"),
             }
     for key, names in (("output", list(tracked)), ("state", system["states"]), ("input", system["inputs"])):
-        if key in reference:
+        if key in reference and isinstance(reference[key], dict) and set(reference[key]) <= set(names):
+            reference[key] = {name: course(c, units.of[name], units.time) for name, c in reference[key].items()}
+        elif key in reference:
             one = not isinstance(reference[key], list)
             given = [reference[key]] if one else reference[key]
             new = [course(c, units.of[name], units.time) for c, name in zip(given, names, strict=True)]
