@@ -175,8 +175,7 @@ def test_a_gantry_is_followed_by_both_axes_and_its_certificate_holds(tmp_path: P
     assert (form.degrees, form.r) == ((2, 2), 4)
     assert np.abs(result.response.tracking_error[-100:]).max() < 1e-8
     ff = result.response.u_ff
-    loads = result.response.estimates[-1]
-    np.testing.assert_allclose(ff[-100:, 0] + loads[0], ff[-100:, 1] + loads[1], rtol=1e-6)  # the least that does it
+    np.testing.assert_allclose(ff[2000:, 0], ff[2000:, 1], rtol=1e-6)  # both ends alike: the least that does it
     folder = write_result(result, tmp_path / "run")
     assert "Theorem 3, output tracking: none of its inequalities is absent" in verify(folder)
     content = json.loads((folder / "certificate.json").read_text())
