@@ -186,6 +186,30 @@ def test_each_figure_is_missed_and_met_once(wave: Result, step: Result, tmp_path
         assert (checked.met, checked.found) == (met, came), checked.text
 
 
+def test_a_run_and_a_batch_end_with_6_where_any_figure_is_missed_and_with_0_where_it_is_met(
+    wave: Result, step: Result, tmp_path: Path
+) -> None:
+    ends = dict[str, int]()
+    for name, quantity in QUANTITIES.items():
+        result = step if quantity.per == "outputs" else wave
+        came, share = value_of(result, name), 1.01 if quantity.best == "at most" else 0.99
+        text = result.spec.path.read_text(encoding="utf-8").partition("require:")[0]
+        limits = [("met", came * share, 0)] + [("missed", came / share, 6)] * (came > 0)
+        for kind, limit, code in limits:
+            path = tmp_path / "specs" / f"{name}_{kind}.yaml"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(f"{text}require: {{{name}: {limit!r}}}\n", encoding="utf-8")
+            ends[path.stem] = code
+            run = call("simulate", path, "--plots", "none", "--out", tmp_path / "out" / path.stem)
+            assert run.exit_code == code, run.output
+    report = tmp_path / "junit.xml"
+    run = call("batch", tmp_path / "specs", "--out", tmp_path / "runs", "--plots", "none", "--junit", report)
+    assert run.exit_code == 6, run.output
+    (suite,) = JUnitXml.fromfile(str(report))
+    failed = {str(case.name).removesuffix(".yaml").rpartition("/")[2]: bool(case.result) for case in suite}
+    assert failed == {name: code == 6 for name, code in ends.items()}
+
+
 WISHES = {
     "met": ("{final_error: 1e-3, settling_time: 3, largest_input: {u: 50}, overshoot: 50%, rate: 0.1}", 0),
     "missed": ("{final_error: 1e-3, settling_time: {y: 0.1}, largest_input: 1e-3, overshoot: 0%, rate: 100}", 6),
