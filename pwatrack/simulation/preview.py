@@ -363,12 +363,18 @@ class _Solution:
         """Return the times between a and b at which x_d is on a hyperplane that it is on the other side of then."""
         guards = self.problem.guards
         left, right = self.z(k, np.array([a, b])) @ guards.T
-        return sorted(
-            brentq(
-                lambda t, row=guards[j]: float(self.z(k, np.array([t]))[0] @ row), a, b, xtol=4 * EPS * b, rtol=4 * EPS
-            )
-            for j in np.flatnonzero(left * right < 0)
-        )
+        return sorted(self._crossing(k, guards[j], a, b) for j in np.flatnonzero(left * right < 0))
+
+    def _crossing(self, k: int, guard: Array, a: float, b: float) -> float:
+        """Return the time between a and b at which one guard is 0."""
+
+        def value(t: float) -> float:
+            return float(self.z(k, np.array([t]))[0] @ guard)
+
+        one, other = value(a), value(b)
+        if not one * other < 0:  # alone, one end is on the other side by rounding
+            return a if abs(one) < abs(other) else b
+        return float(brentq(value, a, b, xtol=4 * EPS * b, rtol=4 * EPS))
 
     def polynomials(self, until: float) -> Iterator[tuple[float, float, Array]]:
         """Yield (from, to, coefficients (p, degree + 1)) of polynomials of the time since `from`, in units given."""
