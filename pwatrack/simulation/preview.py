@@ -214,7 +214,7 @@ class _Problem:
         starts = system.states(np.array(self.breaks))
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
         poles = np.linalg.eigvals(self.rate[:, :, :p])
-        self.fastest = float(np.abs(poles).max())
+        self.fastest, self.settled = float(np.abs(poles).max()), _SETTLED / float(np.abs(poles.real).min())
         self.turning = max(float(np.abs(poles.imag).max()), float(np.abs(system.rates.imag).max(initial=0.0)))
 
     def solve(self) -> "_Solution":
@@ -289,7 +289,7 @@ class _Solution:
         if not self.problem.periodic:  # the stable part starts, and the unstable one ends, as what is driven alone
             first = np.diag((np.arange(p) < q).astype(np.float64))
             blocks += [(last, 0, first), (last, last, np.eye(p) - first)]
-            missing.append(np.zeros(p))
+            missing.append(self._far_away())
         i, j = np.indices((p, p))
         rows, columns = (
             np.concatenate([(p * block[n] + index).ravel() for block in blocks]) for n, index in ((0, i), (1, j))
@@ -300,6 +300,17 @@ class _Solution:
         if not np.isfinite(found).all():
             raise _unsettled("the two-point problem is singular")
         return found.reshape(-1, p)
+
+    def _far_away(self) -> Array:
+        """Return the stable part at the start, and the unstable one at the end, as if their pieces had no end."""
+        problem, found = self.problem, np.zeros(self.problem.p)
+        first, last, span = self.stays[0], self.stays[-1], np.array([problem.settled])
+        q, ahead = self._modes[first.cell].stable, problem.turns(span)[0]
+        before = problem.turns(-span)[0] @ problem.w(first.piece, np.array([first.start]))[0]
+        after = ahead @ problem.w(last.piece, np.array([last.end]))[0]
+        found[:q] = self._modes[first.cell].forward(span)[1][0] @ before
+        found[q:] = self._modes[last.cell].backward(span)[1][0] @ after
+        return found
 
     def eta(self, k: int, t: Array) -> Array:
         """Return η at times in s of a stay, (K, p), in balanced units."""
