@@ -83,7 +83,7 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
             return replace(trajectory, bounded=False, growth=growth.problems[0]), None
     form = spec_form(spec)
     y_d = _output_signals(reference, form)
-    generator = trajectory_generator(form, solver=solver)
+    generator = trajectory_generator(form, solver=solver, preview=reference.preview)
     trajectory = output_trajectory(generator, exosystem(y_d))
     if not generator.played_back:
         return trajectory, generator

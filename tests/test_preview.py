@@ -157,6 +157,14 @@ def test_an_unknown_load_is_compensated_too() -> None:
     assert np.abs(result.response.estimates[-1]) == pytest.approx([0.5], rel=1e-6)
 
 
+def test_a_reference_that_is_not_known_beforehand_is_refused(tmp_path: Any) -> None:
+    text = (SPECS / "gallery" / "cart_and_pole_swaying.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.replace("0.4*sin(2*t)}", "0.4*sin(2*t), preview: none}"), encoding="utf-8")
+    with pytest.raises(Infeasible, match=r"\(17\), convergence of the zero dynamics, is infeasible"):
+        design(load_spec(path))
+
+
 def test_a_load_that_moves_what_is_worked_out_is_refused(tmp_path: Any) -> None:
     text = (SPECS / "gallery" / "cart_and_pole_on_the_move.yaml").read_text(encoding="utf-8")
     path = tmp_path / "spec.yaml"

@@ -18,9 +18,15 @@ from pwatrack.model.signal import Signal
 
 @dataclass(frozen=True)
 class OutputReference:
-    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3)."""
+    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3).
+
+    Attributes:
+        courses: By output.
+        preview: Whether it is known beforehand, so that x_d may be worked out.
+    """
 
     courses: tuple[tuple[Course, ...], ...]
+    preview: bool = True
 
     def signals(self, degrees: Sequence[int]) -> list[Signal]:
         """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""

@@ -16,12 +16,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import factorial
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from scipy import sparse
-from scipy.linalg import schur, solve_sylvester
 from scipy.optimize import brentq
 from scipy.sparse.linalg import spsolve
 
@@ -29,8 +27,9 @@ from pwatrack.arrays import EPS, Array, IntArray, balancing
 from pwatrack.causes import Part
 from pwatrack.control.trajectory import DesiredTrajectory, Preview
 from pwatrack.errors import Problem, Undecided
-from pwatrack.model.reference import Exosystem, beside, spectral_terms
+from pwatrack.model.reference import beside
 from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.simulation.driven import Modes, Turns
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -40,7 +39,6 @@ _DEGREE = 9  # of the polynomials that are played back
 _FITTED, _NOISE = 1e-13, 1e-11  # of the largest value: how near they are, and what may be rounding
 _LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
-_TAYLOR = 14  # terms of e^{M t} for ‖M t‖ ≤ 1/2: the next is below 1e-16
 _MOST_POINTS = 2_000_000  # at which cells are looked up
 
 
@@ -135,69 +133,6 @@ class _Stay:
     piece: int
 
 
-class _Modes:
-    """A_i split into its stable and its unstable part, A_i V = V diag(Λ_s, Λ_u), each driven by the reference."""
-
-    def __init__(self, A: Array, B: Array, turns: "_Turns") -> None:
-        T, Z, q = schur(A, sort="lhp")
-        X = solve_sylvester(T[:q, :q], -T[q:, q:], -T[:q, q:]) if 0 < q < len(A) else np.zeros((q, len(A) - q))
-        unit = np.eye(len(A))
-        unit[:q, q:] = X
-        self.stable, self.V = q, Z @ unit
-        unit[:q, q:] = -X
-        W = unit @ Z.T
-        self.forward = _Driven(T[:q, :q], (W @ B)[:q], turns, 1.0)
-        self.backward = _Driven(-T[q:, q:], -(W @ B)[q:], turns, -1.0)
-
-
-class _Turns:
-    """t ↦ e^{S t} of the reference and the constant 1, in closed form."""
-
-    def __init__(self, system: Exosystem) -> None:
-        self.S = np.zeros((len(system.w0) + 1,) * 2)
-        self.S[:-1, :-1] = system.S
-        self._terms = spectral_terms(system.S, system.rates)
-
-    def __call__(self, t: Array) -> Array:
-        """Return it at some times, (K, s + 1, s + 1)."""
-        found = np.zeros((len(t), *self.S.shape))
-        found[:, -1, -1] = 1.0
-        for rate, chain in self._terms:
-            for m, E in enumerate(chain):
-                found[:, :-1, :-1] += (np.multiply.outer(np.exp(rate * t) * t**m / factorial(m), E)).real
-        return found
-
-
-class _Driven:
-    """v' = Λ v + B w with w' = ±S w and Λ stable: v(t) = E(t) v(0) + F(t) w(0), for many t ≥ 0.
-
-    By doubling: E(2t) = E(t)², F(2t) = E(t) F(t) + F(t) e^{±S t}, from a t so short that a Taylor polynomial is exact.
-    What lasts, e^{±S t}, is in closed form, so that errors do not double with it.
-    """
-
-    def __init__(self, L: Array, B: Array, turns: _Turns, sign: float) -> None:
-        self._q, self._turns, self._sign = len(L), turns, sign
-        self._M = np.block([[L, B], [np.zeros((len(turns.S), len(L))), sign * turns.S]])
-        self._d = balancing(self._M[None])
-        self._M = self._M / self._d[:, None] * self._d
-        self._norm = float(np.abs(self._M).sum(axis=1).max())
-
-    def __call__(self, t: Array) -> tuple[Array, Array]:
-        """Return E, (K, q, q), and F, (K, q, s + 1)."""
-        q, d = self._q, self._d
-        halvings = int(np.ceil(np.log2(max(1.0, 2 * self._norm * float(t.max(initial=0.0))))))
-        first = t / 2.0**halvings
-        step = np.multiply.outer(first, self._M)
-        total = unit = np.broadcast_to(np.eye(len(self._M)), step.shape)
-        for k in range(_TAYLOR, 0, -1):
-            total = unit + step @ total / k
-        total = total * d[:, None] / d
-        E, F = total[:, :q, :q], total[:, :q, q:]
-        for k in range(halvings):
-            E, F = E @ E, E @ F + F @ self._turns(self._sign * first * 2.0**k)
-        return E, F
-
-
 class _Problem:
     """The two-point problem of a reference, from t = 0 to an end in s."""
 
@@ -209,7 +144,7 @@ class _Problem:
         self.guards = trajectory.guards.copy()
         self.guards[:, :p] *= self.d
         self.signs, self.end, self.periodic, self.p = trajectory.signs, end, periodic, p
-        self.turns = _Turns(system)
+        self.turns = Turns(system)
         self.breaks = [0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if 0 < t < end)]
         starts = system.states(np.array(self.breaks))
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
@@ -235,7 +170,7 @@ class _Problem:
 
     def _settled(self, stays: Sequence[_Stay], way: float) -> "_Solution | None":
         rate = (1 - way) * self.rate[0] + way * self.rate
-        modes = dict[int, _Modes]()
+        modes = dict[int, Modes]()
         for _ in range(_MOST_STEPS):
             solution = _Solution(self, rate, modes, stays)
             if solution.missed <= _MISSED:
@@ -257,10 +192,10 @@ class _Problem:
 class _Solution:
     """η(t) for given stays: what joins them is linear."""
 
-    def __init__(self, problem: _Problem, rate: Array, modes: dict[int, _Modes], stays: Sequence[_Stay]) -> None:
+    def __init__(self, problem: _Problem, rate: Array, modes: dict[int, Modes], stays: Sequence[_Stay]) -> None:
         self.problem, self.rate, self.stays = problem, rate, list(stays)
         for i in {stay.cell for stay in stays} - set(modes):
-            modes[i] = _Modes(rate[i][:, : problem.p], rate[i][:, problem.p :], problem.turns)
+            modes[i] = Modes(rate[i][:, : problem.p], rate[i][:, problem.p :], problem.turns)
         if len({modes[stay.cell].stable for stay in stays}) > 1:
             raise _unsettled("cells differ in how many unstable modes they have")
         self._modes = modes

@@ -133,7 +133,7 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
     if problems:
         raise InvalidSpec(*problems)
     if kind == "output":
-        return OutputReference(tuple(courses))
+        return OutputReference(tuple(courses), preview=section.preview == "auto")
     if kind == "state":
         return StateReference(tuple(courses))
     return InputReference(tuple(courses), readonly(section.start) if section.start else None)

@@ -131,6 +131,9 @@ def reference_problems(file: SpecFile) -> list[Problem]:
         problems.append(Problem(message=message, subject=("reference",)))
     if reference.start is not None and reference.input is None:
         problems.append(Problem(message="start goes with a reference 'input' only", subject=("reference", "start")))
+    if reference.preview != "auto" and reference.output is None:
+        message = "reference.preview goes with reference.output"
+        problems.append(Problem(message=message, subject=("reference", "preview")))
     if reference.input is not None and reference.start is None:
         message = "reference.start is missing: x_d(0), or 'periodic'"
         problems.append(Problem(message=message, subject=("reference",)))

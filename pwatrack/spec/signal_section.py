@@ -123,6 +123,8 @@ class ReferenceSection(Section):
 
     output: Signals | None = None
     """Of one tracked output, or of each by its name."""
+    preview: Literal["auto", "none"] = "auto"
+    """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
     state: list[Signal] | None = None
     input: list[Signal] | None = None
     start: PeriodicOrVector | None = None
