@@ -40,7 +40,6 @@ from scipy.linalg import block_diag, eigh
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.control.compensation import coupling
-from pwatrack.control.synthesis import Design
 from pwatrack.lmi.chords import PeakGain
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
@@ -119,7 +118,6 @@ class Bounds:
     sizes: dict[Form, float]
     parts: tuple[Part, ...]
     peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
-
     proved: tuple[ProvedPeak, ...] = ()
 
     @property
@@ -129,17 +127,8 @@ class Bounds:
         return self.sizes | by_peak
 
 
-def signal_bounds(
-    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
-) -> tuple[Bounds, ...]:
+def signal_bounds(loops: "Loops") -> tuple[Bounds, ...]:
     """Bound every signal for every disturbance and noise by itself, each proved exactly.
-
-    Args:
-        plant: The system (1).
-        design: Its gains K and L.
-        proofs: What `prove_design` returned for them.
-        X: Of the `Compensation` of loads.
-        output: Whether outputs are tracked, else states.
 
     Returns:
         One for each state equation, then one for each measured output.
@@ -151,19 +140,13 @@ def signal_bounds(
         >>> push.channel, 0.9 < push.sizes["output", 0] < 1.1
         (('disturbance', 1), True)
     """
-    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    loops = Loops(plant, K, L, proofs, X, output=output)
-    channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
-    channels += [("noise", k) for k in range(len(plant.C))]
+    channels: list[Channel] = [("disturbance", k) for k in range(loops.n)]
+    channels += [("noise", k) for k in range(loops.L.shape[1])]
     return tuple(loops.bounds(channel) for channel in channels)
 
 
-def start_bounds(
-    plant: PWASystem, design: Design, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
-) -> tuple[Bounds, ...]:
+def start_bounds(loops: "Loops") -> tuple[Bounds, ...]:
     """Bound every signal at all times for 1 of each entry of the start by itself, each proved exactly.
-
-    Args: as for `signal_bounds`.
 
     Returns:
         One for each entry of x − x_d, then of x̂ − x, then for the estimate of each load: a load that steps by 1 is an
@@ -176,8 +159,6 @@ def start_bounds(
         >>> first.channel, 1.0 < first.sizes["output", 0] < 1.1
         (('start', 0), True)
     """
-    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
-    loops = Loops(plant, K, L, proofs, X, output=output)
     return tuple(loops.bounds(("start", group[0])) for group in loops.starts)
 
 
@@ -185,7 +166,15 @@ Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what pro
 
 
 class Loops:
-    """The three loops, exact: their matrices, where d enters, the rows of the signals."""
+    """The three loops, exact: their matrices, where d enters, the rows of the signals.
+
+    Args:
+        plant: The system (1).
+        K, L: Its gains.
+        proofs: What `prove_design` returned for them.
+        X: Of the `Compensation` of loads.
+        output: Whether outputs are tracked, else states.
+    """
 
     def __init__(
         self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool

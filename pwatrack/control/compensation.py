@@ -85,7 +85,7 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     return Compensation(
         X=X,
         u_ff=-form.right_inverse @ W[:, last],
-        rate=W[:, form.r :] if filtered else W[:, form.r : form.r],
+        rate=W[:, form.r : form.r + filtered],
         guards=-form.boundary.H @ G.floats,
     )
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.bounds import Bounds, signal_bounds, start_bounds
+from pwatrack.control.bounds import Bounds, Loops, signal_bounds, start_bounds
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
@@ -125,15 +125,16 @@ class Controller:
         return () if self.limited is None else self.limited.promises
 
     @cached_property
+    def _loops(self) -> Loops:
+        K, L = self.design.exact
+        return Loops(self.plant, K, L, self.proofs, self.compensation.X, output=self.generator is not None)
+
+    @cached_property
     def bounds(self) -> tuple[Bounds, ...]:
         """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
-        return signal_bounds(
-            self.plant, self.design, self.proofs, self.compensation.X, output=self.generator is not None
-        )
+        return signal_bounds(self._loops)
 
     @cached_property
     def starts(self) -> tuple[Bounds, ...]:
         """What each entry of the start, of x − x_d, of x̂ − x and of the estimates of loads, can do to each signal."""
-        return start_bounds(
-            self.plant, self.design, self.proofs, self.compensation.X, output=self.generator is not None
-        )
+        return start_bounds(self._loops)

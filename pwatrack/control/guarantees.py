@@ -159,7 +159,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
         >>> round(best.rate, 3), round(second.rate, 4), 0.015 < second.share < 0.02
         (0.084, 0.0681, True)
     """
-    exact, K, L = plant.exact, *(BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    exact, (K, L) = plant.exact, design.exact
     BK, q, A, seen = exact.B @ K, len(plant.tracked), different(exact.A), plant.observed
     drives = coupling(plant, K, L, X)
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}

@@ -157,7 +157,7 @@ def promises(
         starts: Which starts.
         added: What estimates of loads add to the desired trajectory.
     """
-    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    K, L = design.exact
     p = L.shape[0] - plant.exact.B.shape[0]
     loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
     taken_off = added is not None and _taken_off(added, loops.at_inputs)

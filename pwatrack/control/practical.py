@@ -141,7 +141,7 @@ def deviation_bounds(
     Returns:
         One for each deviation, or None where some signal could not be bounded.
     """
-    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    K, L = design.exact
     loops = _Loops(plant, K, L, proofs, X, output=output)
     loops.columns, loops.seen = columns, plant.watched is None
     extra: list[Form] = [("state", k) for k in states if output]

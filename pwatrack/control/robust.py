@@ -123,7 +123,7 @@ def prove_box(
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"
         raise OutsideTheory(Problem(message=message, subject=(Part.UNCERTAIN,), hint="leave out one or the other"))
-    K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (design.K, design.L))
+    K, L = design.exact
     M = _joint(plant.exact, corners, K, L)
     order = M[0].shape[0]
     if len(M) * order**4 > MOST_WORK:

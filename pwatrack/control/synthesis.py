@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.causes import Part
 from pwatrack.control import refusal
 from pwatrack.control.candidates import Candidate, Candidates
@@ -48,6 +49,12 @@ class Design:
     L: Array
     controller: Found
     observer: Found
+
+    @property
+    def exact(self) -> tuple[BallMatrix, BallMatrix]:
+        """K and L, the decimals that they print as."""
+        K, L = (BallMatrix.of(X, (X.shape[0], X.shape[1])) for X in (self.K, self.L))
+        return K, L
 
 
 def synthesize(
