@@ -18,18 +18,14 @@ from rich.console import Console
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.errors import PwatrackError
+from tests.plants import saddle
 
 
 def spec_text(seed: int) -> str:
     """Return a spec with states (y, η): η' = A_i η + g y, y' = a y + c η + u."""
     random = np.random.default_rng(seed)
-    stable, unstable = int(random.integers(0, 3)), int(random.integers(1, 5))
-    zeros = np.concatenate([-(10 ** random.uniform(-1, 3.3, stable)), 10 ** random.uniform(-1, 3.3, unstable)])
+    zeros, first, bend, h = saddle(random, 2)
     p = len(zeros)
-    V = np.linalg.qr(random.normal(size=(p, p)))[0]
-    first, P = V @ np.diag(zeros) @ V.T, V @ np.diag(-np.sign(zeros)) @ V.T
-    h = random.normal(size=p)
-    bend = -np.linalg.solve(P, h) * 2 * abs(random.normal()) * np.abs(zeros).min() / (h @ h)
     fast = float(np.abs(zeros).max())
     A = np.zeros((p + 1, p + 1))
     A[0], A[1:, 0], A[1:, 1:] = random.normal(size=p + 1) * fast, random.normal(size=p) * fast, first

@@ -25,6 +25,21 @@ def springs(A: Array, b: Array, B: Array, C: Array, g: Array, h: Array, c: Array
     )
 
 
+def saddle(random: np.random.Generator, bend: float) -> tuple[Array, Array, Array, Array]:
+    """Two cells with one to four unstable modes of 0.1 to 2,000 rad/s, up to two stable ones, and one P of mixed sign.
+
+    Returns:
+        The eigenvalues of the first cell, its A, and g and h: A + g hᵀ is the second one's.
+    """
+    stable, unstable = int(random.integers(0, 3)), int(random.integers(1, 5))
+    poles = np.concatenate([-(10 ** random.uniform(-1, 3.3, stable)), 10 ** random.uniform(-1, 3.3, unstable)])
+    p = len(poles)
+    V = np.linalg.qr(random.normal(size=(p, p)))[0]
+    P, h = V @ np.diag(-np.sign(poles)) @ V.T, random.normal(size=p)
+    g = -np.linalg.solve(P, h) * bend * abs(random.normal()) * np.abs(poles).min() / (h @ h)  # sym(P g hᵀ) ⪯ 0
+    return poles, V @ np.diag(poles) @ V.T, g, h
+
+
 def random_plant(seed: int, n: int = 4, k: int = 2, r: int = 2, strength: float = 1.0) -> PWASystem:
     """A random SISO plant of relative degree r whose tracking dynamics converge, in scrambled coordinates.
 

@@ -24,6 +24,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.preview import bounded_solution, played_back
 from tests.conftest import SPECS
+from tests.plants import saddle
 
 T = ExponentialPolynomial.time()
 
@@ -37,13 +38,8 @@ def plant_of(*, H: object, h: object, signs: Any, tolerance: float = 1e-12, **ma
 def saddles(seed: int) -> tuple[PWASystem, Array]:
     """A plant η' of two cells with up to four unstable modes of 0.1 to 2,000 rad/s, and a direction to drive it."""
     random = np.random.default_rng(seed)
-    stable, unstable = int(random.integers(0, 3)), int(random.integers(1, 5))
-    poles = np.concatenate([-(10 ** random.uniform(-1, 3.3, stable)), 10 ** random.uniform(-1, 3.3, unstable)])
+    poles, first, g, h = saddle(random, 5)
     p = len(poles)
-    V = np.linalg.qr(random.normal(size=(p, p)))[0]
-    first, P = V @ np.diag(poles) @ V.T, V @ np.diag(-np.sign(poles)) @ V.T
-    h = random.normal(size=p)
-    g = -np.linalg.solve(P, h) * 5 * abs(random.normal()) * np.abs(poles).min() / (h @ h)  # sym(P g hᵀ) ⪯ 0
     edge = 0.2 * float(random.normal())
     plant = plant_of(
         A=[first, first + np.outer(g, h)],

@@ -15,7 +15,7 @@ from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import BITS, left_side, margin_of, unpacked, whole
+from pwatrack.lmi.exact import exponents_of, left_side, margin_of, unpacked, whole
 from pwatrack.lmi.inequality import Inequality, Solver, lyapunov
 from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import Program, of_P
@@ -118,10 +118,10 @@ def _largest_margin(inequality: Inequality) -> Program:
 
 def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
     values, vectors = np.linalg.eigh(P)
-    size = np.diag((vectors * np.abs(values)) @ vectors.T)
-    if not (np.isfinite(size).all() and (size > 0).all()):
+    size = (vectors * np.abs(values)) @ vectors.T  # |P|, of positive diagonal
+    if not (np.isfinite(size).all() and (np.diag(size) > 0).all()):
         return None
-    exponents = tuple((np.round(np.log2(size) / 2).astype(int) - BITS // 2).tolist())
+    exponents = exponents_of(size)
     integers = whole(P, exponents)
     exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
     left = [left_side(M_i, exact, unit) for M_i in M]

@@ -28,7 +28,7 @@ from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import BITS, unpacked, unsure
+from pwatrack.lmi.exact import exponents_of, unpacked, unsure, whole
 from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
@@ -235,14 +235,8 @@ def squares(forms: BallMatrix, Q: Rational) -> list[Any]:
 
 def rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
     """Return integers and exponents with Q_jk near integers_jk · 2^(exponents_j + exponents_k)."""
-    exponents = np.round(np.log2(np.maximum(np.diag(Q), 1e-300)) / 2).astype(int) - BITS // 2
-    unit = [Fraction(2) ** int(e) for e in exponents]
-    rows = (symmetric_part(Q) / 2).tolist()
-    integers = (
-        tuple(round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True))
-        for row, a in zip(rows, unit, strict=True)
-    )
-    return tuple(integers), tuple(int(e) for e in exponents)
+    exponents = exponents_of(np.diag(np.maximum(np.diag(Q), 1e-300)))
+    return whole(Q, exponents), exponents
 
 
 def _short(value: float) -> float:

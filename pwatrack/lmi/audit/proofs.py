@@ -15,12 +15,7 @@ def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     if not P or not definite(P) or not matrices or any(len(M) != len(P) for M, _ in matrices):
         return ["P is not symmetric and positive definite, of the order of the matrices"]
     faults = [] if rate > 0 and margin > 0 and radius >= 0 else ["rate, margin and radius must be positive"]
-    for i, (M, R) in unlike(matrices):
-        half = product(added(M, identity(len(P), rate)), P)
-        left = added(added(half, transposed(half)), identity(len(P), margin))
-        enlarge(left, product(R, sizes(P)) if R else [], powers)
-        if not definite(left, sign=-1):
-            faults.append(f"the inequality fails in cell {i + 1}")
+    faults += failing(matrices, P, powers, rate, margin)
     if 4 * radius**2 * sum(v * v for row in P for v in row) > margin**2:
         faults.append("the radius is larger than margin / (2 |P|)")
     return faults
@@ -31,11 +26,17 @@ def both_ways(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]
     margin, (P, powers) = number(proof["margin"]), packed(proof["P"])
     if proof["of"] != "generator" or proof["bounded"] != "both ways":
         return ["only a generator is played back, bounded both ways"]
-    if not P or transposed(P) != P or not matrices or any(len(M) != len(P) for M, _ in matrices):
-        return ["P is not symmetric, of the order of the matrices"]
+    if not P or not matrices or any(len(M) != len(P) for M, _ in matrices):
+        return ["P is not of the order of the matrices"]
     faults = [] if margin > 0 else ["the margin must be positive"]
+    return faults + failing(matrices, P, powers, Fraction(0), margin)
+
+
+def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fraction, margin: Fraction) -> list[str]:
+    """Return the cells in which -(M P + P M^T) - 2 rate P - margin I is not positive definite."""
+    faults = []
     for i, (M, R) in unlike(matrices):
-        half = product(M, P)
+        half = product(added(M, identity(len(P), rate)), P)
         left = added(added(half, transposed(half)), identity(len(P), margin))
         enlarge(left, product(R, sizes(P)) if R else [], powers)
         if not definite(left, sign=-1):
