@@ -1,6 +1,7 @@
 """Exported C is the stored controller in every bit, compiles without a warning, and answers faults as documented."""
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -73,6 +74,22 @@ def test_specs_of_all_kinds_give_the_same_bits(name: str, tmp_path: Path) -> Non
     for given in (False, True):
         folder = written(subject, tmp_path / str(given), given=given)
         assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
+
+
+@pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed")
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("given", [False, True])
+def test_misra_finds_only_the_deviations_that_are_listed(
+    machine: Subject, tmp_path: Path, single: bool, given: bool
+) -> None:
+    text = (SPECS.parent / "docs/misra.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^\| ([0-9.]+) \|", text, re.MULTILINE))
+    folder = written(machine, tmp_path, single=single, given=given)
+    command = ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,portability,performance", "."]
+    found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stderr
+    assert set(re.findall(r"misra-c2012-([0-9.]+)", found)) == listed
+    others = [line for line in re.findall(r"\[(\w+)\]$", found, re.MULTILINE) if not line.startswith("misra")]
+    assert not others, found
 
 
 MACHINE = """controller: {sample_time: 0.01, delay: 2}

@@ -25,10 +25,11 @@ int main(void)
 {{
     {name}_state state;
     {name}_real u[{upper}_INPUTS];
-    long k, wrong = 0;
+    long wrong = 0;
+    long k;
 
     if ({name}_init(&state) != {upper}_OK) {{
-        return 2;
+        wrong++;
     }}
     for (k = 0; k < VECTOR_STEPS; k++) {{
         const int status = {name}_step(&state, vector_y[k], {ref}, u);
@@ -36,8 +37,8 @@ int main(void)
             wrong++;
         }}
     }}
-    printf("%ld steps, %ld wrong; state %lu bytes, constants %lu bytes\\n", k, wrong,
-           (unsigned long)sizeof(state), (unsigned long){upper}_CONSTANT_BYTES);
+    (void)printf("%ld steps, %ld wrong; state %lu bytes, constants %lu bytes\\n", k, wrong,
+                 (unsigned long)sizeof(state), (unsigned long){upper}_CONSTANT_BYTES);
     return (wrong == 0) ? 0 : 1;
 }}
 """

@@ -40,7 +40,8 @@ static {real} row(const {real} a[], const {real} v[], int count)
 
 static int finite(const {real} v[], int count)
 {{
-    int k, all = 1;
+    int all = 1;
+    int k;
 
     for (k = 0; k < count; k++) {{
         if (!((v[k] >= -LARGEST) && (v[k] <= LARGEST))) {{
@@ -57,7 +58,9 @@ static uint32_t {kind}_cell(const {real} g[])
 {{
     {real} least = {zero};
     uint32_t cell = 0u;
-    int i, k, found = 0;
+    int found = 0;
+    int i;
+    int k;
 
     for (i = 0; (i < {cells}) && (found == 0); i++) {{
         {real} worst = {zero};
@@ -101,13 +104,14 @@ _DESIRED_CELL = """    for (a = 0; a < {guards}; a++) {{
 _INIT = """
 int {name}_init({name}_state *state)
 {{
+    int status = {upper}_REFUSED;
     int k;
 
-    if (state == NULL) {{
-        return {upper}_REFUSED;
-    }}
+    if (state != NULL) {{
 {zeros}
-    return {upper}_OK;
+        status = {upper}_OK;
+    }}
+    return status;
 }}
 
 int {name}_reset({name}_state *state)
@@ -123,31 +127,20 @@ static void hold(const {name}_state *state, {real} u[])
     int b;
 
     for (b = 0; b < {m}; b++) {{
-        u[b] = finite(&state->v[{U} + b], 1) ? state->v[{U} + b] : {zero};
+        u[b] = (finite(&state->v[{U} + b], 1) != 0) ? state->v[{U} + b] : {zero};
     }}
 }}
 
-int {name}_step({name}_state *state, const {real} y[], const {real} ref[], {real} u[])
+/* One tick of a state that is ready. */
+static int tick({name}_state *state, const {real} y[]{ref}, {real} u[])
 {{
     {name}_state next;
     {real} law[{m}];
-{values}    int a, b, fine = 1, status = {upper}_OK;
+{values}    int fine = 1;
+    int status = {upper}_OK;
+    int a;
+    int b;
 
-{unused}    if ((state == NULL) || (u == NULL)) {{
-        return {upper}_REFUSED;
-    }}
-    if ((state->ready != READY){damaged}) {{
-        for (b = 0; b < {m}; b++) {{
-            u[b] = {zero};
-        }}
-        state->status = {upper}_NOT_READY;
-        return {upper}_NOT_READY;
-    }}
-    if ((y == NULL){no_reference}) {{
-        hold(state, u);
-        state->status = {upper}_REFUSED;
-        return {upper}_REFUSED;
-    }}
     next = *state;
     if (state->started != 0u) {{
         for (a = 0; a < {N}; a++) {{
@@ -169,18 +162,44 @@ int {name}_step({name}_state *state, const {real} y[], const {real} ref[], {real
         }}
         law[b] = total;
         total = total - next.before[b];
-        fine = fine && finite(&total, 1);
+        if (finite(&total, 1) == 0) {{
+            fine = 0;
+        }}
     }}
-{limits}    if ((fine == 0){checks}) {{
+{limits}    if ({refused}) {{
         hold(state, u);
-        state->status = {upper}_REFUSED;
-        return {upper}_REFUSED;
+        status = {upper}_REFUSED;
     }}
-    next.started = 1u;
-    next.status = status;
-    *state = next;
-    for (b = 0; b < {m}; b++) {{
-        u[b] = state->v[{U} + b];
+    else {{
+        next.started = 1u;
+        *state = next;
+        for (b = 0; b < {m}; b++) {{
+            u[b] = state->v[{U} + b];
+        }}
+    }}
+    return status;
+}}
+
+int {name}_step({name}_state *state, const {real} y[],
+    const {real} ref[], {real} u[])
+{{
+    int status = {upper}_REFUSED;
+    int b;
+
+{unused}    if ((state != NULL) && (u != NULL)) {{
+        if ({damaged}) {{
+            for (b = 0; b < {m}; b++) {{
+                u[b] = {zero};
+            }}
+            status = {upper}_NOT_READY;
+        }}
+        else if ({missing}) {{
+            hold(state, u);
+        }}
+        else {{
+            status = tick(state, y{pass_ref}, u);
+        }}
+        state->status = status;
     }}
     return status;
 }}
@@ -217,29 +236,33 @@ def source(c: CSource) -> str:
     W, s = of["q"] + of["m"] + of["N"] + of["p"], of["s"]
     given = f"    for (a = 0; a < {s}; a++) {{\n        next.v[{W} + a] = ref[a];\n    }}\n" if c.given else ""
     cells = len(program.signs)
-    damaged = f" || (state->cell >= {cells}u) || (state->cell_d >= {cells}u)"
+    damaged = ["state->ready != READY", f"state->cell >= {cells}u", f"state->cell_d >= {cells}u"]
     if "piece_tick" in c.whole:
-        damaged += f" || (state->piece > {len(c.whole['piece_tick'][1])}u)"
+        damaged.append(f"state->piece > {len(c.whole['piece_tick'][1])}u")
+    numbers = [(field, length) for _, field, length, _ in c.fields if field in ("v", "copies", "late", "x_d")]
     parts.append(
         _STEP.format(
             **text,
             unused="" if c.given else "    (void)ref;\n",
-            damaged=damaged,
-            no_reference=" || (ref == NULL)" if c.given else "",
+            damaged=_any(damaged),
+            missing=_any(["y == NULL", "ref == NULL"] if c.given else ["y == NULL"]),
+            refused=_any(["fine == 0", *(f"finite(next.{field}, {length}) == 0" for field, length in numbers)]),
+            ref=f", const {real} ref[]" if c.given else "",
+            pass_ref=", ref" if c.given else "",
             generator=generator,
             reference="        status = advance(state, &next);\n" if c.follows is not None else "",
             given=given,
             values="".join(f"    {real} {values}[{count}];\n" for _, count, values, _ in kinds),
             cells_found="".join(found.format(**text) for *_, found in kinds),
-            checks="".join(
-                f" || (finite(next.{field}, {length}) == 0)"
-                for _, field, length, _ in c.fields
-                if field in ("v", "copies", "late", "x_d")
-            ),
             limits="".join(_limited(c, b) for b in range(of["m"])),
         )
     )
     return "".join(parts)
+
+
+def _any(conditions: list[str]) -> str:
+    """Return what holds where one of the conditions does."""
+    return conditions[0] if len(conditions) == 1 else " || ".join(f"({condition})" for condition in conditions)
 
 
 def _tables(c: CSource) -> str:
@@ -268,20 +291,20 @@ def _init(c: CSource, text: dict[str, object]) -> str:
     for kind, field, length, _ in c.fields:
         zero = text["zero"] if kind.endswith("_real") else "0" if kind == "int32_t" else "0u"
         if kind.endswith("_real"):
-            lines.append(f"    for (k = 0; k < {length}; k++) {{\n        state->{field}[k] = {zero};\n    }}")
+            lines += [f"for (k = 0; k < {length}; k++) {{", f"    state->{field}[k] = {zero};", "}"]
         else:
-            lines.append(f"    state->{field} = {'READY' if field == 'ready' else zero};")
+            lines.append(f"state->{field} = {'READY' if field == 'ready' else zero};")
     of = c.program.sizes
     X, E = of["q"] + of["m"], of["q"] + of["m"] + of["N"]
-    starts = [("start_x_hat", f"v[{X} + k]", of["N"]), ("start_eta_hat", f"v[{E} + k]", of["p"])]
+    starts = [("start_x_hat", "v", X, of["N"]), ("start_eta_hat", "v", E, of["p"])]
     if c.follows is not None:
-        s = of["s"]
-        starts.append(("start_w", f"v[{E + of['p']} + k]", s))
-        starts += [("start_w", f"copies[{copy * s} + k]", s) for copy in range(c.copies)]
-    for table, place, length in starts:
+        starts.append(("start_w", "v", E + of["p"], of["s"]))
+        starts += [("start_w", "copies", copy * of["s"], of["s"]) for copy in range(c.copies)]
+    for table, field, first, length in starts:
         if length:
-            lines.append(f"    for (k = 0; k < {length}; k++) {{\n        state->{place} = table_{table}[k];\n    }}")
-    return _INIT.format(**text, zeros="\n".join(lines))
+            place = f"{first} + k" if first else "k"
+            lines += [f"for (k = 0; k < {length}; k++) {{", f"    state->{field}[{place}] = table_{table}[k];", "}"]
+    return _INIT.format(**text, zeros="\n".join(f"        {line}" for line in lines))
 
 
 def _advance(c: CSource) -> str:
@@ -289,9 +312,7 @@ def _advance(c: CSource) -> str:
     follows, of = c.follows, c.program.sizes
     assert follows is not None
     s, W = of["s"], of["q"] + of["m"] + of["N"] + of["p"]
-    body, ended = [], ""
-    if follows.end is not None:
-        ended = f"    if (state->tick >= {follows.end}u) {{\n        return {c.name.upper()}_ENDED;\n    }}\n"
+    body: list[str] = []
     if c.counted:
         body.append(
             "    next->tick = state->tick + 1u;\n"
@@ -324,10 +345,14 @@ def _advance(c: CSource) -> str:
     )
     if "piece_tick" in c.whole:
         body.append(_pieces(c, W, s))
+    text, status = "".join(body), f"{c.name.upper()}_OK"
+    if follows.end is not None:
+        ended = f"    if (state->tick >= {follows.end}u) {{\n        status = {c.name.upper()}_ENDED;\n    }}\n"
+        text = f"{ended}    else {{\n" + "".join(f"    {line}\n" for line in text.splitlines()) + "    }\n"
+        choose, status = f"    int status = {status};\n{choose}", "status"
     return (
         f"\n/* Step the reference on. */\nstatic int advance(const {c.name}_state *state, {c.name}_state *next)\n{{\n"
-        f"    const {c.name}_real *from;\n{choose}    int a, k;\n\n{ended}{''.join(body)}"
-        f"    return {c.name.upper()}_OK;\n}}\n"
+        f"    const {c.name}_real *from;\n{choose}    int a;\n    int k;\n\n{text}    return {status};\n}}\n"
     )
 
 
@@ -360,6 +385,8 @@ def _limited(c: CSource, b: int) -> str:
     def cut(value: str, bounds: list[tuple[str, str]]) -> None:
         for k, (sign, bound) in enumerate(bounds):
             lines.append(f"{'else ' * bool(k)}if ({value} {sign} {bound}) {{\n        {value} = {bound};\n    }}")
+        if len(bounds) > 1:
+            lines.append("else {\n        /* within */\n    }")
 
     value, before = f"law[{b}]", f"next.before[{b}]"
     if np.isfinite(change):
