@@ -2,6 +2,7 @@
 
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from pwatrack import Controller, Result, design, load_spec, simulate, write_desi
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, json_schema
 from pwatrack.export.stored import digest, parsed
+from pwatrack.model.conditions import Sampling
 from tests.conftest import SPECS
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -41,8 +43,29 @@ def test_the_schema_in_the_docs_is_that_of_the_file() -> None:
 
 def test_a_stored_controller_does_what_the_simulation_did_in_every_bit(run: tuple[Path, Result]) -> None:
     folder, result = run
-    controller, at = Controller.load(folder / "controller.json"), result.loop.at
-    assert controller.sample_time == 0.002
+    assert_the_same_bits(Controller.load(folder / "controller.json"), result, 0.002)
+
+
+OF_OTHER_KINDS = {
+    "carriage_on_slack_rope": 5e-4,  # the observer has more cells than the desired trajectory
+    "flexible_arm": 1e-3,  # a desired trajectory that is played back
+    "payload_without_sensor": 1e-3,  # loads that are estimated
+}
+
+
+@pytest.mark.parametrize("name", OF_OTHER_KINDS)
+def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
+    spec, h = load_spec(SPECS / "gallery" / f"{name}.yaml"), OF_OTHER_KINDS[name]
+    conditions = replace(spec.scenario.conditions, sampling=Sampling(sample_time=h))
+    scenario = replace(spec.scenario, conditions=conditions, duration=300 * h, sample_time=h)
+    result = simulate(replace(spec, scenario=scenario), design(spec))
+    folder = write_result(result, tmp_path / "run")
+    assert_the_same_bits(Controller.load(folder / "controller.json"), result, h)
+
+
+def assert_the_same_bits(controller: Controller, result: Result, h: float) -> None:
+    at = result.loop.at
+    assert controller.sample_time == h
     for z in result.response.trace.z:
         u = controller.step(z[at.y])
         assert u.tobytes() == z[at.u].tobytes()

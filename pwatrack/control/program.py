@@ -62,11 +62,11 @@ class Program:
         sampling: Sample time, how observer and generator step, how late u is.
         H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
         guards, sides: Those of x_d: rows on (ŝ, η̂, w, 1) that are 0 where one ends, and on which side of these it is,
-            (k, C), (l, k).
+            (k, C), (d, k). They are fewer than those of x̂ where cells are merged.
         observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
-        generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (l, p, C).
-        x_d: x_d in its cell, on the same, (l, n, C).
-        u_ff: u_ff in the cell of x_d, on the same, (l, m, C).
+        generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (d, p, C).
+        x_d: x_d in its cell, on the same, (d, n, C).
+        u_ff: u_ff in the cell of x_d, on the same, (d, m, C).
         K: (m, n).
         limits: Lower and upper limit of each input, (m, 2); infinite for none.
         change: By how much each may change from one sample to the next, (m,); likewise.
@@ -131,7 +131,7 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
     sampling, plant = conditions.sampling, controller.plant
     assert sampling is not None
     trajectory, names = _given_trajectory(controller) if given else (controller.trajectory, ())
-    m, partition, steps = plant.B.shape[1], plant.partition, _stepper(sampling)
+    m, partition, steps = plant.B.shape[1], plant.model.partition, _stepper(sampling)
     s_hat = len(controller.design.L) - len(plant.B)
     added = compensation(plant, None, 0) if given and controller.trajectory.preview else None
     added = added or controller.compensation
@@ -172,12 +172,12 @@ def _observer(controller: Controller, step: Callable[[Array], Array]) -> Array:
     """Return the rows of x̂ and ŝ one sample later: (18) with held y and u, and with the loads."""
     plant, L = controller.plant, controller.design.L
     (n, m), (N, q) = plant.B.shape, L.shape
-    F = np.zeros((len(plant.A), q + m + N + 1, q + m + N + 1))
+    F = np.zeros((len(plant.observed.A), q + m + N + 1, q + m + N + 1))
     rows = slice(q + m, q + m + N)
     F[:, rows, :q] = -L
     F[:, q + m : q + m + n, q : q + m] = plant.B
     F[:, rows, rows] = [A.floats + L @ plant.observed.C.floats for A in plant.observed.A]
-    F[:, q + m : q + m + n, -1] = plant.b
+    F[:, q + m : q + m + n, -1] = plant.model.b
     return np.array([step(F_i)[rows] for F_i in F])
 
 

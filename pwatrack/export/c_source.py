@@ -140,13 +140,14 @@ class CSource:
     def operations(self) -> tuple[int, int, int]:
         """The most multiplications, additions and comparisons of floats in one step."""
         of, program = self.program.sizes, self.program
-        planes, guards, cells = len(program.h), len(program.guards), len(program.signs)
+        planes, guards = len(program.h), len(program.guards)
         n, m, p, s = of["n"], of["m"], of["p"], of["s"]
         seen, known = of["q"] + m + of["N"], of["N"] - n + p + s
         rows = of["N"] * seen + (p + n + m + guards) * known + planes * n + m * n
         inside = s * s if self.follows is not None else 0
         quanta = int((program.quantum > 0).sum())
-        compared = cells * (2 * planes + 2 * guards + 2) + 4 * m + 2 * (2 * seen + p + s + n + m)
+        found = len(program.signs) * (2 * planes + 1) + len(program.sides) * (2 * guards + 1)
+        compared = found + 4 * m + 2 * (2 * seen + p + s + n + m)
         return rows + inside + 2 * quanta, rows + inside + m * n + 2 * m + quanta, compared
 
 

@@ -211,7 +211,7 @@ def source(c: CSource) -> str:
     of, name, program = c.program.sizes, c.name, c.program
     real, zero = f"{name}_real", "0.0f" if c.single else "0.0"
     text = {"name": name, "upper": name.upper(), "real": real, "zero": zero, **of}
-    text |= {"planes": len(program.h), "guards": len(program.guards), "cells": len(program.signs)}
+    text |= {"planes": len(program.h), "guards": len(program.guards)}
     text |= {"U": of["q"], "X": of["q"] + of["m"], "S": of["q"] + of["m"] + of["n"]}
     text |= {"E": of["q"] + of["m"] + of["N"], "known": of["N"] - of["n"] + of["p"] + of["s"]}
     if not text["known"]:
@@ -220,9 +220,9 @@ def source(c: CSource) -> str:
     largest = "FLT_MAX" if c.single else "DBL_MAX"
     also = "" if c.single else " && (FLT_EVAL_METHOD != 1)"
     parts = [_BEGIN.format(**text, math=math, largest=largest, also=also), _tables(c), _HELPERS.format(**text)]
-    kinds = [("signs", len(program.h), "g", _OBSERVER_CELL), ("sides", len(program.guards), "g_d", _DESIRED_CELL)]
-    kinds = [kind for kind in kinds if kind[1]]
-    parts += [_CELL.format(**text, kind=kind, count=count) for kind, count, *_ in kinds]
+    kinds = [("signs", program.signs, "g", _OBSERVER_CELL), ("sides", program.sides, "g_d", _DESIRED_CELL)]
+    kinds = [kind for kind in kinds if kind[1].size]
+    parts += [_CELL.format(**text, kind=kind, cells=len(cells), count=cells.shape[1]) for kind, cells, *_ in kinds]
     parts.append(_init(c, text))
     if c.follows is not None:
         parts.append(_advance(c))
@@ -235,8 +235,8 @@ def source(c: CSource) -> str:
         ).format(**text)
     W, s = of["q"] + of["m"] + of["N"] + of["p"], of["s"]
     given = f"    for (a = 0; a < {s}; a++) {{\n        next.v[{W} + a] = ref[a];\n    }}\n" if c.given else ""
-    cells = len(program.signs)
-    damaged = ["state->ready != READY", f"state->cell >= {cells}u", f"state->cell_d >= {cells}u"]
+    damaged = ["state->ready != READY", f"state->cell >= {len(program.signs)}u"]
+    damaged.append(f"state->cell_d >= {len(program.sides)}u")
     if "piece_tick" in c.whole:
         damaged.append(f"state->piece > {len(c.whole['piece_tick'][1])}u")
     numbers = [(field, length) for _, field, length, _ in c.fields if field in ("v", "copies", "late", "x_d")]
@@ -252,7 +252,7 @@ def source(c: CSource) -> str:
             generator=generator,
             reference="        status = advance(state, &next);\n" if c.follows is not None else "",
             given=given,
-            values="".join(f"    {real} {values}[{count}];\n" for _, count, values, _ in kinds),
+            values="".join(f"    {real} {values}[{cells.shape[1]}];\n" for _, cells, values, _ in kinds),
             cells_found="".join(found.format(**text) for *_, found in kinds),
             limits="".join(_limited(c, b) for b in range(of["m"])),
         )

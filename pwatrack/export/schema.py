@@ -34,7 +34,10 @@ class Loads(Part):
 
 
 class Plant(Part):
-    """x' = A_i x + b_i + B u where signs_ij (H_j x + h_j) >= 0 for all j; y = C x is measured. Cells come first."""
+    """x' = A_i x + b_i + B u where signs_ij (H_j x + h_j) >= 0 for all j; y = C x is measured. Cells come first.
+
+    It is what the observer runs: its cells may be more than those of the trajectory, where cells are merged.
+    """
 
     states: Names
     inputs: Names

@@ -133,7 +133,7 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
     part = known.program
     assert part is not None
     followed: Followed = part.outside if given else part.inside
-    cells, m, n = len(known.plant.cells), len(known.plant.inputs), len(known.plant.states)
+    m, n, desired = len(known.plant.inputs), len(known.plant.states), len(followed.sides)
     p, s_hat = len(known.trajectory.eta), len(known.L) - n
     s = len(part.outside.reference) if given else len(part.inside.w0)
     columns = s_hat + p + s + 1
@@ -141,13 +141,13 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
         sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
         H=np.array(known.plant.H, dtype=np.float64).reshape(-1, n),
         h=np.array(known.plant.h, dtype=np.float64),
-        signs=np.array(known.plant.signs, dtype=np.int64).reshape(cells, -1),
+        signs=np.array(known.plant.signs, dtype=np.int64).reshape(len(known.plant.cells), -1),
         observer=np.array(part.observer),
-        generator=np.array(followed.generator, dtype=np.float64).reshape(cells, p, columns),
-        x_d=np.array(followed.x_d).reshape(cells, n, columns),
+        generator=np.array(followed.generator, dtype=np.float64).reshape(desired, p, columns),
+        x_d=np.array(followed.x_d).reshape(desired, n, columns),
         guards=np.array(followed.guards, dtype=np.float64).reshape(-1, columns),
-        sides=np.array(followed.sides, dtype=np.int64).reshape(cells, -1),
-        u_ff=np.array(followed.u_ff).reshape(cells, m, columns),
+        sides=np.array(followed.sides, dtype=np.int64).reshape(desired, -1),
+        u_ff=np.array(followed.u_ff).reshape(desired, m, columns),
         K=np.array(known.K),
         limits=np.column_stack([_numbers(part.low, -np.inf), _numbers(part.high, np.inf)]),
         change=_numbers(part.change, np.inf),
@@ -187,12 +187,13 @@ def _check_shapes(known: ControllerFile, path: Path) -> None:
         ("outside", outside, width + len(outside.reference)),
     )
     for name, tables, columns in followed:
+        desired = len(tables.sides)
         wanted += [
-            (f"program.{name}.generator", tables.generator, (cells, p, columns)),
-            (f"program.{name}.x_d", tables.x_d, (cells, n, columns)),
+            (f"program.{name}.generator", tables.generator, (desired, p, columns)),
+            (f"program.{name}.x_d", tables.x_d, (desired, n, columns)),
             (f"program.{name}.guards", tables.guards, (len(tables.guards), columns)),
-            (f"program.{name}.sides", tables.sides, (cells, len(tables.guards))),
-            (f"program.{name}.u_ff", tables.u_ff, (cells, m, columns)),
+            (f"program.{name}.sides", tables.sides, (desired, len(tables.guards))),
+            (f"program.{name}.u_ff", tables.u_ff, (desired, m, columns)),
         ]
     for name, values, shape in wanted:
         if not _has(values, shape):
@@ -217,6 +218,7 @@ def _refused(path: Path, what: str, hint: str = "") -> InvalidSpec:
 
 def _plant(spec: Spec, controller: Controller) -> dict[str, Any]:
     plant, added, loads = controller.plant, controller.compensation, None
+    model = plant.model
     if plant.loads is not None:
         loads = {
             "names": list(plant.loads.names),
@@ -233,12 +235,12 @@ def _plant(spec: Spec, controller: Controller) -> dict[str, Any]:
         "outputs": list(plant.outputs),
         "tracked": list(plant.tracked_names),
         "units": {name: str(unit) for name, unit in spec.problem.units.items()},
-        "cells": list(plant.cell_names),
-        "H": plant.partition.H.tolist(),
-        "h": plant.partition.h.tolist(),
-        "signs": plant.partition.signs.tolist(),
-        "A": plant.A.tolist(),
-        "b": plant.b.tolist(),
+        "cells": list(model.cell_names),
+        "H": model.partition.H.tolist(),
+        "h": model.partition.h.tolist(),
+        "signs": model.partition.signs.tolist(),
+        "A": model.A.tolist(),
+        "b": model.b.tolist(),
         "B": plant.B.tolist(),
         "C": plant.C.tolist(),
         "tracked_rows": plant.tracked.tolist(),
