@@ -102,6 +102,10 @@ sampling: $(READY) ## simulate 120 random designs at the longest sample time tha
 export: $(READY) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.export
 
+.PHONY: step-bench
+step-bench: $(READY) ## time a step of exported C against a hand-written loop and python-control
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.step
+
 .PHONY: lint
 lint: $(READY) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
