@@ -3,7 +3,7 @@
     make step-bench [STEPS=200000]
 
 The plant is a chain of four masses, eight states, with backlash: three cells. All three run the same controller on the
-same measurements; before anything is timed their inputs must agree. Each C program times the same number of steps several
+same measurements; before anything is timed their inputs must agree. Each C program times the same steps several
 times, in turns with the other, and the best time of each counts.
 """
 
