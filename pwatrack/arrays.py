@@ -1,6 +1,7 @@
 """Read-only float64 arrays: every matrix in this package is one."""
 
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, Context
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,16 @@ def number_text(value: float, form: str = ".5g") -> str:
     """
     text = format(float(value), form)
     return text if any(c in "123456789in" for c in text.partition("e")[0]) else format(0.0, form)
+
+
+def up(value: float) -> str:
+    """Return a number in three digits, not smaller.
+
+    Example:
+        >>> up(0.012341), up(5.0)
+        ('0.0124', '5')
+    """
+    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
 def complex_text(value: complex) -> str:

@@ -12,7 +12,7 @@ import pytest
 from pwatrack import load_spec
 from pwatrack.errors import ExitCode
 from pwatrack.export.c_project import FLAGS, write_c
-from pwatrack.export.c_source import CSource
+from pwatrack.export.c_source import CSource, header
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
@@ -196,6 +196,20 @@ def test_sizes_and_digests_are_in_the_header(machine: Subject, tmp_path: Path) -
     (folder / "loop.h").write_text(wrong)
     with pytest.raises(AssertionError, match="state_size"):
         built(folder, COMPILERS[0], "-O2")
+
+
+def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
+    """A practical design has a bound, rounded up; it does not claim that the error goes to 0."""
+    code = CSource(file=machine.file, name="loop", single=False, given=False, unproved=())
+    assert "error goes to 0: y." in header(code)
+    geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
+    assert geared.file.practical is not None
+    (bound,) = geared.file.practical
+    code = CSource(file=geared.file, name="loop", single=False, given=False, unproved=())
+    (line,) = [line for line in header(code).splitlines() if "ends below" in line]
+    assert float(line.partition("below ")[2].split()[0]) >= bound.below > 0
+    assert line.endswith(" rad; it need not go to 0.")
+    assert "goes to 0:" not in header(code)
 
 
 def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path) -> None:

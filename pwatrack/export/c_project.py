@@ -153,7 +153,12 @@ def _readme(c: CSource, vector: Vector) -> str:
     proved = (
         "It is NOT PROVED: " + "; ".join(c.unproved) + "."
         if c.unproved
-        else ("Its gains are proved in continuous time; that the sampled loop is stable was looked at cell by cell.")
+        else " ".join(
+            [
+                "Its gains are proved in continuous time; that the sampled loop is stable was looked at cell by cell.",
+                *c.claims,
+            ]
+        )
     )
     reference = "The reference is made inside, from the first step on; pass NULL for it."
     if c.given:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array, IntArray, up
 from pwatrack.control.program import Follows, Program
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
@@ -48,6 +48,20 @@ class CSource:
         if last > _LAST_TICK:
             raise InvalidSpec(f"the reference has pieces up to tick {last}, more than 32 bits count")
         return found if self.program.sizes["s"] else None
+
+    @property
+    def claims(self) -> list[str]:
+        """What is proved of its error, a sentence for each tracked signal."""
+        part = self.file
+        if part.practical is None:
+            names = part.plant.tracked if part.tracking == "output" else part.plant.states
+            return [f"Of the loop that the theorems are about the error goes to 0: {', '.join(names)}."]
+        return [
+            f"Of the loop that the theorems are about the error of {bound.signal} "
+            f"ends below {up(bound.below)} {bound.unit}".rstrip()
+            + "; it need not go to 0."
+            for bound in part.practical
+        ]
 
     @property
     def counted(self) -> bool:
@@ -224,9 +238,12 @@ def _comment(c: CSource) -> str:
         for signal in (*part.plant.outputs, *part.plant.inputs)
     ]
     y, u = ", ".join(signals[: of["q"]]), ", ".join(signals[of["q"] :])
-    proved = "\n".join(f" * NOT PROVED: {_said(line)}" for line in c.unproved) or (
-        " * Proved for the gains as printed, in continuous time: certificate.json. The loop that is sampled is\n"
-        " * not proved for switching between cells: see docs/arithmetic.md of pwatrack."
+    proved = "\n".join(f" * NOT PROVED: {_said(line)}" for line in c.unproved) or "\n".join(
+        [
+            " * Proved for the gains as printed, in continuous time: certificate.json.",
+            *(f" * {_said(claim)}" for claim in c.claims),
+            " * The loop that is sampled is not proved for switching between cells: docs/arithmetic.md of pwatrack.",
+        ]
     )
     return f"""/*
  * {_said(part.name)}

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-FORMAT = "pwatrack controller 1"
+FORMAT = "pwatrack controller 2"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = list[Finite]
@@ -145,20 +145,30 @@ class Sampled(Part):
     outside: Outside
 
 
+class FinalBound(Part):
+    """Below what the tracking error of a signal ends, from every start."""
+
+    signal: str
+    below: Annotated[Finite, Field(ge=0)]
+    unit: str
+
+
 class ControllerFile(Part):
     """All of a controller.
 
+    `practical` is null where the tracking error is proved to go to 0; else it is below what it is proved to end.
     `sha256` is that of the rest: JSON with sorted keys, no white space, and the shortest decimals of each double.
     `proof` is the digest of certificate.json; `open` says what its theorems do not speak of.
     """
 
-    format: Literal["pwatrack controller 1"]
+    format: Literal["pwatrack controller 2"]
     sha256: Digest
     name: str
     spec_sha256: Digest
     set: dict[str, str]
     tracking: Literal["output", "state"]
     proof: Digest
+    practical: list[FinalBound] | None
     open: Names
     plant: Plant
     K: Matrix

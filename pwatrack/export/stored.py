@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -41,6 +41,7 @@ def content(
         "set": {name: str(value) for name, value in spec.overrides.items()},
         "tracking": spec.problem.tracking,
         "proof": proof,
+        "practical": _practical(spec, controller),
         "open": [] if trajectory.growth is None else [trajectory.growth.message],
         "plant": _plant(spec, controller),
         "K": controller.design.K.tolist(),
@@ -246,6 +247,17 @@ def _plant(spec: Spec, controller: Controller) -> dict[str, Any]:
         "tracked_rows": plant.tracked.tolist(),
         "loads": loads,
     }
+
+
+def _practical(spec: Spec, controller: Controller) -> list[dict[str, Any]] | None:
+    """Return below what each tracked signal ends, where that is all that is proved of it."""
+    if controller.practical is None:
+        return None
+    plant, units = controller.plant, spec.problem.units
+    names = plant.states if controller.generator is None else plant.tracked_names
+    kind: Literal["state", "output"] = "state" if controller.generator is None else "output"
+    final = controller.practical.final
+    return [{"signal": name, "below": final[kind, k], "unit": str(units.get(name, ""))} for k, name in enumerate(names)]
 
 
 def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Literal
 
+from pwatrack.arrays import up
 from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.control.controller import Controller
-from pwatrack.report.wording import per_second, signal_text, sized, up
+from pwatrack.report.wording import per_second, signal_text, sized
 from pwatrack.spec.spec import Spec
 
 BOUNDS = "bounds.json"

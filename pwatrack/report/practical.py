@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import number_text
+from pwatrack.arrays import number_text, up
 from pwatrack.control.controller import Controller
 from pwatrack.control.practical import Practical
 from pwatrack.model.merging import Merge
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.bounds import cause, limit_texts
-from pwatrack.report.wording import signal_text, sized, up
+from pwatrack.report.wording import signal_text, sized
 from pwatrack.spec.spec import Spec
 
 _SHOWN = 8  # signals beside what is tracked

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.arrays import up
 from pwatrack.control.controller import Controller
-from pwatrack.report.wording import up
 from pwatrack.spec.spec import Spec
 
 

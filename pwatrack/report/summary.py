@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pwatrack.arrays import Array, complex_text, number_text
+from pwatrack.arrays import Array, complex_text, number_text, up
 from pwatrack.ball_matrix import different
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import noise_level
@@ -25,7 +25,7 @@ from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.report.uncertain import box_rows, largest_text, run_rows
-from pwatrack.report.wording import down, error_unit, load_kind, signal_text, sized, states_unit, up
+from pwatrack.report.wording import down, error_unit, load_kind, signal_text, sized, states_unit
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 from pwatrack.tracking import reference_remarks

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.arrays import up
 from pwatrack.bands import covered
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
 from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import cause, limit_texts
-from pwatrack.report.wording import down, signal_text, sized, up
+from pwatrack.report.wording import down, signal_text, sized
 from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
 

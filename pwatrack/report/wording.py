@@ -1,6 +1,6 @@
 """How signals, their units and sizes, and numbers are written: the same in files, at the terminal and in pictures."""
 
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from decimal import ROUND_FLOOR, Context
 
 from pwatrack.arrays import number_text
 from pwatrack.control.bounds import Form
@@ -71,11 +71,6 @@ def down(value: float) -> str:
         ('0.08267', '1.41')
     """
     return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
-
-
-def up(value: float) -> str:
-    """Return a number in three digits, not smaller."""
-    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 
 def per_second(unit: str) -> str:
