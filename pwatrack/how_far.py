@@ -11,7 +11,9 @@ from pwatrack.control.feasible import common_P, polynomial, some_gain
 from pwatrack.control.goal import Given
 from pwatrack.control.task import Task
 from pwatrack.errors import PwatrackError
+from pwatrack.lmi.dichotomy import prove_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
@@ -107,9 +109,7 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         nearer = inequality.polynomial_between(name, now, found)
         higher += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
     parameters = (*sorted(quadratic, key=_distance), *sorted(higher, key=_distance))
-    return HowFar(
-        claim=evidence.role.claim, parameters=parameters, rate=rate, asked=evidence.rate, ended=inequality.ended
-    )
+    return HowFar(claim=evidence.claim, parameters=parameters, rate=rate, asked=evidence.rate, ended=inequality.ended)
 
 
 def _distance(found: Proved) -> float:
@@ -121,6 +121,7 @@ class _Inequality:
 
     def __init__(self, spec: Spec, evidence: Impossibility) -> None:
         self._spec, self._role, self._rate = spec, evidence.role, evidence.rate
+        self._any_sign = isinstance(evidence.refutation, NoDichotomy)
         self._sizes, self._solver = spec_sizes(spec), spec.objectives.solver
         goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
         goal = goals.get(evidence.role)
@@ -208,9 +209,14 @@ class _Inequality:
             return False
         if self._role is GENERATOR or self._gain is not None:
             M = self._matrices(name, value)
-            return M is not None and common_P(self._role, M, solver=self._solver) is not None
+            return M is not None and self._has_P(M)
         plant = self._plant(name, value)
         return plant is not None and some_gain(self._task(plant), _ROOM * self._rate) is not None
+
+    def _has_P(self, M: list[BallMatrix]) -> bool:
+        if common_P(self._role, M, solver=self._solver) is not None:
+            return True
+        return self._any_sign and prove_dichotomy(self._role, M, solver=self._solver) is not None
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""

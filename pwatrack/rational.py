@@ -5,6 +5,7 @@ A `Rational` is a `flint.fmpq_mat`; python-flint is loaded when the first one is
 
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -179,6 +180,17 @@ def is_positive_definite(X: Rational) -> bool:
         return False
     finally:
         flint.ctx.prec = before
+
+
+def positive_eigenvalues(X: Rational) -> int:
+    """Return how many eigenvalues of a symmetric matrix are positive: all are real, so Descartes' rule counts them.
+
+    Example:
+        >>> positive_eigenvalues(decimals(np.array([[0.0, 1.0], [1.0, 0.0]])))
+        1
+    """
+    signs = [c > 0 for c in X.charpoly().coeffs() if c != 0]
+    return sum(a != b for a, b in pairwise(signs))
 
 
 def is_positive_semidefinite(X: Rational, kernel: Rational | None = None) -> bool:

@@ -1,6 +1,7 @@
 """Zero dynamics with unstable modes: (17±), its one bounded solution, and tracking with it."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,18 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory
+from pwatrack.how_far import how_far
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy
+from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.no_dichotomy import refute_dichotomy
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
-from pwatrack.report.certificate import design_certificate
+from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.simulation.preview import bounded_solution, played_back
 from tests.conftest import SPECS
 from tests.plants import saddle
@@ -182,8 +186,101 @@ def test_cells_with_different_numbers_of_unstable_modes_have_no_P() -> None:
         h=[0],
         signs=[[1], [-1]],
     )
-    with pytest.raises(Infeasible, match=r"no P of any sign, \(17±\): 0 of the eigenvalues"):
+    with pytest.raises(Infeasible, match=r"no P of any sign, \(17±\), exists: 0 of the eigenvalues"):
         trajectory_generator(normal_form(plant))
+
+
+def doubled(folder: Path, *, spring: float = 4.0, into: str = "e2: -k", damping: float = 0.1) -> Path:
+    """A plant η' with a mode that grows beside an oscillator, where a spring begins to act."""
+    path = folder / "spec.yaml"
+    path.write_text(
+        f"""
+name: One mode that grows
+parameters: {{k: {spring}, d: {damping}}}
+system:
+  states: [y, e1, e2, e3]
+  inputs: [u]
+  outputs: [m_y, m_1, m_2, m_3]
+  track: [m_y]
+  A: [[0, 1, 0, 1], [0, 0, 1, 0], [1, -1, -d, 0], [1, 0, 0, 2]]
+  B: [[1], [0], [0], [0]]
+  C: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  nonlinearities:
+    - {{name: spring, kind: spring, of: {"e3" if "e3" in into else "e1"}, start: 0.1, slope: 1, into: {{{into}}}}}
+reference: {{output: "sin(t)"}}
+simulation: {{duration: 1, sample_time: 0.01}}
+""",
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("into", "spring", "damping", "reason"),
+    [
+        ("e2: -k", 4.0, 0.1, "cells 'spring off' and 'spring on' conflict"),
+        (
+            "e3: -k",
+            4.0,
+            0.1,
+            "0 of the eigenvalues in cell 'spring on' have positive real parts, 1 in cell 'spring off'",
+        ),
+        ("e2: -k", 4.0, 0.0, "an eigenvalue in cell 'spring off' is on the imaginary axis"),
+    ],
+)
+def test_that_no_P_of_any_sign_does_is_proved_and_audited(
+    tmp_path: Path, into: str, spring: float, damping: float, reason: str
+) -> None:
+    spec = load_spec(doubled(tmp_path, into=into, spring=spring, damping=damping))
+    with pytest.raises(Infeasible, match=r"; and no P of any sign, \(17±\), exists: ") as refusal:
+        design(spec)
+    assert reason in str(refusal.value)
+    evidence = refusal.value.evidence
+    assert isinstance(evidence, Impossibility)
+    content = json.loads(json.dumps(refusal_certificate(spec, evidence)))
+    said, faults = audit(json.dumps(content))
+    assert not faults
+    assert any("(17) generator: proved impossible with a P of any sign, by " in sentence for sentence in said)
+    (proof,) = content["proofs"]
+    one = next(iter(proof.get("Z", proof.get("P"))))
+    spoiled: list[dict[str, Any]] = [{"of": "plant"}, {"no_P": "of one sign"}, {"Z": {}}]
+    if "Z" in proof:
+        Z = {k: [row[:] for row in Z_k] for k, Z_k in proof["Z"].items()}
+        Z[one][0][0] += 1
+        spoiled += [{"Z": Z}, {"Z": {k: [[-v for v in row] for row in Z_k] for k, Z_k in proof["Z"].items()}}]
+    else:
+        P = {**proof["P"][one], "integers": [[-v for v in row] for row in proof["P"][one]["integers"]]}
+        spoiled += [{"P": {**proof["P"], one: P}}, {"P": {one: proof["P"][one]}}, {"P": {"0": P, "1": P}}]
+    for change in spoiled:
+        assert audit(json.dumps(content | {"proofs": [proof | change]}))[1], change
+
+
+def test_how_far_it_is_from_a_P_of_any_sign(tmp_path: Path) -> None:
+    """The oscillator alone: a common P exists from a damping of √(1 + k) − √1 on."""
+    spec = load_spec(doubled(tmp_path))
+    with pytest.raises(Infeasible) as refusal:
+        design(spec)
+    assert isinstance(refusal.value.evidence, Impossibility)
+    found = how_far(spec, refusal.value.evidence)
+    assert found is not None
+    assert found.claim == "(17±)"
+    at = {p.parameter: p.value for p in found.parameters if p.degree == 2}
+    assert at["d"] == pytest.approx(np.sqrt(5) - 1, rel=1e-4)
+    assert at["k"] == pytest.approx(1.1**2 - 1, rel=1e-4)
+    design(load_spec(doubled(tmp_path, damping=1.01 * at["d"])))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_cells_have_a_P_of_any_sign_or_a_proof_that_they_have_none(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    n, cells, k = int(random.integers(2, 5)), int(random.integers(2, 4)), int(random.integers(1, 3))
+    first, away, M = random.normal(size=(n, n)), 10 ** random.uniform(-1.5, 1), []
+    for _ in range(cells):
+        T = first + away * random.normal(size=(n, n))
+        poles = np.concatenate([10 ** random.uniform(-1, 1, k), -(10 ** random.uniform(-1, 1, n - k))])
+        M.append(BallMatrix.of((T @ np.diag(poles) @ np.linalg.inv(T)).round(6)))
+    found, against = prove_dichotomy(GENERATOR, M), refute_dichotomy(GENERATOR, M)
+    assert (found is None) != (against is None)
 
 
 def test_the_auditor_reads_the_proof(tmp_path: Any) -> None:

@@ -1,16 +1,20 @@
 """The trajectory generator (15) with its feedforward (16), and the shift that gives Assumption 2."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray, readonly
+from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
-from pwatrack.errors import Infeasible
+from pwatrack.control.refusal import conflict_text
+from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy, prove_dichotomy
 from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.infeasibility import Impossibility, Refutation
+from pwatrack.lmi.no_dichotomy import NoDichotomy, refute_dichotomy
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
 
@@ -76,8 +80,9 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel", previ
         preview: Whether the reference is known beforehand.
 
     Raises:
-        Infeasible: If (17) is proved to have no solution: the zero dynamics do not converge.
-        Undecided: If neither is proved.
+        Infeasible: If (17) is proved to have no solution, the zero dynamics do not converge; and, for a reference
+            known beforehand, (17±) too.
+        Undecided: If one of them is neither proved nor proved impossible.
     """
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     return TrajectoryGenerator(
@@ -91,7 +96,7 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel", previ
 
 
 def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) -> Found | Dichotomy:
-    """Return a proof of (17), or where there is none of (17±), if every cell by itself has unstable modes."""
+    """Return a proof of (17), or where cells are not stable by themselves of (17±); if all are, that is (17)."""
     exact = [GENERATOR.exact(X) for X in form.exact.A_eta]
     try:
         return prove_convergence(
@@ -107,28 +112,41 @@ def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) ->
             remedy=Remedy(Way.STATE_TRACKING),
         )
     except Infeasible as refusal:
-        if not preview:
+        evidence = refusal.evidence
+        if not preview or not (isinstance(evidence, Impossibility) and _stuck(evidence.refutation)):
             raise
-        poles = np.linalg.eigvals(A_eta).real
-        unstable = (poles > 0).sum(axis=1)
-        same = unstable.min() == unstable.max() > 0
-        found = prove_dichotomy(GENERATOR, exact, solver=solver) if same else None
+        found = prove_dichotomy(GENERATOR, exact, solver=solver)
         if found is not None:
             return found
-        told = (problem.followed(_no_preview(form, unstable)) for problem in refusal.problems)
-        raise Infeasible(*told, evidence=refusal.evidence) from None
+        against = refute_dichotomy(GENERATOR, exact, solver=solver)
+        told = [problem.followed(_no_preview(against, form.plant.cell_names)) for problem in refusal.problems]
+        if against is None:
+            raise Undecided(*told, evidence=evidence) from None
+        raise Infeasible(*told, evidence=Impossibility(role=GENERATOR, rate=0.0, refutation=against)) from None
 
 
-def _no_preview(form: NormalForm, unstable: IntArray) -> str:
-    """Say why a reference that is known beforehand does not help, where that can be said."""
-    few, many = int(unstable.argmin()), int(unstable.argmax())
-    if unstable[few] == unstable[many]:
-        return "; a common P of any sign, (17±), was not found either" if unstable[few] else ""
-    names, counts = form.plant.cell_names, (int(unstable[few]), int(unstable[many]))
-    return (
-        f"; and no P of any sign, (17±): {counts[0]} of the eigenvalues in cell '{names[few]}' have positive real "
-        f"parts, {counts[1]} in cell '{names[many]}'"
-    )
+def _stuck(refutation: Refutation | NoDichotomy) -> bool:
+    """Say whether (17) is refuted by a cell that is not stable by itself: else a P of any sign would be one of (17)."""
+    return isinstance(refutation, Refutation) and bool(refutation.eigenvalues)
+
+
+def _no_preview(against: NoDichotomy | None, cells: Sequence[str]) -> str:
+    """Say why a reference that is known beforehand does not help, or that this is not known."""
+    if against is None:
+        return (
+            "; whether a P of any sign does, (17±), for a reference known beforehand, is undecided: found neither one "
+            "nor a proof that none exists"
+        )
+    said = "; and no P of any sign, (17±), exists: "
+    if against.unstable:
+        (few, many), (fewer, more) = against.unstable, against.unstable.values()
+        return (
+            f"{said}{fewer} of the eigenvalues in cell '{cells[few]}' have positive real parts, {more} in cell "
+            f"'{cells[many]}'"
+        )
+    if len(against.Z) == 1:
+        return f"{said}an eigenvalue in cell '{cells[next(iter(against.Z))]}' is on the imaginary axis"
+    return f"{said}{conflict_text(against, cells)}"
 
 
 def tracking_dynamics(form: NormalForm) -> tuple[Array, Array, Array]:

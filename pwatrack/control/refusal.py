@@ -11,6 +11,7 @@ from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
+from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.rational import decimals, floats, unreachable
 
@@ -127,7 +128,7 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
     )
 
 
-def conflict_text(refutation: Refutation, cells: Sequence[str], most: int | None = None) -> str:
+def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], most: int | None = None) -> str:
     """Name the cells in conflict, or at most so many of them.
 
     Example:

@@ -1,7 +1,7 @@
 """Cells that no gain stabilises together: multipliers found in floating point, rounded, and proved."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,11 +10,11 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.faces import faces, guessed_faces
 from pwatrack.lmi.inequality import Inequality, Solver
-from pwatrack.lmi.multipliers import refutes
+from pwatrack.lmi.multipliers import refutes, refutes_any_sign
 from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.rounding import exact_multipliers
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import Rational, decimals, floats
+from pwatrack.rational import Rational, decimals, floats, identity
 
 INSIDE = 0.3  # gap of the least violation at which multipliers are taken to be rounded: they are well inside
 _NEAR = 1e-4  # the same where their faces are to be seen
@@ -28,19 +28,20 @@ class _Faces:
 
     Attributes:
         A: The matrices A_i in floating point, (l, n, n), and
-        exact_A, B: the same exactly, and B.
+        exact_A: the same exactly.
         R: (n, ρ).
         N: N_i (k_i, n).
         bases: Orthonormal columns of the same spans, (n, k_i).
         solver: Which interior-point solver to ask.
+        proves: Whether multipliers by place prove something of matrices.
     """
 
     A: Array
     exact_A: Sequence[Rational]
-    B: Rational
     R: Rational
     N: Sequence[Rational]
     solver: Solver
+    proves: Callable[[Sequence[Rational], Mapping[int, Rational], Rational], bool]
 
     @cached_property
     def bases(self) -> list[Array]:
@@ -57,7 +58,7 @@ class _Faces:
             return None
         A, N, bases = ([of[i] for i in cells] for of in (self.exact_A, self.N, self.bases))
         Z = exact_multipliers(A, N, bases, self.R, inside)
-        if Z is None or not refutes(A, self.B, dict(enumerate(Z)), kernel=self.R):
+        if Z is None or not self.proves(A, dict(enumerate(Z)), self.R):
             return None
         return dict(zip(cells, Z, strict=True))
 
@@ -79,11 +80,43 @@ def conflict(
     D = decimals(at.T)
     scaled, exact_A, exact_B = at.system(A), [D.inv() * A_i * D for A_i in exact_A], D.inv() * exact_B
     R, N = faces(exact_A, exact_B)
-    cells = [i for i, N_i in enumerate(N) if N_i.nrows()]
+
+    def proves(A: Sequence[Rational], Z: Mapping[int, Rational], kernel: Rational) -> bool:
+        return refutes(A, exact_B, Z, kernel=kernel)
+
+    found = _found(_Faces(A=scaled, exact_A=exact_A, R=R, N=N, solver=solver, proves=proves))
+    return None if found is None else {i: D.inv() * Z_i * D.inv() for i, Z_i in found.items()}
+
+
+def alike(A: Array, exact_A: Sequence[Rational], solver: Solver) -> dict[int, Rational] | None:
+    """Return proved multipliers against a P of any sign, by cell, or None: Σ (Z_i A_i + A_iᵀ Z_i) = 0 then.
+
+    Args:
+        A, exact_A, solver: As for `conflict`.
+
+    Example: what turns without growing has no P.
+
+        >>> A = np.array([[0.0, 1.0], [-4.0, 0.0]])
+        >>> alike(A[None], [decimals(A)], "clarabel")[0].tolist() != [[0, 0], [0, 0]]
+        True
+    """
+    at = Coordinates.balanced(A, np.zeros((A.shape[1], 0)))
+    D, unit = decimals(at.T), identity(A.shape[1])
+    exact_A = [D.inv() * A_i * D for A_i in exact_A]
+
+    def proves(A: Sequence[Rational], Z: Mapping[int, Rational], _: Rational) -> bool:
+        return refutes_any_sign(A, Z)
+
+    found = _found(_Faces(A=at.system(A), exact_A=exact_A, R=unit, N=[unit] * len(A), solver=solver, proves=proves))
+    return None if found is None else {i: D.inv() * Z_i * D.inv() for i, Z_i in found.items()}
+
+
+def _found(inside: _Faces) -> dict[int, Rational] | None:
+    """Return proved multipliers by cell: of all that have a face, of the heavy ones alone, then in smaller faces."""
+    cells, everywhere = [i for i, N_i in enumerate(inside.N) if N_i.nrows()], inside.R.ncols() == inside.R.nrows()
     for _ in range(2):
-        if not cells or not all(N[i].nrows() for i in cells):
+        if not cells or not all(inside.N[i].nrows() for i in cells):
             return None
-        inside = _Faces(A=scaled, exact_A=exact_A, B=exact_B, R=R, N=N, solver=solver)
         U = inside.sought(cells, _NEAR)
         weight = np.array([np.trace(U_i) for U_i in U or ()])
         if U is None or not weight.max() > 0:  # or not a number
@@ -92,9 +125,9 @@ def conflict(
         for some in (heavy, cells) if len(heavy) < len(cells) else (cells,):
             Z = inside.proved(some)
             if Z is not None:
-                return {i: D.inv() * Z_i * D.inv() for i, Z_i in Z.items()}
-        R, N = guessed_faces(scaled, N, inside.bases, dict(zip(cells, U, strict=True)))
-        cells = heavy
+                return Z
+        R, N = guessed_faces(inside.A, inside.N, inside.bases, dict(zip(cells, U, strict=True)))
+        inside, cells = replace(inside, R=inside.R if everywhere else R, N=N), heavy
     return None
 
 

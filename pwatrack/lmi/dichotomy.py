@@ -21,7 +21,7 @@ from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import Program, of_P
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import is_positive_definite
+from pwatrack.rational import Rational, is_positive_definite
 
 _NEAR = 1e-3  # gap: any P with a margin does
 
@@ -42,6 +42,11 @@ class Dichotomy:
     integers: tuple[tuple[int, ...], ...]
     exponents: tuple[int, ...]
     margin: float
+
+    @property
+    def P(self) -> Rational:
+        """The matrix, exactly."""
+        return unpacked(self.integers, self.exponents)
 
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix], *, solver: Solver = "clarabel") -> Dichotomy | None:

@@ -11,6 +11,7 @@ from pwatrack.lmi.conflict import INSIDE, conflict, sought
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.multipliers import whole
+from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.stuck import stuck_modes
@@ -42,12 +43,17 @@ class Impossibility:
     Attributes:
         role: Which inequality has no solution.
         rate: Decay rate that is out of reach, in 1/s.
-        refutation: The proof.
+        refutation: The proof; that no P of any sign does either, where that was asked.
     """
 
     role: Role
     rate: float
-    refutation: Refutation
+    refutation: Refutation | NoDichotomy
+
+    @property
+    def claim(self) -> str:
+        """The inequality, `"(8)"`."""
+        return "(17±)" if isinstance(self.refutation, NoDichotomy) else self.role.claim
 
 
 def refute(

@@ -43,6 +43,19 @@ def refutes(A: Sequence[Rational], B: Rational, Z: Mapping[int, Rational], *, ke
     return all(is_positive_semidefinite(Z_i, kernel) for Z_i in Z.values()) and any(Z_i != zero for Z_i in Z.values())
 
 
+def refutes_any_sign(A: Sequence[Rational], Z: Mapping[int, Rational]) -> bool:
+    """Check exactly that multipliers prove that no P = Pᵀ of any sign has A_i P + P A_iᵀ ≺ 0: all traces add up to 0.
+
+    Args:
+        A: The matrices A_i, exact.
+        Z: Multipliers by cell, ⪰ 0; 0 for the others.
+    """
+    total = total_of([Z_i * A[i] for i, Z_i in Z.items()])
+    if any((total + total.transpose()).entries()) or any(Z_i != Z_i.transpose() for Z_i in Z.values()):
+        return False
+    return any(any(Z_i.entries()) for Z_i in Z.values()) and all(is_positive_semidefinite(Z_i) for Z_i in Z.values())
+
+
 def rounded(X: Array) -> Rational:
     """Return a symmetric matrix rounded to a grid finer than its largest entry by 2^-48."""
     grid = Fraction(2) ** (int(np.ceil(np.log2(np.abs(X).max(initial=1e-300)))) - _BITS)

@@ -52,7 +52,7 @@ def _instability(M: Rational) -> Rational:
     eigenvalues; Z or −Z is then not ⪯ 0.
     """
     n = M.nrows()
-    N = _symmetric_part_of_spectrum(M)
+    N = symmetric_part_of_spectrum(M)
     if N.nrows():
         M = on_rows(M, N)
         kernel = left_null_space(_lyapunov_map(M).transpose())
@@ -71,7 +71,7 @@ def _instability(M: Rational) -> Rational:
     return symmetric(_lyapunov_map(M).solve(right).entries(), n)
 
 
-def _symmetric_part_of_spectrum(M: Rational) -> Rational:
+def symmetric_part_of_spectrum(M: Rational) -> Rational:
     """Return rows that span the left invariant subspace of the eigenvalues λ of M for which −λ is one too."""
     import flint
 

@@ -20,6 +20,7 @@ from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.merged import merged_spec
 from pwatrack.model.loads import Loads
@@ -53,7 +54,9 @@ CLAIM = (
     "Under practical: the field of the true plant there is that of this plant and the sum of direction (function - "
     "merged)(row x + constant), each difference at most largest; the loop is that of the true plant, and each signal "
     "ends below ends_below, from every start. Multipliers Z_i prove, for the numbers as they are written, that no "
-    "such P exists for any gain, or for the one that is given. The file can be checked with pwatrack verify, or with "
+    "such P exists for any gain, or for the one that is given; no P of any sign, where it says so: there either Z_i >= "
+    "0 and the sum of Z_i M_i + M_i^T Z_i is 0, or two cells have a P_i each with M_i P_i + P_i M_i^T < 0, and these "
+    "have different numbers of positive eigenvalues. The file can be checked with pwatrack verify, or with "
     "the folder audit of pwatrack alone."
 )
 
@@ -80,8 +83,7 @@ def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
     """Return the content of refusal.json."""
     goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
     known = {role: goal.gain for role, goal in goals.items() if role is evidence.role and isinstance(goal, Given)}
-    Z = {str(i): [list(row) for row in Z_i] for i, Z_i in evidence.refutation.Z.items()}
-    proofs = [{"of": evidence.role.name, "rate": _decimal(evidence.rate), "Z": Z}]
+    proofs = [{"of": evidence.role.name} | _refutation(evidence)]
     return _content(spec, known.get(CONTROLLER), known.get(OBSERVER), proofs)
 
 
@@ -324,6 +326,15 @@ def _dichotomy(proof: Dichotomy) -> dict[str, Any]:
         "margin": _decimal(proof.margin),
         "P": _packed(proof.integers, proof.exponents),
     }
+
+
+def _refutation(evidence: Impossibility) -> dict[str, Any]:
+    against = evidence.refutation
+    Z = {str(i): [list(row) for row in Z_i] for i, Z_i in against.Z.items()}
+    if not isinstance(against, NoDichotomy):
+        return {"rate": _decimal(evidence.rate), "Z": Z}
+    P = {str(i): _packed(proof.integers, proof.exponents) for i, proof in against.P.items()}
+    return {"no_P": "of any sign"} | ({"P": P} if P else {"Z": Z})
 
 
 def _packed(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> dict[str, Any]:

@@ -12,18 +12,18 @@ from .matrices import Fault, transposed
 from .merged import Deviations, merged
 from .plant import Plant
 from .polynomials import polynomial
-from .proofs import both_ways, check, cost, refuted
+from .proofs import both_ways, check, cost, no_P, refuted
 from .reading import matrix, number
 from .starts import near
 
-FORMAT = "pwatrack certificate 9"
+FORMAT = "pwatrack certificate 10"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
-KINDS = {"bounded": both_ways, "Z": refuted, "X": cost, "degree": polynomial}  # of proofs, by what they have
+KINDS = {"no_P": no_P, "bounded": both_ways, "Z": refuted, "X": cost, "degree": polynomial}  # by what proofs have
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -56,7 +56,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
     generator = content["generator"]
     A_eta, X = (None, None) if generator is None else normal_form(plant, generator)
-    refusal = any("Z" in proof for proof in content["proofs"])
+    refusal = any("Z" in proof or "no_P" in proof for proof in content["proofs"])
     faults += misplaced(content) if refusal else []
     decided = set()
     for proof in content["proofs"]:
@@ -67,7 +67,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         kind = next((decide for name, decide in KINDS.items() if name in proof), check)
         wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
-        about = centres if "Z" in proof else ""
+        about = centres if "Z" in proof or "no_P" in proof else ""
         said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}{about}")
         decided.add("" if "X" in proof else of)
     loop = Loop(plant, K or [], L or [], X)
@@ -107,7 +107,7 @@ def misplaced(content: Any) -> list[str]:
     of = proof["of"]
     extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain", "practical"))
     faults = ["a refusal has one proof, and no bounds"] if extra else []
-    if of == "plant" or (of == "generator" and number(proof["rate"])):
+    if of == "plant" or (of == "generator" and number(proof.get("rate", 0))):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
     if (of != "controller" and content["K"] is not None) or (of != "observer" and content["L"] is not None):
         faults.append("a refusal has no gain but the one that it is about")
@@ -120,6 +120,10 @@ def claim(proof: Any, cells: list[str]) -> str:
         return "the bound of the cost is proved"
     if "bounded" in proof:
         return "proved with a P of any sign, for a bounded solution that is played back"
+    if "no_P" in proof:
+        by = "multipliers for" if "Z" in proof else "the numbers of unstable modes in"
+        of = " and ".join(f"'{cells[int(i)]}'" for i in proof.get("Z", proof.get("P")))
+        return f"proved impossible with a P of any sign, by {by} {of}"
     rate = f"{float(number(proof['rate'])):g} 1/s"
     if "Z" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""

@@ -70,6 +70,28 @@ def rank(X: Matrix) -> int:
     return found
 
 
+def positive(X: Matrix) -> int:
+    """Return how many eigenvalues of a symmetric matrix are positive, by congruences to a diagonal one (Sylvester)."""
+    rows, found = [list(row) for row in X], 0
+    while rows:
+        k = next((j for j, row in enumerate(rows) if row[j]), None)
+        if k is None:  # all of the diagonal is 0: another row and column added to one make it 2 X_jk
+            pair = next(((j, i) for j, row in enumerate(rows) for i, v in enumerate(row) if v), None)
+            if pair is None:
+                return found
+            k, i = pair
+            rows[k] = [a + b for a, b in zip(rows[k], rows[i], strict=True)]
+            for row in rows:
+                row[k] += row[i]
+        pivot = rows.pop(k)
+        at = pivot.pop(k)
+        found += at > 0
+        for row in rows:
+            factor = row.pop(k) / at
+            row[:] = [v - factor * p for v, p in zip(row, pivot, strict=True)]
+    return found
+
+
 def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
     """Decide whether sign X, symmetric, is positive (semi)definite, by Bareiss' elimination in integers."""
     scale = sign * lcm(*(v.denominator for row in X for v in row))

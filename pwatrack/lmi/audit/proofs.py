@@ -4,7 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import Ball, enlarge, unlike
-from .matrices import Matrix, added, definite, identity, product, sizes, transposed
+from .matrices import Matrix, added, definite, identity, positive, product, sizes, transposed
 from .reading import matrix, number, packed
 
 
@@ -30,6 +30,34 @@ def both_ways(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]
         return ["P is not of the order of the matrices"]
     faults = [] if margin > 0 else ["the margin must be positive"]
     return faults + failing(matrices, P, powers, Fraction(0), margin)
+
+
+def no_P(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
+    """Return what is wrong with one proof that the same has no P of any sign."""
+    n = len(matrices[0][0])
+    if proof["of"] != "generator" or proof["no_P"] != "of any sign" or not ("Z" in proof) ^ ("P" in proof):
+        return ["only a generator may have a P of any sign, and one kind of proof says that there is none"]
+    if any(int(i) < 0 for i in proof.get("Z", proof.get("P"))):
+        return ["there is no such cell"]
+    if "P" in proof:
+        faults, counts = list[str](), set[int]()
+        for i, content in proof["P"].items():
+            P, M = packed(content)[0], matrices[int(i)][0]
+            half = product(M, P)
+            if len(P) != n or not definite(added(half, transposed(half)), sign=-1):
+                faults.append(f"the inequality fails in cell {int(i) + 1}")
+            counts.add(positive(P))
+        return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
+    Z = {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
+    S = identity(n, 0)
+    for i, Z_i in Z.items():
+        if len(Z_i) != n or transposed(Z_i) != Z_i:
+            return ["Z is not symmetric of the order of the matrices"]
+        half = product(Z_i, matrices[i][0])
+        S = added(S, added(half, transposed(half)))
+    right = all(definite(Z_i, semi=True) for Z_i in Z.values()) and any(any(map(any, Z_i)) for Z_i in Z.values())
+    faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
+    return [*faults, "the sum of Z M + M^T Z is not 0"] if any(map(any, S)) else faults
 
 
 def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fraction, margin: Fraction) -> list[str]:
