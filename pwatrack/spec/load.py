@@ -29,11 +29,10 @@ from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
 from pwatrack.spec.table import Folder
-from pwatrack.spec.values import document_of, yaml_text
+from pwatrack.spec.values import WRITTEN, document_of, yaml_text
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
-WRITTEN = "spec.yaml"  # what a description from Python is called as a file
 _Form = TypeVar("_Form", bound=PlantFile)
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
