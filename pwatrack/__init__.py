@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING, Any
 from pwatrack.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from pwatrack.errors import CheckFailed as CheckFailed
+    from pwatrack.errors import Infeasible as Infeasible
+    from pwatrack.errors import InvalidSpec as InvalidSpec
     from pwatrack.errors import OutsideTheory as OutsideTheory
     from pwatrack.errors import PwatrackError as PwatrackError
+    from pwatrack.errors import Undecided as Undecided
     from pwatrack.export.controller import Controller as Controller
     from pwatrack.model.cells import Partition as Partition
     from pwatrack.model.pwa import PWASystem as PWASystem
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
     from pwatrack.report.files import write_design as write_design
     from pwatrack.report.files import write_result as write_result
     from pwatrack.result import Result as Result
+    from pwatrack.spec.arguments import plant as plant
+    from pwatrack.spec.arguments import problem as problem
     from pwatrack.spec.load import load_spec as load_spec
     from pwatrack.spec.spec import Spec as Spec
     from pwatrack.variation import ensemble as ensemble
@@ -29,13 +35,19 @@ _HOME = {
     "Controller": "pwatrack.export.controller",
     "Partition": "pwatrack.model.cells",
     "PWASystem": "pwatrack.model.pwa",
+    "CheckFailed": "pwatrack.errors",
+    "Infeasible": "pwatrack.errors",
+    "InvalidSpec": "pwatrack.errors",
     "OutsideTheory": "pwatrack.errors",
     "PwatrackError": "pwatrack.errors",
     "Result": "pwatrack.result",
+    "Undecided": "pwatrack.errors",
     "Spec": "pwatrack.spec.spec",
     "design": "pwatrack.pipeline",
     "ensemble": "pwatrack.variation",
     "load_spec": "pwatrack.spec.load",
+    "plant": "pwatrack.spec.arguments",
+    "problem": "pwatrack.spec.arguments",
     "simulate": "pwatrack.pipeline",
     "write_design": "pwatrack.report.files",
     "write_result": "pwatrack.report.files",

@@ -93,8 +93,10 @@ class Problem:
 
     @property
     def where(self) -> str:
-        """The place and a colon, where there is one."""
-        return f"{self.place}: " if self.place else ""
+        """The place and a colon, where there is one and the message does not begin with it."""
+        place = str(self.place or "")
+        rest = self.message.removeprefix(place)
+        return f"{place}: " if place and (rest == self.message or rest[:1] not in (":", "[", " ")) else ""
 
     def __str__(self) -> str:
         hint = f"\n  hint: {self.hint}" if self.hint else ""

@@ -20,7 +20,7 @@ from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import content, parsed, read
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.certificate import design_certificate, generator_content
-from pwatrack.report.run_folder import INDEX, json_text
+from pwatrack.report.run_folder import INDEX, json_text, named_spec
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -199,7 +199,7 @@ def _its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     """Return the spec that the run in a folder was made from, if it is still there as it was."""
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        path = Path(str(index["spec"]))
+        path = named_spec(index, folder)
         if hashlib.sha256(path.read_bytes()).hexdigest() != file.spec_sha256:
             return None
     except (OSError, ValueError, KeyError, TypeError):

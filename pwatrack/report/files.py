@@ -41,6 +41,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Spec
+from pwatrack.spec.values import WRITTEN
 from pwatrack.tracking import reference_remarks
 from pwatrack.variation import EnsembleResult
 from pwatrack.version import versions
@@ -189,6 +190,8 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dic
     convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
     costs = {part: X.tolist() for part, X in controller.costs.items()}
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
+    if spec.text is not None:
+        run.text(WRITTEN, spec.text)
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
     proof = json_text(design_certificate(spec, controller))
     run.text("certificate.json", proof)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.spec.values import WRITTEN
 
 Plots = Literal["all", "failed", "none"]  # which runs have pictures
 
@@ -31,6 +32,7 @@ INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
 _FORMAT = "pwatrack run 1"
 _NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
+    rf"{re.escape(WRITTEN)}|"
     r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
     r"portrait_[1-9]\d*\.png"
 )
@@ -166,6 +168,17 @@ def read_index(path: str | Path) -> dict[str, Any] | None:
     """Return the index of the run that a folder tells; None if it tells none, or that of another program."""
     index = _index(Path(path))
     return index if index.get("verdict") != INCOMPLETE and index else None
+
+
+def named_spec(index: Mapping[str, Any], folder: Path) -> Path:
+    """Return the path of the spec that a run was made from; one from Python is in the folder of the run.
+
+    Example:
+        >>> [named_spec({"spec": spec}, Path("runs/a")).as_posix() for spec in ("b/c.yaml", "from_python.yaml")]
+        ['b/c.yaml', 'runs/a/from_python.yaml']
+    """
+    path = Path(str(index.get("spec", "")))
+    return folder / path if path == Path(WRITTEN) else path
 
 
 def kept_files(path: Path) -> list[str]:

@@ -32,7 +32,7 @@ from pwatrack.report.certificate import (
     output_form,
     subject_content,
 )
-from pwatrack.report.run_folder import INDEX, REFUSAL
+from pwatrack.report.run_folder import INDEX, REFUSAL, named_spec
 from pwatrack.sizing import spec_sizes
 from pwatrack.spec.corners import corners
 from pwatrack.spec.load import load_spec
@@ -66,7 +66,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
         content, index = json.loads(text, parse_float=str), _json(file.parent / INDEX)
-        named = spec or _named_spec(index)
+        named = spec or _named_spec(index, file.parent)
         described = None if named is None else load_spec(named, content["set"])
         try:
             if described is None:
@@ -322,8 +322,8 @@ def _same(doubles: Any, texts: Any) -> bool:
     return isinstance(doubles, int | float) and not isinstance(texts, list) and float(number(texts)) == doubles
 
 
-def _named_spec(index: Any) -> Path | None:
-    named = Path(str(index.get("spec", ""))) if isinstance(index, dict) else Path()
+def _named_spec(index: Any, folder: Path) -> Path | None:
+    named = named_spec(index, folder) if isinstance(index, dict) else Path()
     return named if named.is_file() else None
 
 

@@ -105,7 +105,7 @@ def _sign_problems(
     """Check that cells have one sign for each hyperplane, and none without hyperplanes."""
     problems: list[tuple[str, Subject]] = []
     for k, cell in enumerate(cells):
-        subject, given, wanted = ("system", "cells", k), len(cell.signs or []), len(hyperplanes or [])
+        subject, given, wanted = ("system", "cells", k, "signs"), len(cell.signs or []), len(hyperplanes or [])
         if hyperplanes is None and cell.signs is not None:
             problems.append((f"cell '{cell.name}' has signs but the system has no hyperplanes", subject))
         if hyperplanes is not None and (cell.where is not None or given != wanted):

@@ -7,11 +7,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
+from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.spec.box import box_problems
 from pwatrack.spec.build import build_loads, build_plant, build_reference
@@ -24,42 +25,96 @@ from pwatrack.spec.paths import at_path
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
 from pwatrack.spec.requirement import read_requirements
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
-from pwatrack.spec.schema import ExpectSection, SpecFile
+from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
 from pwatrack.spec.table import Folder
+from pwatrack.spec.values import WRITTEN, document_of, yaml_text
 from pwatrack.spec.yaml_tree import Document, parse_yaml
 
 _LARGEST_FILE = 4 * 2**20  # bytes
+_Form = TypeVar("_Form", bound=PlantFile)
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
 
-def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = None, *, outside: bool = False) -> Spec:
-    """Read a spec file.
+def load_spec(
+    source: str | Path | Mapping[str, Any],
+    parameters: Mapping[str, float | str] | None = None,
+    *,
+    outside: bool = False,
+) -> Spec:
+    """Read a spec: a file, or a mapping with the sections of one.
 
     Args:
-        path: The YAML file.
-        parameters: Values that replace those in the file, as numbers or expressions.
-        outside: Whether it may refer to files outside of its folder.
+        source: The YAML file, or its sections as mappings of numbers, texts, lists and arrays: see SPEC.md, which has
+            shapes and units of all of them. A number means the shortest decimal that is read as the same double.
+        parameters: Values that replace those of the spec, as numbers or expressions.
+        outside: Whether it may refer to files outside of its folder; for a mapping, outside of the working directory.
 
     Raises:
-        InvalidSpec: With every error in the file (exit code 2).
+        InvalidSpec: With every error of the spec (exit code 2): line and column of a file, or a mapping's keys.
         OutsideTheory: If the plant is not a continuous PWA system (exit code 3).
 
     Example:
         >>> spec = load_spec("specs/two_mass_backlash.yaml", {"k2": 0.3})
         >>> spec.problem.plant.cell_names
         ('upper spring', 'gap', 'lower spring')
+        >>> motor = load_spec({
+        ...     "name": "motor",
+        ...     "system": {"states": ["w"], "inputs": ["u"], "outputs": ["y"], "A": [[-0.5]], "B": [[2]], "C": [[1]]},
+        ...     "reference": {"output": "sin(t)"},
+        ...     "simulation": {"duration": 10, "sample_time": 0.1},
+        ... })
+        >>> motor.problem.plant.A.tolist()
+        [[[-0.5]]]
     """
-    path = Path(path)
+    if isinstance(source, Mapping):
+        return read_spec(document_of(source), parameters, outside=outside)
+    path = Path(source)
     document, digest = _read(path)
+    return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path=path, sha256=digest)
+
+
+def read_spec(
+    document: Document, parameters: Mapping[str, float | str] | None = None, *, outside: bool = False
+) -> Spec:
+    """Return the spec that a tree of values from Python describes; args and raises: as `load_spec`."""
+    text = yaml_text(document.data)
+    folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
+    return _spec_of(document, parameters, folder, path=Path(WRITTEN), sha256=digest, text=text)
+
+
+def read_plant(document: Document) -> PWASystem:
+    """Return the plant that the sections parameters, system and tolerance of a tree describe; raises as `load_spec`."""
+    _check_sizes(document)
+    values, problems = evaluated(document.data.get("parameters", {}), {})
+    file = _checked(document, _context(document.data, values), problems, PlantFile)
+    try:
+        return build_plant(file.system, file.tolerance.continuity)
+    except PwatrackError as error:
+        raise located(error, document.places) from None
+
+
+def _check_sizes(document: Document) -> None:
     if too_much := size_problems(document.data):
         raise located(InvalidSpec(*document.problems, *too_much), document.places).sorted()
+
+
+def _spec_of(
+    document: Document,
+    parameters: Mapping[str, float | str] | None,
+    folder: Folder,
+    *,
+    path: Path,
+    sha256: str,
+    text: str | None = None,
+) -> Spec:
+    _check_sizes(document)
     values, problems = evaluated(document.data.get("parameters", {}), parameters or {})
     context = _context(document.data, values)
     requirements, missing = read_requirements(document.data.get("require"), context)
-    file = _checked(document, context, [*problems, *missing])
-    simulation, folder = file.simulation, Folder(path=path.parent, outside=outside)
+    file = _checked(document, context, [*problems, *missing], SpecFile)
+    simulation = file.simulation
     parametric = ParametricPlant.of(
         document.data.get("parameters", {}),
         parameters or {},
@@ -78,7 +133,8 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     return Spec(
         name=file.name,
         path=path,
-        sha256=digest,
+        sha256=sha256,
+        text=text,
         parameters={name: float(value) for name, value in values.items() if value is not None},
         overrides=parameters or {},
         problem=TrackingProblem(
@@ -92,7 +148,7 @@ def load_spec(path: str | Path, parameters: Mapping[str, float | str] | None = N
     )
 
 
-def _checked(document: Document, context: Context, problems: list[Problem]) -> SpecFile:
+def _checked(document: Document, context: Context, problems: list[Problem], form: type[_Form]) -> _Form:
     """Return the sections of a document, or refuse it with all that is wrong with it besides given problems."""
     data = document.data
     problems = [
@@ -104,13 +160,17 @@ def _checked(document: Document, context: Context, problems: list[Problem]) -> S
         *sampling_problems(data, context),
     ]
     try:
-        file = SpecFile.model_validate(data, context=context)
+        file = form.model_validate(data, context=context)
     except ValidationError as error:
         problems += validation_problems(error, data)
     if not problems:
-        problems += plant_problems(file.system) + load_problems(file) + reference_problems(file) + goal_problems(file)
-        problems += condition_problems(file, context.parameters) + box_problems(file.design, context.parameters)
+        problems += plant_problems(file.system)
+        if isinstance(file, SpecFile):
+            problems += load_problems(file) + reference_problems(file) + goal_problems(file)
+            problems += condition_problems(file, context.parameters) + box_problems(file.design, context.parameters)
     if problems:
+        said = {problem.subject for problem in document.problems if problem.subject}  # and what follows from it is not
+        problems = [p for k, p in enumerate(problems) if k < len(document.problems) or p.subject not in said]
         raise located(InvalidSpec(*problems), document.places).sorted()
     return file
 

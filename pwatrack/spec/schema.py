@@ -28,16 +28,21 @@ class ExpectSection(Section):
     exit: ExitNumber
 
 
-class SpecFile(Section):
+class PlantFile(Section):
+    """What of a spec file a plant is made of."""
+
+    parameters: dict[Name, Any] = {}
+    system: SystemSection
+    tolerance: ToleranceSection = ToleranceSection()
+
+
+class SpecFile(PlantFile):
     """A whole spec file."""
 
     name: Label
     description: str = ""
-    parameters: dict[Name, Any] = {}
-    system: SystemSection
     design: DesignSection = DesignSection()
     reference: ReferenceSection
     simulation: SimulationSection
-    tolerance: ToleranceSection = ToleranceSection()
     expect: ExpectSection | None = None
     require: Any = None  # see `requirement`

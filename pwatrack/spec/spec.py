@@ -115,6 +115,7 @@ class Spec:
         name: Title of the problem.
         path: The file.
         sha256: Of the file's bytes.
+        text: What the file would hold, where there is none: the description came from Python.
         parameters: Values of the parameters.
         overrides: What was set from outside the file, as it was written.
         problem: What is controlled, and what it is to track.
@@ -128,6 +129,7 @@ class Spec:
     name: str
     path: Path
     sha256: str
+    text: str | None
     parameters: Mapping[str, float]
     overrides: Mapping[str, float | str]
     problem: TrackingProblem

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from pwatrack.causes import Part, Subject, Way
 from pwatrack.errors import Place, Problem, PwatrackError
+from pwatrack.spec.values import Arguments
 
 _PATHS: Mapping[Part, Subject] = {
     Part.PLANT: ("system",),
@@ -49,6 +50,19 @@ _WORDS: Mapping[Way, str] = {
     Way.SMALLER_BOX: "{hint}: 'design --robust largest' finds how far the box can be scaled",
     Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s) or less: it is stable in all cells",
 }
+_IN_PYTHON: Mapping[Way, str] = {
+    Way.STATE_TRACKING: "{hint}: tracking='state'",
+    Way.TRACKED: "{hint}: for example track=['{0}']",
+    Way.OFFSET: "b = [{0}] in cell '{1}' would make it continuous there",
+    Way.TOLERANCE: "correct the cell; for data rounded in print, tolerance=… accepts a larger jump (in force: {0:g})",
+    Way.INTERVAL: "{hint}: {{'formula': …, 'until': T}}, with T in s",
+    Way.ROUNDED_CORNERS: "write 'smooth': T (s) inside its step, trapezoid or polyline, or choose a smoother one",
+    Way.LONGER_ROUNDING: "write 'smooth': {0:.1e} (s) or more",
+    Way.EXACT_NUMBERS: "{hint}: write the text '2*pi' instead of its decimals, and the like",
+    Way.OTHER_SOLVER: "{hint}: solver='{0}'",
+    Way.GAIN_BOUND: "give a bound beside it, for example 'gain': 100, or the rate that is wanted",
+    Way.FASTER_SAMPLES: "'sample_time': {0:g} (s) or less is stable in all cells",
+}
 
 
 def path_of(subject: Subject) -> Subject:
@@ -76,8 +90,8 @@ def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> Pwatrack
     return type(refusal)(*(_located(p, places) for p in refusal.problems), evidence=refusal.evidence)
 
 
-def spelled(problem: Problem) -> Problem:
-    """Return the same problem with what may help in the words of a file or the command line.
+def spelled(problem: Problem, *, python: bool = False) -> Problem:
+    """Return the same problem with what may help in the words of a file or the command line, or of Python.
 
     Example:
         >>> from pwatrack.causes import Remedy
@@ -86,16 +100,19 @@ def spelled(problem: Problem) -> Problem:
     """
     if problem.remedy is None:
         return problem
-    words = _WORDS[problem.remedy.way].format(*problem.remedy.figures, hint=problem.hint)
+    way, figures = problem.remedy.way, problem.remedy.figures
+    words = ((python and _IN_PYTHON.get(way)) or _WORDS[way]).format(*figures, hint=problem.hint)
     return replace(problem, hint=words, remedy=None)
 
 
 def _located(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
-    problem = spelled(problem)
+    problem = spelled(problem, python=isinstance(places, Arguments))
     if problem.place is not None or problem.subject is None:
         return problem
     subject = path_of(problem.subject)
     problem = replace(problem, subject=subject)
+    if isinstance(places, Arguments):
+        problem = places.said(problem)
     while subject and subject not in places:
         subject = subject[:-1]
     return replace(problem, place=places.get(subject))

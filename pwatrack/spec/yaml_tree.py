@@ -5,7 +5,7 @@ Every scalar stays text, so YAML's guesses (`no` is False, `010` is 8,
 expression reader makes of the text. Anchors, aliases and tags are refused.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem
 
 _USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
-_DEEPEST = 20  # levels: more than twice what a spec needs
+DEEPEST = 20  # levels: more than twice what a spec needs
 _LONGEST = 2**20  # characters
 _Node = (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -33,7 +33,7 @@ class Document:
     """
 
     data: dict[str, Any]
-    places: dict[Subject, Place]
+    places: Mapping[Subject, Place]
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -112,7 +112,8 @@ class _Builder:
     """Builds the tree from parser events, with an explicit stack: depth and size are bounded."""
 
     def __init__(self, file: str) -> None:
-        self.document = Document(data={}, places={})
+        self.places: dict[Subject, Place] = {}
+        self.document = Document(data={}, places=self.places)
         self.file = file
 
     def build(self, events: Iterable[Any]) -> Document:
@@ -129,10 +130,10 @@ class _Builder:
             elif isinstance(event, _Node):
                 value = self._value(event)
                 here = stack[-1].put(value)
-                self.document.places[here] = self._place(event)
+                self.places[here] = self._place(event)
                 if isinstance(value, dict | list):
-                    if len(stack) > _DEEPEST:
-                        self._stop(event, f"nested deeper than {_DEEPEST} levels")
+                    if len(stack) > DEEPEST:
+                        self._stop(event, f"nested deeper than {DEEPEST} levels")
                     stack.append(_Open(value, here))
         if not root or not isinstance(root[0], dict):
             message = "the file must hold a mapping of sections (name, system, …)"

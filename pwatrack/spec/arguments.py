@@ -1,0 +1,240 @@
+"""A plant and a tracking problem from arrays: the sections of a file, by the names of arguments."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.model.pwa import PWASystem
+from pwatrack.spec.load import read_plant, read_spec
+from pwatrack.spec.spec import Spec
+from pwatrack.spec.values import document_of, subscripts
+
+Entries = Any  # an array, or lists of numbers, fractions and texts in each other
+_SIGNS: Mapping[float, str] = {1: "+", -1: "-", 0: "0"}
+
+
+class Plant:
+    """A continuous piecewise affine plant from arrays: x' = A_i x + b_i + B u for x in cell i, y = C x (1).
+
+    Every entry is a number, a fraction, or a text such as "-k/m" in the parameters. A number means the shortest decimal
+    that is read as the same double: 0.1 is 1/10. Jumps of the field by rounding are repaired, as in a file.
+
+    Attributes:
+        system: The plant as everything else here knows it: A (l, n, n), b (l, n), B (n, m), C (q, n), all of them also
+            in exact numbers; cells and facets.
+        sections: The sections of a file that say the same, as text.
+
+    Args:
+        A: One matrix for each cell, (l, n, n); or one, (n, n), for a linear plant and with `nonlinearities`.
+        B: Input matrix, the same in all cells, (n, m).
+        C: What is measured, (q, n).
+        b: One vector for each cell, (l, n), or one, (n,); 0 where nothing is given.
+        H: Normals of the hyperplanes H x + h = 0, (k, n).
+        h: Their offsets, (k,); 0 where nothing is given.
+        signs: For each cell the sides of the hyperplanes that it is on, (l, k): 1 where H x + h ≥ 0, −1 where it is
+            ≤ 0, 0 where it may be either.
+        where: Instead of these, for each cell its inequalities as text, such as ["z >= 0.05"].
+        cells: Names of the cells; "A[0]", "A[1]", … where nothing is given.
+        nonlinearities: Scalar elements instead of cells, such as {"name": "stop", "kind": "spring", "of": "z", "start":
+            0.1, "slope": 50, "into": {"v": -1}}: as in a file.
+        states, inputs, outputs: Names; x1, x2, …, u (or u1, …) and y (or y1, …) where nothing is given.
+        track: Names of the outputs that are to follow a reference, or forms of the states by name; all outputs where
+            nothing is given.
+        units: By name of a state, input or output.
+        sizes: Deviation that matters, by name, in its unit.
+        parameters: Numbers by name, for the entries that are text, and to vary in an ensemble.
+        tolerance: For the continuity of rounded data, relative.
+
+    Raises:
+        InvalidSpec: With everything that is not well formed, each by the name of its argument, counted from 0.
+        OutsideTheory: If cells overlap or leave a hole, or the field is not continuous.
+
+    Example: a mass with a stop, in two cells.
+
+        >>> from pwatrack import plant
+        >>> stop = plant(
+        ...     A=[[[0, 1], [-1, -1]], [[0, 1], [-3, -1]]], b=[[0, 0], [0, 0.1]], B=[[0], [1]], C=[[1, 0]],
+        ...     H=[[1, 0]], h=[-0.05], signs=[[-1], [1]], states=["z", "v"],
+        ... )
+        >>> stop.system.cell_names, stop.system.b.tolist()
+        (('A[0]', 'A[1]'), [[0.0, 0.0], [0.0, 0.1]])
+        >>> plant(A=[[0, 1], [-1, "-d"]], B=[[0, 1]], C=[[1, 0]])
+        Traceback (most recent call last):
+        pwatrack.errors.InvalidSpec: A[1][1]: unknown name 'd'
+        B: 1 row, expected 2, one for each of the states
+    """
+
+    system: PWASystem
+    sections: Mapping[str, Any]
+
+    def __init__(
+        self,
+        *,
+        A: Entries,
+        B: Entries,
+        C: Entries,
+        b: Entries | None = None,
+        H: Entries | None = None,
+        h: Entries | None = None,
+        signs: Entries | None = None,
+        where: Sequence[str | Sequence[str]] | None = None,
+        cells: Sequence[str] | None = None,
+        nonlinearities: Sequence[Mapping[str, Any]] | None = None,
+        states: Sequence[str] | None = None,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        track: Sequence[str] | Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        sizes: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        tolerance: Any = None,
+    ) -> None:
+        system: dict[str, Any] = {
+            "states": _names("x", _length(A, _depth(A) - 1)) if states is None else states,
+            "inputs": _names("u", _length(B, 1)) if inputs is None else inputs,
+            "outputs": _names("y", _length(C, 0)) if outputs is None else outputs,
+            "track": track,
+            "units": units,
+            "sizes": sizes,
+        }
+        if _depth(A) == 3 or any(each is not None for each in (signs, where, cells)):
+            system["cells"] = _cells({"A": A, "b": b, "signs": signs, "where": where, "name": cells})
+        else:
+            system |= {"A": A, "b": b}
+        system |= {"B": B, "C": C}
+        if H is not None or h is not None:
+            system["hyperplanes"] = _rows({"H": H, "h": h})
+        system["nonlinearities"] = nonlinearities
+        repaired = None if tolerance is None else {"continuity": tolerance}
+        document = document_of({"parameters": parameters, "system": system, "tolerance": repaired}, argument)
+        self.system, self.sections = read_plant(document), document.data
+
+    def __repr__(self) -> str:
+        plant = self.system
+        cells, (n, m), q = len(plant.A), plant.B.shape, len(plant.C)
+        return f"<plant with {cells} cell{'s' * (cells > 1)}, n = {n}, m = {m}, q = {q}>"
+
+
+plant = Plant  # as who calls it says
+
+
+def problem(
+    plant: Plant,
+    *,
+    reference: str | Mapping[str, Any],
+    simulation: Mapping[str, Any],
+    tracking: str | None = None,
+    controller: Mapping[str, Any] | None = None,
+    observer: Mapping[str, Any] | None = None,
+    estimate: str | Mapping[str, Any] | None = None,
+    uncertain: Mapping[str, Any] | None = None,
+    solver: str | None = None,
+    require: Mapping[str, Any] | None = None,
+    name: str = "from arrays",
+    description: str | None = None,
+) -> Spec:
+    """Return a tracking problem: what `design` and `simulate` take, and `load_spec` reads from a file.
+
+    Every argument is a section of a file, or an entry of its section `design`, and takes the same: see SPEC.md.
+
+    Args:
+        plant: What `plant` returned.
+        reference: {"output": …}, or for state tracking {"state": …}, {"input": …} or {"setpoint": …}; a text is the
+            formula of the one output in t (s).
+        simulation: {"duration": s, "sample_time": s}, and starts, limits, disturbances, noise, a sampled controller …
+        tracking: "output" (Theorem 3), "state" (Theorem 2) or "practical".
+        controller: What is asked of K (m, n): nothing, or {"rate": 1/s}, {"gain": bound}, {"cost": {"Q": (n, n), "R":
+            (m, m)}} or {"K": (m, n)}, which is proved.
+        observer: Likewise of L (n, q).
+        estimate: Unknown loads by name, or "input".
+        uncertain: Intervals of parameters, by name.
+        solver: "clarabel" or "cvxopt".
+        require: Limits that figures of design and run have to keep.
+        name, description: Title of the problem, and a text that goes with it.
+
+    Raises:
+        InvalidSpec: With everything that is not well formed, each by the name of its argument.
+
+    Example:
+        >>> lag = Plant(A=[[-1]], B=[[1]], C=[[1]])
+        >>> spec = problem(lag, reference="sin(t)", simulation={"duration": 10, "sample_time": 0.1})
+        >>> spec.problem.tracking, spec.scenario.duration
+        ('output', 10.0)
+    """
+    _check_plant(plant)
+    design = {"tracking": tracking, "controller": controller, "observer": observer}
+    design |= {"estimate": estimate, "solver": solver, "uncertain": uncertain}
+    asked = {"output": reference} if isinstance(reference, str) else reference
+    sections = {"name": name, "description": description, **plant.sections, "design": design}
+    sections |= {"reference": asked, "simulation": simulation, "require": require}
+    return read_spec(document_of(sections, argument), outside=True)
+
+
+def _check_plant(plant: object) -> None:
+    if not isinstance(plant, Plant):
+        message = f"plant: a {type(plant).__name__} is none: what plant(A=…, B=…, C=…) returns is expected"
+        raise InvalidSpec(Problem(message=message, subject=None))
+
+
+def argument(subject: Subject) -> str:
+    """Return how the value of a path in a file is called among the arguments of `plant` and `problem`.
+
+    Example:
+        >>> argument(("system", "cells", 1, "A", 0, 2)), argument(("system", "hyperplanes", 0, "H", 1))
+        ('A[1][0][2]', 'H[0][1]')
+        >>> argument(("design", "controller", "rate")), argument(("simulation", "initial", "plant", 0))
+        ("controller['rate']", "simulation['initial']['plant'][0]")
+    """
+    match subject:
+        case ("system", "cells" | "hyperplanes", int(number), str(name), *rest):
+            name, steps = "cells" if name == "name" else name, (number, *rest)
+        case ("tolerance", "continuity", *rest):
+            name, steps = "tolerance", tuple(rest)
+        case ("system" | "design", str(name), *rest) | (str(name), *rest):
+            steps = tuple(rest)
+        case _:
+            return "problem"
+    return ("plant" if name == "system" else name) + subscripts(steps)
+
+
+def _cells(given: Mapping[str, Any]) -> Any:
+    """Return a section for each cell, as many as the longest argument has."""
+    cells = _rows(given)
+    for number, cell in enumerate(cells):
+        cell.setdefault("name", f"A[{number}]")
+        if isinstance(signs := _plain(cell.get("signs")), list | tuple):
+            cell["signs"] = [_SIGNS.get(sign, sign) if isinstance(sign, int | float) else sign for sign in signs]
+        if isinstance(cell.get("where"), str):
+            cell["where"] = [cell["where"]]
+    return cells
+
+
+def _rows(given: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return mappings: entry number k of each argument in the one with that number."""
+    lists = {name: _plain(value) for name, value in given.items() if value is not None}
+    lists = {name: value if isinstance(value, list | tuple) else [value] for name, value in lists.items()}
+    most = max(map(len, lists.values()))
+    return [{name: values[k] for name, values in lists.items() if k < len(values)} for k in range(most)]
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _depth(value: Any) -> int:
+    """Return how many lists are in each other, along first entries."""
+    value = _plain(value)
+    return 1 + _depth(value[0]) if isinstance(value, list | tuple) and value else 0
+
+
+def _length(value: Any, axis: int) -> int:
+    """Return how many entries there are along an axis, along first entries before; 1 where there is no such axis."""
+    value = _plain(value)
+    if not isinstance(value, list | tuple) or not value or axis < 0:
+        return 1
+    return _length(value[0], axis - 1) if axis else len(value)
+
+
+def _names(letter: str, count: int) -> list[str]:
+    return [letter] if count == 1 and letter != "x" else [f"{letter}{k + 1}" for k in range(count)]

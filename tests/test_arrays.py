@@ -1,0 +1,299 @@
+"""Plants and problems from arrays and mappings are those of files, and so is all that is said of them."""
+
+import ast
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import PPoly
+
+from pwatrack import InvalidSpec, OutsideTheory, PwatrackError, Spec, load_spec, plant, problem
+from pwatrack.rational import fraction_of
+from pwatrack.spec.expression import Expression
+from pwatrack.spec.values import document_of, yaml_text
+from pwatrack.spec.yaml_tree import parse_yaml
+from tests.conftest import SPECS
+
+SHIPPED = sorted(SPECS.rglob("*.yaml"))
+FILE_ONLY = {"path", "sha256", "text", "places"}  # of a spec
+
+STOP: dict[str, Any] = {
+    "A": [[[0, 1], [-1, -1]], [[0, 1], [-3, -1]]],
+    "b": [[0, 0], [0, 0.1]],
+    "B": [[0], [1]],
+    "C": [[1, 0]],
+    "H": [[1, 0]],
+    "h": [-0.05],
+    "signs": [[-1], [1]],
+}
+ASKED: dict[str, Any] = {"reference": "0.1*sin(t)", "simulation": {"duration": 10, "sample_time": 0.1}}
+
+
+def differences(one: Any, other: Any, where: str = "spec") -> list[str]:
+    """Return where two descriptions differ; of a spec, but for the file that it is from."""
+    if isinstance(one, np.ndarray):
+        return [] if np.array_equal(one, other) else [where]
+    if isinstance(one, Expression) and isinstance(other, Expression):  # 0.40 is 0.4
+        return [] if ast.dump(one.tree) == ast.dump(other.tree) else [where]
+    if isinstance(one, PPoly) and isinstance(other, PPoly):
+        return differences([one.c, one.x], [other.c, other.x], where)
+    if is_dataclass(one) and type(one) is type(other):
+        names = [f.name for f in fields(one) if not (isinstance(one, Spec) and f.name in FILE_ONLY)]
+        pairs = [(name, getattr(one, name), getattr(other, name)) for name in names]
+    elif isinstance(one, Mapping) and list(one) == list(other):
+        pairs = [(str(key), one[key], other[key]) for key in one]
+    elif isinstance(one, list | tuple) and len(one) == len(other):
+        pairs = [(str(k), *pair) for k, pair in enumerate(zip(one, other, strict=True))]
+    else:
+        return [] if type(one) is type(other) and repr(one) == repr(other) else [where]
+    return [found for name, a, b in pairs for found in differences(a, b, f"{where}.{name}")]
+
+
+def with_numbers(tree: Any) -> Any:
+    """Return a tree of texts with numbers in place of those that are numbers."""
+    if isinstance(tree, dict):
+        return {key: with_numbers(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [with_numbers(value) for value in tree]
+    if re.fullmatch(r"-?\d+", tree):
+        return int(tree)
+    return float(tree) if re.fullmatch(r"-?\d*\.?\d+(e[+-]?\d+)?", tree) else tree
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_mapping_is_read_as_the_file_with_the_same_content(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = with_numbers(parse_yaml(path.read_text(encoding="utf-8"), path.name).data)
+    try:
+        wanted = load_spec(path)
+    except PwatrackError as refusal:
+        with pytest.raises(type(refusal)) as raised:
+            load_spec(content)
+        assert len(raised.value.problems) == len(refusal.problems)  # noqa: PT017
+        assert all(str(p.place).startswith("spec") for p in raised.value.problems if p.place)
+        return
+    monkeypatch.chdir(path.parent)  # tables
+    assert not differences(load_spec(content), wanted)
+
+
+def test_what_differs_is_seen() -> None:
+    """Of the comparison above."""
+    one, other = (problem(plant(**STOP), **ASKED, controller={"rate": rate}) for rate in (0.1, 0.2))
+    assert differences(one, other) == ["spec.objectives.controller.rate"]
+    other = problem(plant(**STOP | {"C": [[2, 0]]}), **ASKED, controller={"rate": 0.1})
+    assert "spec.problem.plant.C" in differences(one, other)
+
+
+decimals = st.integers(-40, 40).map(lambda k: k / 10) | st.fractions(-5, 5, max_denominator=7)
+
+
+@st.composite
+def plants(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw the arguments of a plant with one or two hyperplanes H x + h = 0, behind which the field bends."""
+    n, m, q, k = (draw(st.integers(1, most)) for most in (3, 2, 2, 1))
+    k = draw(st.integers(1, min(2, n)))
+
+    def matrix(rows: int, columns: int) -> list[list[Fraction]]:
+        return [[Fraction(str(draw(decimals))) for _ in range(columns)] for _ in range(rows)]
+
+    A, b, H, h, g = matrix(n, n), matrix(1, n)[0], matrix(k, n), matrix(1, k)[0], matrix(k, n)
+    for j, row in enumerate(H):
+        row[j] = Fraction(7)  # independent
+        if j:
+            row[0] = Fraction(0)
+    signs = [[(-1, 1)[cell >> j & 1] for j in range(k)] for cell in range(2**k)]
+    bent = [[Fraction(side > 0) for side in row] for row in signs]
+    return {
+        "A": [
+            [[A[i][j] + sum(on[p] * g[p][i] * H[p][j] for p in range(k)) for j in range(n)] for i in range(n)]
+            for on in bent
+        ],
+        "b": [[b[i] + sum(on[p] * g[p][i] * h[p] for p in range(k)) for i in range(n)] for on in bent],
+        "B": matrix(n, m),
+        "C": [[Fraction(i == j) for j in range(n)] for i in range(min(q, n))],
+        "H": H,
+        "h": h,
+        "signs": signs,
+    }
+
+
+@given(plants(), st.booleans())
+@settings(deadline=None, max_examples=30)
+def test_arrays_mapping_text_and_file_give_the_same_problem(arguments: dict[str, Any], doubles: bool) -> None:
+    if doubles:  # of dyadic numbers, so that they are exact
+        arguments = {name: np.array(value, dtype=np.float64) for name, value in arguments.items()}
+        arguments |= {name: np.round(arguments[name] * 2**20) / 2**20 for name in ("B", "H", "h")}
+        arguments["A"] = np.repeat(arguments["A"][:1], len(arguments["A"]), axis=0)
+        arguments["b"] = np.repeat(arguments["b"][:1], len(arguments["b"]), axis=0)
+    made = plant(**arguments)
+    n, m = made.system.B.shape
+    asked = {"state": ["sin(t)"] * n} if m > 1 else {"input": ["sin(t)"] * m, "start": [0.1] * n}
+    spec = problem(made, reference=asked, tracking="state", simulation={"duration": 1, "sample_time": 0.1})
+    assert spec.text is not None
+    tree = parse_yaml(spec.text, "spec.yaml").data
+    for other in (load_spec(tree), load_spec(yaml.safe_load(spec.text))):
+        assert not differences(other, spec)
+        assert other.sha256 == spec.sha256
+    exact = [[Fraction(str(v)) for v in row] for row in np.asarray(arguments["B"]).tolist()]
+    assert [[fraction_of(v) for v in row] for row in made.system.exact.B.centre.tolist()] == exact
+
+
+@given(
+    st.recursive(
+        st.text(max_size=8).filter(lambda text: not any(0xD800 <= ord(c) < 0xE000 for c in text)),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        max_leaves=8,
+    )
+)
+@settings(deadline=None)
+def test_any_tree_is_read_back_from_its_text(tree: Any) -> None:
+    whole = {"name": tree, "system": {"a": tree, "b": [tree]}}
+    document = document_of(whole)
+    assert not document.problems
+    try:
+        assert parse_yaml(yaml_text(document.data), "spec.yaml").data == document.data
+    except InvalidSpec as refusal:
+        assert "merge keys" in str(refusal) or "surrogate" in str(refusal)  # noqa: PT017
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.1, "0.1"),
+        (np.float64(1e-3), "0.001"),
+        (np.int64(-2), "-2"),
+        (np.array([[1.5]]), [["1.5"]]),
+        ((1, Fraction(-1, 3)), ["1", "-1/3"]),
+        (math.inf, ".inf"),
+        ("-k/m", "-k/m"),
+        (np.str_("-k/m"), "-k/m"),
+        (range(2), ["0", "1"]),
+    ],
+)
+def test_values_are_texts_of_the_same_number(value: Any, text: Any) -> None:
+    assert document_of({"a": value}).data == {"a": text}
+
+
+def without(*names: str, **changes: Any) -> dict[str, Any]:
+    return {name: value for name, value in (STOP | changes).items() if name not in names}
+
+
+WRONG_PLANTS: dict[str, tuple[dict[str, Any], str]] = {
+    "rows": (without(B=[[0], [1], [2]]), "B: 3 rows, expected 2"),
+    "entries": (without(C=[[1, 0, 0]]), r"C\[0\]: 3 entries, expected 2"),
+    "of one cell": (without(A=[STOP["A"][0], [[0, 1]]]), r"A\[1\]: 1 row, expected 2"),
+    "a flat matrix": (without(C=[1, 0]), "C: a list of rows is expected"),
+    "a missing cell": (without(A=STOP["A"][:1]), r"A\[1\] is missing"),
+    "an offset": (without(b=[[0, 0], [0, "0.1*k"]]), r"b\[1\]\[1\]: unknown name 'k'"),
+    "no number": (without(b=[[0, 0], [0, 1j]]), r"b\[1\]\[1\]: a value of type complex is no number"),
+    "not a number": (without(h=[math.nan]), r"h\[0\]: nan is no number"),
+    "infinite": (without(h=[math.inf]), r"h\[0\]: '.inf' is not a number"),
+    "a normal": (without(H=[[0, 0]]), r"H\[0\]: all entries are 0"),
+    "a sign": (without(signs=[[-1], [2]]), r"signs\[1\]\[0\]: '2' is not '\+', '-' or '0'"),
+    "signs": (without(signs=[[-1], [1, 1]]), r"signs\[1\]: cell 'A\[1\]': 2 signs, expected 1"),
+    "no signs": (without("signs"), r"none signs, expected 1"),
+    "an inequality": (without("H", "h", "signs", where=["x1 <= 0", "x1"]), r"where\[1\]\[0\]: 'x1' is not an inequal"),
+    "a cell's name": (without(cells=["a", "a"]), r"cells\[1\]: a second cell is named 'a'"),
+    "a state's name": (without(states=["z", "2z"]), r"states\[1\]: '2z' is not a name"),
+    "an input": (without(inputs=["u", "v"]), r"B\[0\]: 1 entry, expected 2"),
+    "a unit": (without(units={"q": "m"}), r"units\['q'\]: units: 'q' is no state"),
+    "a size": (without(sizes={"x1": -1}), r"sizes\['x1'\]: -1 is not positive"),
+    "what is tracked": (without(track=["z"]), "track: 'z' is no output"),
+    "a parameter": (without(parameters={"k": "m"}), r"parameters\['k'\]: parameter 'k': unknown name 'm'"),
+    "a tolerance": (without(tolerance=0.1), "tolerance: 0.1 is more than data are rounded by"),
+    "an element": (
+        {"A": [[-1]], "B": [[1]], "C": [[1]], "nonlinearities": [{"name": "s", "kind": "sprung"}]},
+        r"nonlinearities\[0\]: kind 'sprung' is none of",
+    ),
+    "too deep": (
+        without(b=(lambda nest: nest(nest, 30))(lambda again, k: [again(again, k - 1)] if k else 0)),
+        r"b[\[\]\d]+: nested deeper",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_PLANTS)
+def test_what_is_wrong_with_a_plant_is_said_by_argument(case: str) -> None:
+    arguments, said = WRONG_PLANTS[case]
+    with pytest.raises(InvalidSpec, match=rf"(?m)^(cells\[\d\]: )?(cell 'A\[1\]': )?{said}") as raised:
+        plant(**arguments)
+    assert "system" not in str(raised.value)
+    assert all(problem.place is not None for problem in raised.value.problems)
+
+
+def test_all_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(InvalidSpec) as raised:
+        plant(A=[[0, 1], ["k", -1]], B=[[0], [1], [2]], C=[[1]], tolerance=-1)
+    assert [str(p.place) for p in raised.value.problems] == ["A[1][0]", "B", "C[0]", "tolerance"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"signs": [[-1], [-1]]}, "cells: the cells do not cover"),
+        ({"signs": [[-1], [0]]}, r"cells\[1\]: cells 'A\[0\]' and 'A\[1\]' overlap"),
+        ({"b": [[0, 0], [0, 0.2]]}, r"b\[0\]: cells 'A\[0\]' and 'A\[1\]' disagree on x1 = 0.05: b jumps by 0.1"),
+    ],
+)
+def test_plants_outside_the_theory_are_refused_by_argument(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(OutsideTheory, match=said):
+        plant(**STOP | changes)
+
+
+WRONG_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
+    "a reference": ({"reference": {"output": "sin(2t)"}}, r"reference\['output'\].*write 2\*t"),
+    "a formula": ({"reference": "sin(t"}, r"reference\['output'\].*'sin\(t' is not a number or an expression"),
+    "an amplitude": (
+        {"reference": {"output": {"sine": {"frequency": 1}}}},
+        r"reference\['output'\]\['sine'\]\['amplitude'\] is missing",
+    ),
+    "a duration": ({"simulation": {"sample_time": 1}}, r"simulation\['duration'\] is missing"),
+    "a start": (
+        {"simulation": {"duration": 1, "sample_time": 0.1, "initial": {"plant": [1]}}},
+        r"simulation\['initial'\]\['plant'\]: 1 entry, expected 2",
+    ),
+    "a rate": ({"controller": {"rate": -1}}, r"controller\['rate'\]: -1 is not positive"),
+    "a gain": ({"controller": {"K": np.ones((1, 3))}}, r"controller\['K'\]\[0\]: 3 entries, expected 2"),
+    "another": ({"observer": {"L": np.ones((1, 1))}}, r"observer\['L'\]: 1 row, expected 2"),
+    "a weight": (
+        {"controller": {"cost": {"Q": -np.eye(2), "R": [[1]]}}},
+        r"controller\['cost'\]\['Q'\] is not positive semidefinite",
+    ),
+    "a key": ({"controller": {"rat": 1}}, r"controller\['rat'\]: unknown key; did you mean 'rate'"),
+    "a load": ({"estimate": {"f": {"into": {"q": 1}}}}, r"estimate\['f'\]\['into'\]\['q'\]: load 'f': 'q' is no state"),
+    "a box": ({"uncertain": {"m": "5%"}}, r"uncertain\['m'\]"),
+    "a solver": ({"solver": "mosek"}, "solver: 'mosek' is not"),
+    "tracking": ({"tracking": "state"}, "reference: state tracking needs a reference that is state or input"),
+    "a requirement": ({"require": {"overshot": 1}}, r"require\['overshot'\].*did you mean 'overshoot'"),
+    "a name": ({"name": "a\nb"}, "name: a line end is in it"),
+    "no plant": ({"plant": STOP}, "plant: a dict is none"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_PROBLEMS)
+def test_what_is_wrong_with_a_problem_is_said_by_argument(case: str) -> None:
+    changes, said = WRONG_PROBLEMS[case]
+    with pytest.raises(InvalidSpec, match=f"(?m)^{said}"):
+        problem(**{"plant": plant(**STOP)} | ASKED | changes)
+
+
+def test_everything_that_a_file_has_can_be_given() -> None:
+    """Each section and each entry of `system` and `design` is an argument, or made from some."""
+    from inspect import signature
+
+    from pwatrack.spec.design_section import DesignSection
+    from pwatrack.spec.plant_section import SystemSection
+    from pwatrack.spec.schema import SpecFile
+
+    of_plant, of_problem = signature(plant).parameters, signature(problem).parameters
+    assert {*SystemSection.model_fields} - {*of_plant} == {"hyperplanes"}  # H, h
+    assert {*DesignSection.model_fields} <= {*of_problem}
+    assert {*SpecFile.model_fields} - {*of_problem} == {"system", "design", "parameters", "tolerance", "expect"}
