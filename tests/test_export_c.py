@@ -212,6 +212,20 @@ def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
     assert "goes to 0:" not in header(code)
 
 
+def test_every_claim_of_the_header_is_among_the_claims(machine: Subject) -> None:
+    text = (SPECS.parent / "docs/claims.md").read_text(encoding="utf-8")
+    listed = [
+        re.escape(claim).replace("…", ".*") for claim in re.findall(r"^\| code \| `(.+?)` \|", text, re.MULTILINE)
+    ]
+    geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
+    for file, unproved in ((machine.file, ()), (machine.file, ("the reference grows",)), (geared.file, ())):
+        code = CSource(file=file, name="loop", single=False, given=False, unproved=unproved)
+        said = header(code).partition("of pwatrack.\n")[2].partition(" *\n")[0]
+        claims = [line.removeprefix(" * ") for line in said.splitlines()]
+        assert claims
+        assert all(any(re.fullmatch(claim, line) for claim in listed) for line in claims), claims
+
+
 def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
     run, out = tmp_path / "run", tmp_path / "code"
