@@ -8,6 +8,8 @@ from urllib.parse import unquote_to_bytes
 
 import pytest
 from junitparser import JUnitXml
+from pydantic import ValidationError
+from sarif_pydantic import Sarif
 from typer.testing import CliRunner
 
 from pwatrack.batch.command import WRITERS
@@ -119,6 +121,15 @@ def test_sarif_says_where_every_fault_is(tmp_path: Path) -> None:
     ]
     assert all(re.fullmatch(r"[\w%./~-]+", place["artifactLocation"]["uri"]) for place in places)
     assert all(result["message"]["text"] and result["level"] == "error" for result in run["results"])
+
+
+def test_sarif_is_as_the_standard_says(tmp_path: Path) -> None:
+    WRITERS[".sarif"](OUTCOMES, tmp_path / "report.sarif")
+    content: dict[str, Any] = json.loads((tmp_path / "report.sarif").read_text())
+    assert Sarif.model_validate(content).version == "2.1.0"
+    content["runs"][0]["results"][0]["level"] = "bad"
+    with pytest.raises(ValidationError, match="'none', 'note', 'warning' or 'error'"):
+        Sarif.model_validate(content)
 
 
 def test_junit_counts_what_failed_and_what_was_skipped(tmp_path: Path) -> None:
