@@ -17,9 +17,9 @@ from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.c_project import Vector, write_c
 from pwatrack.export.c_source import CSource, prefix
 from pwatrack.export.schema import ControllerFile
-from pwatrack.export.stored import content, parsed, read
+from pwatrack.export.stored import parsed, read
 from pwatrack.model.conditions import Sampling
-from pwatrack.report.certificate import design_certificate, generator_content
+from pwatrack.report.controller import starts, written
 from pwatrack.report.run_folder import INDEX, json_text, named_spec
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
@@ -113,13 +113,10 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
         spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
     controller = pipeline.design(spec, growing=True)
-    certificate = json_text(design_certificate(spec, controller))
-    return _simulated(spec, controller, certificate, None, given, steps)
+    return _simulated(spec, controller, None, given, steps)
 
 
-def _simulated(
-    spec: Spec, controller: Controller, certificate: str, runs: Program | None, given: bool, steps: int
-) -> Subject:
+def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: bool, steps: int) -> Subject:
     """Return a controller with what it reads in the first steps of its simulation."""
     sampling = spec.scenario.conditions.sampling
     if sampling is None:
@@ -130,19 +127,11 @@ def _simulated(
     last = min(steps * h, np.inf if end is None else end)
     short = replace(spec, scenario=replace(spec.scenario, duration=float(last), sample_time=h))
     result = pipeline.simulate(short, controller, runs)
-    z, at, generator = result.response.trace.z, result.loop.at, controller.generator
-    starts = {"x_hat": result.start[at.observer].tolist(), "eta_hat": result.start[at.eta_hat].tolist()}
-    found = content(
-        spec,
-        result.controller,
-        proof=hashlib.sha256(certificate.encode()).hexdigest(),
-        generator=None if generator is None else generator_content(generator.form, generator.shift),
-        start=starts,
-    )
-    file = parsed(found, spec.path)
+    z, at, made = result.response.trace.z, result.loop.at, written(spec, result.controller, starts(result))
+    file = parsed(made.controller, spec.path)
     y, t = z[:steps, at.y], h * np.arange(min(steps, len(z)))
     w = _outside(controller, file, t) if given else np.zeros((len(y), 0))
-    return Subject(file, certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"))
+    return Subject(file, made.certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"))
 
 
 def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
@@ -176,7 +165,7 @@ def _stored(path: Path, given: bool) -> Subject:
         again = with_gains(spec, file)
         controller = pipeline.design(again, growing=True)
         again, runs = check_same(again, controller, file)
-        found = _simulated(again, controller, "", runs, given, _STEPS)
+        found = _simulated(again, controller, runs, given, _STEPS)
         return Subject(file, text.decode(), tuple(unproved), found.vector)
     q, s = len(file.plant.outputs), len(file.program.outside.reference)
     t = np.arange(_STEPS)[:, None]

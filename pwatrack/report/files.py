@@ -13,12 +13,13 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
-from pwatrack.export.stored import content, known_start
+from pwatrack.export.stored import known_start
 from pwatrack.how_far import HowFar
 from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.bounds import BOUNDS, bound_content
-from pwatrack.report.certificate import design_certificate, generator_content, refusal_certificate
+from pwatrack.report.certificate import refusal_certificate
+from pwatrack.report.controller import starts, written
 from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
@@ -32,7 +33,7 @@ from pwatrack.report.limits import limit_content
 from pwatrack.report.practical import practical_content
 from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, json_text, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.report.wording import error_unit
 from pwatrack.result import Result
@@ -122,9 +123,7 @@ def write_result(
         index["ensemble"] = ensemble_measures(many)
     index |= _requirements(required(result.spec, result.controller, result, many))
     with run_folder(folder) as run:
-        at, start = result.loop.at, result.start
-        starts = {"x_hat": start[at.observer].tolist(), "eta_hat": start[at.eta_hat].tolist()}
-        _design_files(run, result.spec, result.controller, starts)
+        _design_files(run, result.spec, result.controller, starts(result))
         _signals(run, result)
         if plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit):
             _pictures(run, result, many)
@@ -186,23 +185,21 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
-    design, generator = controller.design, controller.generator
+    design = controller.design
     convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
     costs = {part: X.tolist() for part, X in controller.costs.items()}
     gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     if spec.text is not None:
         run.text(WRITTEN, spec.text)
     run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
-    proof = json_text(design_certificate(spec, controller))
-    run.text("certificate.json", proof)
+    made = written(spec, controller, start)
+    run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
-    made = None if generator is None else generator_content(generator.form, generator.shift)
-    if made is not None:
-        run.json("generator.json", made)
+    if made.generator is not None:
+        run.json("generator.json", made.generator)
     if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
         run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
-    digest = hashlib.sha256(proof.encode()).hexdigest()
-    run.json("controller.json", content(spec, controller, proof=digest, generator=made, start=start))
+    run.json("controller.json", made.controller)
 
 
 def write_refusal(

@@ -1,0 +1,43 @@
+"""What controller.json says of a design, with the digest of its proof."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pwatrack.control.controller import Controller
+from pwatrack.export.stored import content
+from pwatrack.report.certificate import design_certificate, generator_content
+from pwatrack.report.run_folder import json_text
+from pwatrack.result import Result
+from pwatrack.spec.spec import Spec
+
+
+@dataclass(frozen=True)
+class Written:
+    """A design as its files tell it.
+
+    Attributes:
+        certificate: What certificate.json holds, as text.
+        generator: What generator.json holds, where there is a generator.
+        controller: What controller.json holds.
+    """
+
+    certificate: str
+    generator: dict[str, Any] | None
+    controller: dict[str, Any]
+
+
+def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None) -> Written:
+    """Return a design as its files tell it; `start` as for `stored.content`."""
+    certificate, made = json_text(design_certificate(spec, controller)), controller.generator
+    generator = None if made is None else generator_content(made.form, made.shift)
+    proof = hashlib.sha256(certificate.encode()).hexdigest()
+    known = None if start is None else dict(start)
+    return Written(certificate, generator, content(spec, controller, proof=proof, generator=generator, start=known))
+
+
+def starts(result: Result) -> dict[str, Any]:
+    """Return where observer and generator of a run started."""
+    at, start = result.loop.at, result.start
+    return {"x_hat": start[at.observer].tolist(), "eta_hat": start[at.eta_hat].tolist()}
