@@ -86,6 +86,10 @@ practical: $(READY) ## hold final bounds of practical tracking against simulatio
 fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz
 
+.PHONY: fuzz-reader
+fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by coverage (ten minutes)
+	@$(BIN)/python -m benchmarks.fuzz_reader
+
 .PHONY: batch-bench
 batch-bench: $(READY) ## time batches against a process for each spec (ten minutes)
 	@$(BIN)/python -m benchmarks.batch
