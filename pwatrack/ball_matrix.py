@@ -135,13 +135,20 @@ def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMa
 
 def different(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
     """Return the matrices without repetitions, in their order: equal cells say the same."""
-    matrices = list({id(X): X for X in matrices}.values())
-    alike, found = dict[bytes, list[BallMatrix]](), list[BallMatrix]()
-    for X in matrices:
+    return [matrices[i] for i in places(matrices)]
+
+
+def places(matrices: Sequence[BallMatrix]) -> list[int]:
+    """Return the places of those that are no repetition of an earlier one."""
+    seen, alike, found = set[int](), dict[bytes, list[BallMatrix]](), list[int]()
+    for i, X in enumerate(matrices):
+        if id(X) in seen:
+            continue
+        seen.add(id(X))
         others = alike.setdefault(X.floats.tobytes(), [])
         if not any(X.centre == Y.centre and X.radius == Y.radius for Y in others):
             others.append(X)
-            found.append(X)
+            found.append(i)
     return found
 
 

@@ -94,6 +94,11 @@ def column_space(X: Rational) -> Rational:
     return flint.fmpq_mat(rank, X.nrows(), [v for row in rows for v in row]).transpose()
 
 
+def rank(X: Rational) -> int:
+    """Return the number of independent rows."""
+    return int(X.rref()[1])
+
+
 def left_null_space(X: Rational) -> Rational:
     """Return N (k, n), of full row rank, whose rows are all v with v X = 0.
 

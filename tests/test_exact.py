@@ -29,6 +29,7 @@ from pwatrack.lmi.audit.reading import matrix, number
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
+from pwatrack.report.certificate import subject_content
 from pwatrack.report.verify import verify
 
 AUDITOR = Path(auditor.__path__[0])
@@ -298,7 +299,7 @@ simulation: {duration: 1, sample_time: 0.1}
     assert content["plant"]["radius"]["A"] is not None
     content["plant"]["radius"]["A"][0] = [["0", "0"], ["10", "0"]]
     faults = audit(json.dumps(content))[1]
-    assert {f"({k}) {of}: the inequality fails in cell 1" for k, of in ((8, "controller"), (9, "observer"))} <= set(
+    assert {f"({k}) {of}: the inequality fails for M_1" for k, of in ((8, "controller"), (9, "observer"))} <= set(
         faults
     )
 
@@ -408,15 +409,22 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_design(spec, design(spec), folder / "run")
 
 
+def listed(folder: Path) -> dict[str, Any]:
+    """Return a certificate with all cells of its plant, which is written by elements."""
+    content = json.loads((folder / "certificate.json").read_text())
+    return dict(content | subject_content(load_spec(folder.parent / "two.yaml"), listed=True))
+
+
 @pytest.mark.parametrize("factor", [1, -2, Fraction(1, 3)])
 def test_a_hyperplane_written_twice_hides_no_jump(two: Path, factor: Fraction) -> None:
-    plant = json.loads((two / "certificate.json").read_text())["plant"]
+    content = listed(two)
+    plant = content["plant"]
     plant["H"].append([str(factor * Fraction(v)) for v in plant["H"][0]])
     plant["h"].append(str(factor * Fraction(plant["h"][0])))
     for signs in plant["signs"]:
         signs.append(signs[0] if factor > 0 else -signs[0])
     plant["b"][1][1][0] = "7"
-    assert forged(two, plant=plant) == ["two hyperplanes are one"]
+    assert audit(json.dumps(content))[1] == ["two hyperplanes are one"]
 
 
 I2 = [["1", "0"], ["0", "1"]]
@@ -480,7 +488,7 @@ def test_a_bound_below_0_and_one_of_nothing_are_refused(two: Path) -> None:
 
 def test_continuity_is_claimed_at_the_centres_where_entries_lie_in_balls(two: Path) -> None:
     """Entries that vary independently of each other would jump."""
-    content = json.loads((two / "certificate.json").read_text())
+    content = listed(two)
     assert audit(json.dumps(content))[0][0] == "plant: 2 cells cover the state space, the field is continuous"
     content["plant"]["radius"]["b"] = [[["1e-9"], ["1e-9"]]] * 2
     said, faults = audit(json.dumps(content))
@@ -609,7 +617,7 @@ def test_a_certificate_that_only_refuses_is_no_certificate(two: Path, tmp_path: 
 @given(st.data())
 @settings(deadline=None, max_examples=60)
 def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, data: st.DataObject) -> None:
-    content = json.loads((two / "certificate.json").read_text())["plant"]
+    content = listed(two)["plant"]
     directions = data.draw(st.lists(st.sampled_from([(1, 0), (0, 1), (1, 1), (-1, 2)]), min_size=2, max_size=7))
     factors = data.draw(st.lists(st.sampled_from([1, -1, 2, -3]), min_size=len(directions), max_size=len(directions)))
     offsets = data.draw(st.lists(st.integers(-2, 2), min_size=len(directions), max_size=len(directions)))

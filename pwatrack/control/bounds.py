@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.ball_matrix import BallMatrix, above, beside
 from pwatrack.control.compensation import coupling
 from pwatrack.lmi.chords import PeakGain
 from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
@@ -180,13 +180,13 @@ class Loops:
         self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
     ) -> None:
         exact, seen, n, N = plant.exact, plant.observed, plant.exact.B.shape[0], L.shape[0]
-        A, B, drive = different(exact.A), exact.B, coupling(plant, K, L, X)
+        A, B, drive = [exact.A[i] for i in plant.hull], exact.B, coupling(plant, K, L, X)
         self.B, self.c, self.K, self.L = B, exact.tracked, K, L
         self.n, self.N, self.coupling = n, N, drive
         self.shifted = X @ L.part(range(n, N), range(L.shape[1]))  # by which noise reaches x_d
         self.M: dict[Loop, list[BallMatrix]] = {
             "controller": [A_i + B @ K for A_i in A],
-            "observer": [A_i + L @ seen.C for A_i in different(seen.A)],
+            "observer": [seen.A[i] + L @ seen.C for i in plant.model.hull],
         }
         self.at_inputs = () if plant.loads is None else plant.loads.inputs(exact.B) or ()
         cells, watched = len(A), len(self.M["observer"])

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import exprel
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.lmi.changes import largest_share
@@ -160,7 +160,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
         (0.084, 0.0681, True)
     """
     exact, (K, L) = plant.exact, design.exact
-    BK, q, A, seen = exact.B @ K, len(plant.tracked), different(exact.A), plant.observed
+    BK, q, A, seen = exact.B @ K, len(plant.tracked), [exact.A[i] for i in plant.hull], plant.observed
     drives = coupling(plant, K, L, X)
     parts: dict[str, list[Contraction]] = {"controller": [], "observer": [], "generator": []}
     for proof in proofs:
@@ -168,7 +168,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
         if isinstance(proof, Proof) and proof.role is CONTROLLER:
             share = largest_share([_slack(A_i + BK, proof) for A_i in A], exact.B, BallMatrix(proof.P), design.K)
         elif isinstance(proof, Proof) and proof.role is OBSERVER:
-            slack = [_slack((A_i + L @ seen.C).transpose(), proof) for A_i in different(seen.A)]
+            slack = [_slack((A_i + L @ seen.C).transpose(), proof) for A_i in (seen.A[i] for i in plant.model.hull)]
             share = largest_share(slack, BallMatrix(proof.P), seen.C.transpose(), design.L)
         counted = np.append(sizes.state, sizes.load)[:n]  # the observer's errors are those of its loads too
         if len(sizes.state) == 1:  # a single state is counted in its unit

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.ball_matrix import BallMatrix, different, each
 from pwatrack.causes import Part
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
@@ -60,19 +60,36 @@ def prove_design(
         (OBSERVER, design.L, design.observer),
     ):
         task = Task.of(plant, role, sizes=sizes)
-        closed = different(task.exactly_closed(role.oriented(gain)))
-        proofs += prove_inequality(role, closed, certificate, solver, sizes=task.scale.state)
+        closed, hull = task.exactly_closed(role.oriented(gain)), (plant if role is CONTROLLER else plant.model).hull
+        proofs += prove_inequality(role, closed, certificate, solver, hull=hull, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1] and not isinstance(generator.certificate, Dichotomy):
-        M = [GENERATOR.exact(A_i) for A_i in different(generator.form.exact.A_eta)]
-        internal = np.sqrt((generator.form.T[0, generator.r :] ** 2) @ sizes.state**2)
-        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, sizes=1 / internal)
+        form, M = generator.form, each(GENERATOR.exact, generator.form.exact.A_eta)
+        internal = np.sqrt((form.T[0, generator.r :] ** 2) @ sizes.state**2)
+        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, hull=form.hull, sizes=1 / internal)
     return tuple(proofs)
 
 
 def prove_inequality(
-    role: Role, M: Sequence[BallMatrix], certificate: Found, solver: Solver, *, sizes: Array | None = None
+    role: Role,
+    M: Sequence[BallMatrix],
+    certificate: Found,
+    solver: Solver,
+    *,
+    hull: Sequence[int] | None = None,
+    sizes: Array | None = None,
 ) -> list[AnyProof]:
-    """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof."""
+    """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof.
+
+    Args:
+        role: Which inequality it is.
+        M: The matrices M_i of it.
+        certificate: What shows it in floating point.
+        solver: Which interior-point solver to ask.
+        hull: Places of some that have all in their hull: what is affine in M_i is proved for these. A polynomial has an
+            N_i of its own for each.
+        sizes: Of the states, (n,).
+    """
+    M = different(M if hull is None or isinstance(certificate, Polynomial) else [M[i] for i in hull])
     best = exactly(role, M, certificate)
     if best is None:
         raise Undecided(

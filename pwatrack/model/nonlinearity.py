@@ -13,6 +13,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
+from pwatrack.rational import rank
 from pwatrack.real import Real
 
 Number = Real | Fraction | float
@@ -45,6 +46,17 @@ class PiecewiseLinear:
         """Return φ(s)."""
         k = bisect_left([float(mark) for mark in self.breakpoints], s)
         return float(self.slopes[k]) * s + float(self.intercepts[k])
+
+    @property
+    def numbers(self) -> tuple[Real, ...]:
+        """All that it is made of."""
+        return *self.breakpoints, *self.slopes, self.value
+
+    @property
+    def ends(self) -> list[int]:
+        """The first segments with the least and with the largest slope."""
+        values = [slope.centre for slope in self.slopes]
+        return sorted({values.index(min(values)), values.index(max(values))})
 
     @cached_property
     def intercepts(self) -> tuple[Real, ...]:
@@ -140,6 +152,30 @@ class ScalarForm:
     A: BallMatrix
     b: BallMatrix
     elements: tuple[Nonlinearity, ...]
+
+    @cached_property
+    def product(self) -> bool:
+        """Whether each combination of segments is a cell: the rows are independent. All numbers are to be exact."""
+        numbers = [Real.of(v) for e in self.elements for v in (*e.row, *e.direction, e.constant, *e.function.numbers)]
+        if not self.elements or any(X.radius is not None for X in (self.A, self.b)) or any(v.radius for v in numbers):
+            return False
+        rows = BallMatrix.of([element.row for element in self.elements]).centre
+        return rank(rows) == len(self.elements)
+
+    @cached_property
+    def corners(self) -> tuple[int, ...]:
+        """The cells at the corners of the box of slopes, where `product` holds: each A_i is a mean of theirs.
+
+        Example:
+            >>> stop = Nonlinearity(name="stop", function=dead_zone(lower=-1, upper=1, upper_slope=3), row=[1, 0],
+            ...                     constant=0, direction=[0, -1])
+            >>> form = ScalarForm(A=BallMatrix.of([[0, 1], [-1, -1]]), b=BallMatrix.of([[0], [0]]), elements=(stop,))
+            >>> form.product, form.corners
+            (True, (1, 2))
+        """
+        counts = [len(element.function.slopes) for element in self.elements]
+        cells = itertools.product(*(element.function.ends for element in self.elements))
+        return tuple(int(np.ravel_multi_index(cell, counts)) for cell in cells)
 
 
 def drives_away(A: Array, element: Nonlinearity) -> list[int]:

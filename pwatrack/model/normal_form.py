@@ -19,7 +19,7 @@ from functools import cached_property, reduce
 import numpy as np
 
 from pwatrack.arrays import TINY, Array, IntArray, balancing, readonly
-from pwatrack.ball_matrix import BallMatrix, above, each, stack
+from pwatrack.ball_matrix import BallMatrix, above, each, places, stack
 from pwatrack.model.continuity import Repair
 from pwatrack.model.decoupling import check_independent, input_directions, one_to_one, too_few_inputs
 from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, output_derivatives, unsure
@@ -80,6 +80,12 @@ class NormalForm:
     def degrees_text(self) -> str:
         """The relative degree, of several outputs as a vector."""
         return str(self.degrees[0]) if len(self.degrees) == 1 else str(self.degrees)
+
+    @property
+    def hull(self) -> tuple[int, ...]:
+        """Cells that have the A_ηi of all cells in their hull: those of the plant, where T is the same in all cells."""
+        one = len({id(T_i) for T_i in self.exact.T}) == 1
+        return self.plant.hull if one else tuple(places(self.exact.A_eta))
 
     @cached_property
     def boundary(self) -> "Boundary":
@@ -282,19 +288,19 @@ def _boundary(form: NormalForm) -> Boundary:
     planes = BallMatrix.of(partition.exact_H, (len(partition.h), len(form.T[0])))
     constants = BallMatrix.of([[v] for v in partition.exact_h], (len(partition.h), 1))
     turned = each(lambda T_inverse: planes @ T_inverse, exact.inverse)
-    places: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
+    known: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
     numbers: dict[tuple[int, tuple[str, ...]], int] = {}
     rows, found = list[tuple[Array, float]](), list[list[int]]()
     for H, o in zip(turned, exact.offset, strict=True):
-        if (id(H), id(o)) not in places:
+        if (id(H), id(o)) not in known:
             here, h = list[int](), (constants - H @ o).centre.entries()
             for k, (line, constant) in enumerate(zip(H.centre.tolist(), h, strict=True)):
                 size = next(abs(v) for v in line if v)
                 here.append(numbers.setdefault((k, tuple(str(v / size) for v in (*line, constant))), len(rows)))
                 if here[-1] == len(rows):
                     rows.append((H.floats[k], float(fraction_of(constant))))
-            places[id(H), id(o)] = here
-        found.append(places[id(H), id(o)])
+            known[id(H), id(o)] = here
+        found.append(known[id(H), id(o)])
     signs = np.zeros((len(partition.signs), len(rows)), dtype=np.int64)
     for own, here, side in zip(signs, found, partition.signs, strict=True):
         own[here] = side

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, each, stack
+from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
@@ -215,6 +215,13 @@ class PWASystem:
     def model(self) -> "PWASystem":
         """What the observer runs, but for its loads."""
         return self.watched or self
+
+    @cached_property
+    def hull(self) -> tuple[int, ...]:
+        """Cells that have the A_i of all cells in their hull, exactly: what is affine in A_i and holds there holds."""
+        written, A = self.written, self.exact.A
+        cells = written.corners if written is not None and written.product else range(len(A))
+        return tuple(cells[k] for k in places([A[i] for i in cells]))
 
     @cached_property
     def observed(self) -> Observed:

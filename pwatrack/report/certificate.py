@@ -25,7 +25,7 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.merged import merged_spec
 from pwatrack.model.loads import Loads
 from pwatrack.model.merging import Merge
-from pwatrack.model.nonlinearity import Number, PiecewiseLinear
+from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
@@ -38,7 +38,9 @@ CLAIM = (
     "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T, "
     "where loads are estimated with [A_i, E; 0, S] and [C, 0] in place of A_i and C; "
     "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
-    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). Bounded both ways: the same "
+    "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). A plant with elements is A x + b "
+    "+ B u and the sum of direction function(row x + constant); its cells are all combinations of segments, the last "
+    "element's first. Bounded both ways: the same "
     "without a rate and without P > 0, so that the generator has one bounded solution, which is played back. With a "
     "degree 2 d: the monomials "
     "m of degree d of z = T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - "
@@ -74,7 +76,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     practical = None if controller.practical is None else _practical(spec, controller)
     if controller.practical is not None:
         spec = merged_spec(spec, controller.practical.merges, watched=controller.plant.watched is not None)
-    content = _content(spec, controller.design.K, controller.design.L, proofs)
+    listed = practical is not None or uncertain is not None or any("degree" in proof for proof in proofs)
+    content = _content(spec, controller.design.K, controller.design.L, proofs, listed=listed)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
     return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain, "practical": practical}
 
@@ -108,10 +111,7 @@ def merged_content(spec: Spec, merges: Sequence[Merge]) -> dict[str, Any]:
                 "first": merge.first,
                 "last": merge.last,
                 "name": merge.nonlinearity.name,
-                "row": [_centre(v) for v in merge.nonlinearity.row],
-                "constant": _centre(merge.nonlinearity.constant),
-                "direction": [_centre(v) for v in merge.nonlinearity.direction],
-                "function": _function(merge.nonlinearity.function),
+                **_term(merge.nonlinearity),
                 "merged": _function(merge.function),
                 "largest": text(merge.largest),
             }
@@ -120,18 +120,22 @@ def merged_content(spec: Spec, merges: Sequence[Merge]) -> dict[str, Any]:
     }
 
 
-def subject_content(spec: Spec, directions: Any = None) -> dict[str, Any]:
+def subject_content(spec: Spec, directions: Any = None, *, listed: bool = False) -> dict[str, Any]:
     """Return the part of either that the spec alone decides: what is proved something of.
 
     Args:
         spec: What was asked.
         directions: Of the inputs, where they are given: see `NormalForm`.
+        listed: Whether all cells are listed, also those of nonlinearities: what is not affine in A_i needs them.
     """
     form = output_form(spec, directions) if spec.problem.tracking == "output" else None
+    plant = spec.problem.plant if form is None else form.plant
+    listed = listed or plant.written is None or not plant.written.product
+    listed = listed or (form is not None and any(X is not form.exact.T[0] for X in form.exact.T))
     return {
         "tracking": spec.problem.tracking,
-        "plant": _plant(spec.problem.plant if form is None else form.plant),
-        "generator": None if form is None else _generator(form),
+        "plant": _plant(plant) if listed else _elements(plant),
+        "generator": None if form is None else _generator(form, listed),
     }
 
 
@@ -198,13 +202,15 @@ def decimals(X: Array | None) -> list[list[str]] | None:
     return None if X is None else BallMatrix.of(X, (X.shape[0], X.shape[1])).texts
 
 
-def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]) -> dict[str, Any]:
+def _content(
+    spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any], *, listed: bool = False
+) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "claim": CLAIM,
         "spec_sha256": spec.sha256,
         "set": {name: str(value) for name, value in spec.overrides.items()},
-        **subject_content(spec),
+        **subject_content(spec, listed=listed),
         "K": decimals(K),
         "L": decimals(L),
         "proofs": list(proofs),
@@ -213,28 +219,63 @@ def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]
 
 def _plant(plant: PWASystem) -> dict[str, Any]:
     exact, partition = plant.exact, plant.partition
-    return {
-        "states": list(plant.states),
-        "inputs": list(plant.inputs),
-        "outputs": list(plant.outputs),
-        "tracked": list(plant.tracked_names),
+    return _ports(plant) | {
         "cells": list(plant.cell_names),
         "H": [[text(v) for v in row] for row in partition.exact_H],
         "h": [text(v) for v in partition.exact_h],
         "signs": partition.signs.tolist(),
         "A": [X.texts for X in exact.A],
         "b": [X.texts for X in exact.b],
-        "B": exact.B.texts,
-        "C": exact.C.texts,
-        "tracked_rows": exact.tracked.texts,
+        "radius": {"A": _radii(exact.A), "b": _radii(exact.b), **_port_radii(exact)},
+    }
+
+
+def _elements(plant: PWASystem) -> dict[str, Any]:
+    """Return a plant as it was written: its cells are all combinations of segments."""
+    assert plant.written is not None
+    return _ports(plant) | {
+        "A": plant.written.A.texts,
+        "b": plant.written.b.texts,
+        "elements": [
+            {
+                **_term(element),
+                "segments": [f"{element.name} {segment}" for segment in element.function.segments],
+            }
+            for element in plant.written.elements
+        ],
+        "radius": {"A": None, "b": None, **_port_radii(plant.exact)},
+    }
+
+
+def _term(element: Nonlinearity) -> dict[str, Any]:
+    """Return direction function(row x + constant)."""
+    return {
+        "row": [_centre(v) for v in element.row],
+        "constant": _centre(element.constant),
+        "direction": [_centre(v) for v in element.direction],
+        "function": _function(element.function),
+    }
+
+
+def _ports(plant: PWASystem) -> dict[str, Any]:
+    """Return what all ways of writing a plant have in common."""
+    return {
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
+        "B": plant.exact.B.texts,
+        "C": plant.exact.C.texts,
+        "tracked_rows": plant.exact.tracked.texts,
         "loads": None if plant.loads is None else _loads(plant.loads),
-        "radius": {
-            "A": _radii(exact.A),
-            "b": _radii(exact.b),
-            "B": exact.B.radius_texts,
-            "C": exact.C.radius_texts,
-            "tracked_rows": exact.tracked.radius_texts,
-        },
+    }
+
+
+def _port_radii(exact: Matrices) -> dict[str, Any]:
+    return {
+        "B": exact.B.radius_texts,
+        "C": exact.C.radius_texts,
+        "tracked_rows": exact.tracked.radius_texts,
     }
 
 
@@ -288,15 +329,17 @@ def _radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
     return None if all(X.radius is None for X in matrices) else [X.radius_texts for X in matrices]
 
 
-def _generator(form: NormalForm) -> dict[str, Any]:
+def _generator(form: NormalForm, listed: bool) -> dict[str, Any]:
+    by_cell: dict[str, Any] = {"T": [form.exact.T[0].texts]}
+    if listed:
+        by_cell = {"T": [T.texts for T in form.exact.T], "A_eta": [X.texts for X in form.exact.A_eta]}
     return {
         "relative_degrees": list(form.degrees),
         "directions": form.exact.directions.texts,
         "scales": [text(Fraction(v)) for v in form.exact.scales],
         "internal": list(form.exact.internal),
         "eta": list(form.eta_names),
-        "T": [T.texts for T in form.exact.T],
-        "A_eta": [X.texts for X in form.exact.A_eta],
+        **by_cell,
     }
 
 

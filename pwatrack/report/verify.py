@@ -121,7 +121,8 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
             any(practical.get(name) != value for name, value in wanted.items()) or not wanted
         )
         spec = merged_spec(spec, ways, watched=practical["observer_runs"] == "all cells")
-    subject = subject_content(spec, (content["generator"] or {}).get("directions"))
+    listed = "elements" not in content["plant"]
+    subject = subject_content(spec, (content["generator"] or {}).get("directions"), listed=listed)
     faults = missing + [
         f"{name} is not that of {spec.path}"
         for name in ("tracking", "plant", "generator")
@@ -222,12 +223,14 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
         yield "gains.json", f"{' and '.join(wrong)} in gains.json is not the one that was proved" if wrong else ""
     if (generator := _json(folder / "generator.json")) is not None:
         subject = content["generator"] or {}
-        same = all(_same(generator.get(name), subject.get(name)) for name in ("T", "A_eta"))
+        told = "A_eta" in subject  # not where cells are not listed
+        same = not told or all(_same(generator.get(name), subject.get(name)) for name in ("T", "A_eta"))
         if spec is not None and same:
             form = output_form(spec, subject.get("directions"))
             A_eta, B_eta, _ = tracking_dynamics(form)
             same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, : form.r]))
-        yield "generator.json", "" if same else "generator.json is not that of this plant"
+        if told or spec is not None:
+            yield "generator.json", "" if same else "generator.json is not that of this plant"
     if (bounds := _json(folder / BOUNDS)) is not None:
         gains = [list(signal["peak_gain"]) for signal in _signals(bounds) if "peak_gain" in signal]
         same = _bounded(bounds, content) and (spec is None or gains == _peaks(content, spec))

@@ -6,7 +6,12 @@ Nothing is taken from the file but the plant, the gains and the proofs; all betw
 
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
   opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in
-  fractions decide the geometry. Where entries lie in balls, this and the next line are about their centres.
+  fractions decide the geometry. Where entries lie in balls, this and what is said of (11) are about their centres.
+- Or no cell is listed, and the field is A x + b + B u and the sum of direction f(row x + constant), each f continuous
+  and linear between breakpoints. The rows are independent, so all combinations of segments are cells. Each A_i is a
+  mean of those at the corners of the box of slopes: A + the sum of slope direction row, each slope the least or the
+  largest of its f. All that is decided here is affine in A_i, as T has to be the same in all cells: so it is decided
+  at these corners.
 - The normal form (11): c_0 is a tracked row, c_k+1 = c_k A_i, the same in all cells but for the last one, and c_k B = 0
   for k < r - 1. With C the last rows of all outputs, Z the directions of the inputs and D = C B Z of each cell,
   sym(S D M S^-1) > 0 for M the inverse of the mean of all D and S the scales: no matrix in the hull of the D is

@@ -10,13 +10,13 @@ from .corners import uncertain
 from .form import normal_form
 from .matrices import Fault, transposed
 from .merged import Deviations, merged
-from .plant import Plant
+from .plant import Plant, by_cell
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, no_P, refuted
 from .reading import matrix, number
 from .starts import near
 
-FORMAT = "pwatrack certificate 10"
+FORMAT = "pwatrack certificate 11"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",
@@ -32,7 +32,7 @@ def audit(text: str) -> tuple[list[str], list[str]]:
     try:
         content = json.loads(text, parse_float=str, parse_constant=str)
         if content["format"] != FORMAT:
-            return [], [f"the format is not '{FORMAT}'"]
+            return [], [f"the format is '{str(content['format'])[:80]}', this program reads '{FORMAT}'"]
         return judged(content)
     except Fault as fault:
         return [], [str(fault)]
@@ -43,13 +43,14 @@ def audit(text: str) -> tuple[list[str], list[str]]:
 
 def judged(content: Any) -> tuple[list[str], list[str]]:
     """Decide every claim of a certificate."""
-    plant, practical = Plant(content["plant"]), content.get("practical")
+    named = sorted({int(i) for proof in content["proofs"] for i in by_cell(proof)})
+    plant, practical = Plant(content["plant"], named), content.get("practical")
     if practical is not None and practical["observer_runs"] == "all cells":
         plant.seen_A = Plant(practical["plant"]).A
     open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
     inexact = any(any(part["radius"].values()) for part in open_)
     centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
-    said = [f"plant: {len(plant.A)} cells cover the state space, the field is continuous{centres}"]
+    said = [f"plant: {plant.count} cells cover the state space, the field is continuous{centres}"]
     faults = plant.faults()
     if content["tracking"] == "state" and plant.unmatched():
         faults.append("a load enters where no input does, and x_d is given")
@@ -65,10 +66,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
             raise Fault(f"no cost is that of {NAMES[of]}")
         M, B = plant.problem(of, K, L, A_eta)
         kind = next((decide for name, decide in KINDS.items() if name in proof), check)
-        wrong = kind(M, B, proof, K if of == "controller" else L and transposed(L))
+        wrong = kind(M, B, plant.placed(proof), K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
         about = centres if "Z" in proof or "no_P" in proof else ""
-        said.append(f"{NAMES[of]}: {claim(proof, [str(name) for name in content['plant']['cells']])}{about}")
+        said.append(f"{NAMES[of]}: {claim(proof, plant)}{about}")
         decided.add("" if "X" in proof else of)
     loop = Loop(plant, K or [], L or [], X)
     if not all(isinstance(content.get(name, []), list) for name in ("bounds", "limits")):
@@ -114,7 +115,7 @@ def misplaced(content: Any) -> list[str]:
     return faults
 
 
-def claim(proof: Any, cells: list[str]) -> str:
+def claim(proof: Any, plant: Plant) -> str:
     """Say what one entry claims."""
     if "X" in proof:
         return "the bound of the cost is proved"
@@ -122,12 +123,13 @@ def claim(proof: Any, cells: list[str]) -> str:
         return "proved with a P of any sign, for a bounded solution that is played back"
     if "no_P" in proof:
         by = "multipliers for" if "Z" in proof else "the numbers of unstable modes in"
-        of = " and ".join(f"'{cells[int(i)]}'" for i in proof.get("Z", proof.get("P")))
+        of = " and ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
         return f"proved impossible with a P of any sign, by {by} {of}"
     rate = f"{float(number(proof['rate'])):g} 1/s"
     if "Z" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
-        return f"proved impossible{beyond}, by multipliers for " + ", ".join(f"'{cells[int(i)]}'" for i in proof["Z"])
+        cells = ", ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
+        return f"proved impossible{beyond}, by multipliers for {cells}"
     by = f" by a polynomial of degree {number(proof['degree'])}" if "degree" in proof else ""
     return f"proved{by}, rate {rate}"
 

@@ -14,6 +14,8 @@ class Box(Loop):
     def __init__(self, content: Any, corners: Any, K: Matrix, L: Matrix) -> None:
         plant = Plant(content)
         super().__init__(plant, K, L, None)
+        if plant.elements is not None:
+            raise Fault("where parameters are uncertain, all cells are listed")
         if plant.loads is not None:
             raise Fault("uncertain parameters go without estimated loads")
         self.corners = [

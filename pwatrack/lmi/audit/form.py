@@ -29,12 +29,14 @@ def normal_form(plant: Plant, generator: Any) -> tuple[list[Ball], Ball | None]:
         N.append(less(own, times(part(share, j), C[0])))
     T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
     found, backs = list[Ball](), once(inverse, T)
+    if plant.elements is not None and len(unlike(T)) > 1:
+        raise Fault("the last derivative of an output differs between cells, which are not listed")
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
         X, R = times(times(T_i, A_i), back)
         found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
-    if [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
+    if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
         raise Fault("A_eta is not that of the plant")
-    if [matrix(X) for X in generator["T"]] != [X for X, _ in T]:
+    if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
         raise Fault("T is not that of the plant")
     return found, shift(plant, degrees, T[0], backs)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from .balls import Ball, negative, stacked
 from .bounds import Loop
+from .elements import Element, Function
 from .matrices import Fault, Matrix, added
 from .plant import Plant
 from .reading import number, place
@@ -12,44 +13,12 @@ from .reading import number, place
 Field = list[list[Fraction]]  # [A b] less what merged elements add
 
 
-class Function:
-    """A continuous function of one number, linear between breakpoints."""
-
-    def __init__(self, content: Any) -> None:
-        self.breakpoints, self.slopes = ([number(v) for v in content[name]] for name in ("breakpoints", "slopes"))
-        if len(self.slopes) != len(self.breakpoints) + 1 or not self.breakpoints:
-            raise Fault("a merged element does not fit together")
-        if sorted(set(self.breakpoints)) != self.breakpoints:
-            raise Fault("the breakpoints of a merged element do not increase")
-        self.intercepts = [number(content["value"]) - self.slopes[0] * self.breakpoints[0]]
-        for k, s in enumerate(self.breakpoints):
-            self.intercepts.append(self.intercepts[-1] + (self.slopes[k] - self.slopes[k + 1]) * s)
-
-    def at(self, s: Fraction) -> Fraction:
-        """Return its value."""
-        k = sum(mark < s for mark in self.breakpoints)
-        return self.slopes[k] * s + self.intercepts[k]
-
-    def segment(self, low: Fraction | None, high: Fraction | None) -> int:
-        """Return the segment of all s from low to high, None for without end; where slopes are equal, either."""
-        below = 0
-        for k, mark in enumerate(self.breakpoints):
-            if low is not None and mark <= low:
-                below = k + 1
-            elif (high is None or mark < high) and self.slopes[k] != self.slopes[k + 1]:
-                raise Fault("a merged element has a corner inside a cell")
-        return below
-
-
-class Element:
+class Merged(Element):
     """direction f(row x + constant) in the true field, direction g(row x + constant) in that of the design."""
 
     def __init__(self, content: Any, n: int) -> None:
-        self.row, self.direction = ([number(v) for v in content[name]] for name in ("row", "direction"))
-        self.constant, self.largest = number(content["constant"]), number(content["largest"])
-        self.function, self.other = Function(content["function"]), Function(content["merged"])
-        if len(self.row) != n or len(self.direction) != n or not any(self.row):
-            raise Fault("a merged element does not fit the plant")
+        super().__init__(content, n)
+        self.other, self.largest = Function(content["merged"]), number(content["largest"])
 
     def faults(self) -> list[str]:
         """Return whether f and g differ by more than is said: at a breakpoint, or without bound."""
@@ -73,11 +42,7 @@ class Element:
                 low = s if low is None else max(low, s)
             else:
                 high = s if high is None else min(high, s)
-        k = function.segment(low, high)
-        line = [
-            *(function.slopes[k] * v for v in self.row),
-            function.slopes[k] * self.constant + function.intercepts[k],
-        ]
+        line = function.line(function.segment(low, high), self.row, self.constant)
         return [[d * v for v in line] for d in self.direction]
 
 
@@ -88,7 +53,9 @@ class Deviations(Loop):
         super().__init__(plant, K, L, X)
         n = len(plant.B[0])
         self.true, self.watched = Plant(content["plant"]), content["observer_runs"] == "all cells"
-        self.elements = [Element(one, n) for one in content["merged"]]
+        if plant.elements or self.true.elements:
+            raise Fault("where cells are merged, all of them are listed")
+        self.elements = [Merged(one, n) for one in content["merged"]]
         true = self.true
         same = (true.B, true.C, true.tracked) == (plant.B, plant.C, plant.tracked)
         if not self.elements or not same or true.loads != plant.loads or (self.watched and plant.loads):
@@ -112,7 +79,7 @@ class Deviations(Loop):
                     return True
         return False
 
-    def rest(self, plant: Plant, cell: int, parts: list[tuple[Element, Function]]) -> Field:
+    def rest(self, plant: Plant, cell: int, parts: list[tuple[Merged, Function]]) -> Field:
         """Return [A b] of a cell less what merged elements add."""
         field = [[*row, *b] for row, b in zip(plant.A[cell][0], plant.b[cell][0], strict=True)]
         for element, function in parts:

@@ -1,41 +1,73 @@
 """The plant of a certificate, and the matrices that proofs speak of."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
 from .balls import Ball, flipped, plus, sides, stacked, times
 from .cells import Cells
+from .elements import Elements
 from .matrices import Fault, Matrix, rank, transposed
 from .reading import ball, place
 
 
 class Plant:
-    """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference."""
+    """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference.
 
-    def __init__(self, content: Any) -> None:
+    Its cells are all listed, or it is written by elements. Then A and b are about the corners of the box of slopes, in
+    whose hull all A_i are, and about cells that are named. Rows c with c A_i the same at all corners have c g = 0 for
+    what changes by g s there: so c A_i and c b_i are the same in all cells.
+    """
+
+    def __init__(self, content: Any, named: Sequence[int] = ()) -> None:
         radius = content["radius"]
-        self.A, self.b = (
-            [ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b")
-        )
         self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
+        self.elements = Elements(content) if "elements" in content else None
+        self.cells = Cells(content if self.elements is None else {"H": [], "h": [], "signs": []})
+        self.A, self.b = self.listed(content) if self.elements is None else self.corners(self.elements, named, radius)
+        self.names = [str(name) for name in content["cells"]] if self.elements is None else []
+        self.count = len(self.names) if self.elements is None else self.elements.count
+        self.named = list(range(self.count)) if self.elements is None else list(named)  # the last of A are theirs
         self.loads: tuple[Ball, Ball] | None = None
         self.seconds = set[int]()  # states of loads that are the second of a sinusoid
         self.seen_A, self.seen_C = self.A, self.C
         if content["loads"] is not None:
             self.estimate(content["loads"])
-        self.cells = Cells(content)
-        planes, signs = self.cells.planes, self.cells.signs
-        n, k, cells = len(self.B[0]), len(planes), len(self.A)
-        if any(radius[name] and len(radius[name]) != cells for name in ("A", "b")) or len(content["cells"]) != cells:
+        n, rows = len(self.B[0]), {len(row) for row in (*self.C[0], *self.tracked[0])}
+        sizes = {(len(X), len(row)) for X, _ in self.A for row in X}
+        if not n or not self.A or sizes != {(n, n)} or rows != {n}:
             raise Fault("the matrices of the plant do not fit together")
-        shapes = {(len(X), len(row)) for X, _ in self.A for row in X} | {(len(row),) for row in signs}
-        rows = {len(row) for row in (*self.C[0], *self.tracked[0], *(plane[1:] for plane in planes))}
-        if not n or not cells or len(signs) != cells or len(self.b) != cells or not shapes <= {(n, n), (k,)}:
+        if any([len(row) for row in X] != [1] * n for X, _ in self.b):
             raise Fault("the matrices of the plant do not fit together")
-        if not rows <= {n} or any([len(row) for row in X] != [1] * n for X, _ in self.b):
+
+    def listed(self, content: Any) -> tuple[list[Ball], list[Ball]]:
+        """Return A_i and b_i of cells that are all listed."""
+        radius, cells, (planes, signs) = content["radius"], content["cells"], (self.cells.planes, self.cells.signs)
+        lists = [content[name] for name in ("A", "b", "signs")] + [radius[name] for name in ("A", "b") if radius[name]]
+        if any(len(X) != len(cells) for X in lists) or any(len(row) != len(planes) for row in signs):
             raise Fault("the matrices of the plant do not fit together")
-        if len({plane[:2] for plane in self.cells.parallel}) != k:
+        if any(len(plane) != len(self.B[0]) + 1 for plane in planes):
+            raise Fault("the matrices of the plant do not fit together")
+        if len({plane[:2] for plane in self.cells.parallel}) != len(planes):
             raise Fault("two hyperplanes are one")
+        A, b = ([ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b"))
+        return A, b
+
+    def corners(self, elements: Elements, named: Sequence[int], radius: Any) -> tuple[list[Ball], list[Ball]]:
+        """Return what stands for A_i and b_i of cells that are not listed."""
+        if radius["A"] or radius["b"]:
+            raise Fault("the numbers of elements are exact")
+        return elements.fields([*elements.corners, *map(elements.segments, named)])
+
+    def name(self, i: int) -> str:
+        """Return what a cell is called."""
+        return self.names[i] if self.elements is None else self.elements.name(i)
+
+    def placed(self, proof: Any) -> Any:
+        """Return a proof of impossibility by the places of matrices in A, not by cells; any other as it is."""
+        before = len(self.A) - len(self.named)
+        found = {str(before + self.named.index(int(i))): value for i, value in by_cell(proof).items()}
+        return proof | ({"Z" if "Z" in proof else "P": found} if found else {})
 
     def estimate(self, content: Any) -> None:
         """Take in the loads E s, s' = S s, that the observer estimates: it runs plant and loads as one system."""
@@ -82,7 +114,7 @@ class Plant:
 
     def faults(self) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps."""
-        return self.cells.faults(self.jumps)
+        return self.cells.faults(self.jumps) if self.elements is None else []
 
     def jumps(self, i: int, j: int, plane: list[Fraction]) -> bool:
         """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
@@ -94,3 +126,8 @@ class Plant:
             if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
                 return True
         return False
+
+
+def by_cell(proof: Any) -> Any:
+    """Return what a proof of impossibility has for some cells, by their numbers; nothing of any other."""
+    return proof["Z"] if "Z" in proof else proof["P"] if "no_P" in proof else {}

@@ -29,12 +29,12 @@ def polynomial(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str
         F, R = (lifted(X, monomials) for X in times(times((T, []), M), back))
         N = packed(content)[0]
         if not vanishes(N, monomials):
-            faults.append(f"m^T N m is not 0 in cell {i + 1}")
+            faults.append(f"m^T N m is not 0 for M_{i + 1}")
         half = product(transposed(added(F, identity(len(P), d * rate))), P)
         left = added(added(half, transposed(half)), N)
         enlarge(left, product(transposed(R), sizes(P)) if R else [], powers)
         if not definite(left, sign=-1):
-            faults.append(f"the inequality fails in cell {i + 1}")
+            faults.append(f"the inequality fails for M_{i + 1}")
     return faults
 
 

@@ -45,7 +45,7 @@ def no_P(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
             P, M = packed(content)[0], matrices[int(i)][0]
             half = product(M, P)
             if len(P) != n or not definite(added(half, transposed(half)), sign=-1):
-                faults.append(f"the inequality fails in cell {int(i) + 1}")
+                faults.append(f"the inequality fails for M_{int(i) + 1}")
             counts.add(positive(P))
         return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
     Z = {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
@@ -68,7 +68,7 @@ def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fract
         left = added(added(half, transposed(half)), identity(len(P), margin))
         enlarge(left, product(R, sizes(P)) if R else [], powers)
         if not definite(left, sign=-1):
-            faults.append(f"the inequality fails in cell {i + 1}")
+            faults.append(f"the inequality fails for M_{i + 1}")
     return faults
 
 
@@ -87,7 +87,7 @@ def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
         left = added(added(half, transposed(half)), weight)
         enlarge(left, product(sizes(X), radius) if radius else [], powers)
         if not definite(left, sign=-1):
-            faults.append(f"the bound of the cost fails in cell {i + 1}")
+            faults.append(f"the bound of the cost fails for M_{i + 1}")
     return faults
 
 
