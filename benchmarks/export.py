@@ -25,9 +25,10 @@ import numpy as np
 from benchmarks.fuzz import spec_text
 from pwatrack import load_spec
 from pwatrack.errors import PwatrackError
-from pwatrack.export.c_project import FLAGS, Vector, write_c
+from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource
 from pwatrack.export.controller import Controller
+from pwatrack.export.source import Vector
 from pwatrack.model.conditions import Sampling
 from pwatrack.pipeline import design
 from pwatrack.report.export import Subject, of_spec

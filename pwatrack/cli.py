@@ -12,6 +12,7 @@ from pwatrack.version import __version__
 
 if TYPE_CHECKING:
     from pwatrack.lmi.inequality import Solver
+    from pwatrack.report.export import Target
     from pwatrack.report.session import Shown
 
 app = typer.Typer(
@@ -333,38 +334,61 @@ exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=
 app.add_typer(exports, name="export")
 
 
+Exported = Annotated[
+    Path, typer.Argument(metavar="RUN|SPEC", help="A run folder, a spec or a controller.json.", show_default=False)
+]
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of the spec's.")]
+Prefix = Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")]
+Single = Annotated[bool, typer.Option("--float32", help="Compute in single floats.")]
+From = Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")]
+Unproved = Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")]
+
+
 @exports.command(name="c", epilog="Example: pwatrack export c runs/two_mass_machine --out firmware --float32")
 def export_to_c(
-    target: Annotated[
-        Path, typer.Argument(metavar="RUN|SPEC", help="A run folder, a spec or a controller.json.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the code goes.", show_default=False)],
+    target: Exported,
+    out: Folder,
     parameters: Set = None,
-    sample_time: Annotated[
-        float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of that of the spec.")
-    ] = None,
-    name: Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")] = None,
-    single: Annotated[bool, typer.Option("--float32", help="Compute in single floats.")] = False,
-    reference: Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")] = "inside",
-    unproved: Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")] = False,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    single: Single = False,
+    reference: From = "inside",
+    unproved: Unproved = False,
 ) -> None:
     """Write a controller in C99, with a test vector of its simulation."""
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    _export("c", target, out, parameters, sample_time, **options)
+
+
+@exports.command(name="st", epilog="Example: pwatrack export st runs/two_mass_machine --out plc --float32")
+def export_to_structured_text(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    single: Single = False,
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write a controller as a function block in Structured Text of IEC 61131-3."""
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    _export("st", target, out, parameters, sample_time, **options)
+
+
+def _export(
+    to: "Target", target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
+) -> None:
     if sample_time is not None and not 0 < sample_time < float("inf"):
         raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
     with refusals():
-        from pwatrack.report.export import export_c
+        from pwatrack.report.export import export
         from pwatrack.spec.load import assignments
 
-        files = export_c(
-            target,
-            out,
-            parameters=assignments(parameters or []),
-            sample_time=sample_time,
-            name=name,
-            single=single,
-            given=reference == "outside",
-            unproved=unproved,
-        )
+        given = options.pop("reference") == "outside"
+        known = assignments(parameters or [])
+        files = export(to, target, out, parameters=known, sample_time=sample_time, given=given, **options)
         typer.echo(f"Code in {out}/: {', '.join(files)}")
 
 

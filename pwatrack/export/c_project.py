@@ -1,16 +1,15 @@
 """A folder around a controller in C99: a test vector and what replays it, build files, a page of advice."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.arrays import Array
 from pwatrack.export.c_source import CSource, header
 from pwatrack.export.c_step import source
 from pwatrack.export.controller import Controller
+from pwatrack.export.source import Vector
 
 FLAGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
 
@@ -99,26 +98,10 @@ The controller of "{title}" in C99. {proved}
 """
 
 
-@dataclass(frozen=True)
-class Vector:
-    """What a controller reads, step by step.
-
-    Attributes:
-        y: Measured outputs, (steps, q).
-        w: The reference from outside, (steps, s).
-        origin: Where it is from, in a few words.
-    """
-
-    y: Array
-    w: Array
-    origin: str
-
-
 def write_c(c: CSource, vector: Vector, out: Path) -> list[str]:
     """Write all files to a folder and return their names."""
     controller = Controller(c.file, single=c.single)
-    real: Any = np.float32 if c.single else np.float64
-    y, w = vector.y.astype(real), vector.w.astype(real)
+    y, w = vector.y.astype(c.real), vector.w.astype(c.real)
     u = np.array([controller.step(y[k], w[k] if c.given else None) for k in range(len(y))])
     name, names = c.name, {"name": c.name, "upper": c.name.upper(), "flags": FLAGS}
     texts = {
@@ -164,9 +147,6 @@ def _readme(c: CSource, vector: Vector) -> str:
     if c.given:
         reference = f"`ref` is, in this order: {', '.join(program.reference)}."
 
-    def signals(names: list[str]) -> str:
-        return ", ".join(f"{name} ({plant.units[name]})" if name in plant.units else name for name in names)
-
     return _README.format(
         name=c.name,
         title=c.file.name,
@@ -174,8 +154,8 @@ def _readme(c: CSource, vector: Vector) -> str:
         bytes=c.state_bytes,
         constants=c.constant_bytes,
         h=repr(program.sampling.sample_time),
-        y=signals(plant.outputs),
-        u=signals(plant.inputs),
+        y=", ".join(c.signals(plant.outputs)),
+        u=", ".join(c.signals(plant.inputs)),
         ref="ref" if c.given else "NULL",
         reference=reference,
         late=f", and that it is put out {late} samples late" if late else "",

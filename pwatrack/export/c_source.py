@@ -2,115 +2,26 @@
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray, up
-from pwatrack.control.program import Follows, Program
-from pwatrack.errors import InvalidSpec
-from pwatrack.export.schema import ControllerFile
-from pwatrack.export.stored import runs
+from pwatrack.export.source import Source
 
-_LAST_TICK = 2**32 - 2
 _PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
 
 
 @dataclass(frozen=True, kw_only=True)
-class CSource:
-    """What is written.
-
-    Attributes:
-        file: The controller.
-        name: Prefix of all names.
-        single: Whether in single floats.
-        given: Whether the reference comes from outside.
-        unproved: What is not proved of it, in sentences.
-    """
-
-    file: ControllerFile
-    name: str
-    single: bool
-    given: bool
-    unproved: tuple[str, ...]
-
-    @cached_property
-    def program(self) -> Program:
-        """What runs."""
-        return runs(self.file, given=self.given)
-
-    @cached_property
-    def follows(self) -> Follows | None:
-        """The reference that is made inside."""
-        found = self.program.follows
-        last = 0 if found is None else max([found.end or 0, *(piece.tick for piece in found.pieces)])
-        if last > _LAST_TICK:
-            raise InvalidSpec(f"the reference has pieces up to tick {last}, more than 32 bits count")
-        return found if self.program.sizes["s"] else None
-
-    @property
-    def claims(self) -> list[str]:
-        """What is proved of its error, a sentence for each tracked signal."""
-        part = self.file
-        if part.practical is None:
-            names = part.plant.tracked if part.tracking == "output" else part.plant.states
-            return [f"Of the loop that the theorems are about the error goes to 0: {', '.join(names)}."]
-        return [
-            f"Of the loop that the theorems are about the error of {bound.signal} "
-            f"ends below {up(bound.below)} {bound.unit}".rstrip()
-            + "; it need not go to 0."
-            for bound in part.practical
-        ]
-
-    @property
-    def counted(self) -> bool:
-        """Whether ticks are counted: the reference has pieces, or an end."""
-        return self.follows is not None and (bool(self.follows.pieces) or self.follows.end is not None)
-
-    @property
-    def copies(self) -> int:
-        """How many copies of w are kept."""
-        return 0 if self.follows is None else len(self.follows.turn) - 1
+class CSource(Source):
+    """What is written in C."""
 
     def numbers(self, values: Any) -> str:
         """Return an array as a C initialiser; each number is the shortest decimal that gives it."""
         if np.ndim(values):
             return "{" + ", ".join(self.numbers(value) for value in values) + "}"
-        value = (np.float32 if self.single else np.float64)(values)
+        value = self.real(values)
         text = str(value)
         return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * self.single
-
-    @cached_property
-    def tables(self) -> dict[str, Array]:
-        """All constants of floats, by name; those that are empty are left out."""
-        program, follows, start = self.program, self.follows, self.file.start
-        of = program.sizes
-        found: dict[str, Array] = {"H": program.H, "h": program.h, "observer": program.observer}
-        found |= {"generator": program.generator, "x_d": program.x_d, "u_ff": program.u_ff, "K": program.K}
-        found["guards"] = program.guards
-        found["start_x_hat"] = np.array(start.x_hat) if start else np.zeros(of["N"])
-        found["start_eta_hat"] = np.array(start.eta_hat) if start else np.zeros(of["p"])
-        if follows is not None:
-            found |= {"turn": follows.turn, "start_w": follows.w0}
-            found["piece_values"] = np.concatenate([np.zeros(0), *(piece.w for piece in follows.pieces)])
-        return {name: values for name, values in found.items() if values.size}
-
-    @cached_property
-    def whole(self) -> dict[str, tuple[str, IntArray]]:
-        """All constants of whole numbers, with their types."""
-        found: dict[str, tuple[str, IntArray]] = {
-            "signs": ("int8_t", self.program.signs),
-            "sides": ("int8_t", self.program.sides),
-        }
-        if self.follows is not None:
-            pieces = self.follows.pieces
-            found["piece_tick"] = ("uint32_t", np.array([piece.tick for piece in pieces]))
-            found["piece_start"] = ("uint32_t", np.array([piece.start for piece in pieces]))
-            lengths = [len(piece.w) for piece in pieces]
-            found["piece_length"] = ("uint32_t", np.array(lengths))
-            found["piece_value"] = ("uint32_t", np.cumsum([0, *lengths])[:-1])
-        return {name: (kind, values) for name, (kind, values) in found.items() if values.size}
 
     @property
     def constant_bytes(self) -> int:
@@ -230,47 +141,16 @@ int {name}_step({name}_state *state, const {name}_real y[],
 
 def _comment(c: CSource) -> str:
     """Return the comment at the top: what it is, what is proved, sizes, signals."""
-    of, part, units = c.program.sizes, c.file, c.file.plant.units
     multiplications, additions, comparisons = c.operations
-    reference = ", ".join(c.program.reference) if c.given else "made inside; NULL will do"
-    signals = [
-        f"{signal} ({units[signal]})" if signal in units else signal
-        for signal in (*part.plant.outputs, *part.plant.inputs)
-    ]
-    y, u = ", ".join(signals[: of["q"]]), ", ".join(signals[of["q"] :])
-    proved = "\n".join(f" * NOT PROVED: {_said(line)}" for line in c.unproved) or "\n".join(
-        [
-            " * Proved for the gains as printed, in continuous time: certificate.json.",
-            *(f" * {_said(claim)}" for claim in c.claims),
-            " * The loop that is sampled is not proved for switching between cells: docs/arithmetic.md of pwatrack.",
-        ]
+    sizes = (
+        f"State        {c.state_bytes} bytes",
+        f"Constants    {c.constant_bytes} bytes",
+        f"One step     at most {multiplications} products and quotients, {additions} sums, {comparisons} comparisons"
+        " of floats",
     )
-    return f"""/*
- * {_said(part.name)}
- *
- * Run once every {c.program.sampling.sample_time!r} s.
- * Written by pwatrack. It belongs to its user: see LICENSE-EXCEPTION of pwatrack.
-{proved}
- *
- * Spec         sha256 {part.spec_sha256}
- * Certificate  sha256 {part.proof}
- * Controller   sha256 {part.sha256}
- *
- * State        {c.state_bytes} bytes
- * Constants    {c.constant_bytes} bytes
- * One step     at most {multiplications} products and quotients, {additions} sums, {comparisons} comparisons of floats
- *
- * y            {_said(y)}
- * ref          {_said(reference)}
- * u            {_said(u)}
- */
-"""
+    lines = c.about(sizes, "made inside; NULL will do")
+    return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */", ""])
 
 
 def _array(field: str) -> bool:
     return field in ("v", "copies", "late", "before", "wanted", "x_d")
-
-
-def _said(text: str) -> str:
-    """Return a text as it may stand in a comment."""
-    return re.sub(r"[^ -~]", "?", text).replace("*/", "* /").replace("/*", "/ *")

@@ -5,7 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.again import check_same, with_gains
-from pwatrack.export.c_project import Vector, write_c
+from pwatrack.export.c_project import write_c
 from pwatrack.export.c_source import CSource, prefix
 from pwatrack.export.schema import ControllerFile
+from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed, read
+from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.controller import starts, written
 from pwatrack.report.run_folder import INDEX, json_text, named_spec
@@ -27,6 +29,7 @@ from pwatrack.spec.spec import Spec
 
 CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector
+Target = Literal["c", "st"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class Subject:
     vector: Vector
 
 
-def export_c(
+def export(
+    to: Target,
     target: Path,
     out: Path,
     *,
@@ -50,9 +54,10 @@ def export_c(
     given: bool,
     unproved: bool,
 ) -> list[str]:
-    """Write a controller in C99.
+    """Write a controller for a machine.
 
     Args:
+        to: In which language.
         target: A spec, a run folder or a controller.json.
         out: The folder for the code.
         parameters: Replacements, for a spec.
@@ -69,21 +74,11 @@ def export_c(
         InvalidSpec: If what is exported has no sample time, or cannot be read or written.
         CheckFailed: If it is not proved, unless `unproved`.
     """
-    subject = _subject(target, parameters, sample_time, given)
-    if subject.unproved and not unproved:
-        raise CheckFailed(
-            *(Problem(message=f"{target}: not proved: {line}", subject=None) for line in subject.unproved[:-1]),
-            Problem(
-                message=f"{target}: not proved: {subject.unproved[-1]}",
-                subject=None,
-                hint="--unproved exports it all the same, and its header says so",
-            ),
-        )
-    code = CSource(
-        file=subject.file, name=prefix(name or subject.file.name), single=single, given=given, unproved=subject.unproved
-    )
+    subject = subject_of(target, parameters, sample_time, given, unproved)
+    kind, called = CSource if to == "c" else Source, prefix(name or subject.file.name)
+    code = kind(file=subject.file, name=called, single=single, given=given, unproved=subject.unproved)
     try:
-        names = write_c(code, subject.vector, out)
+        names = write_c(code, subject.vector, out) if isinstance(code, CSource) else write_structured_text(code, out)
         beside = {CONTROLLER: json_text(subject.file.model_dump()), CERTIFICATE: subject.certificate}
         for file, text in beside.items():
             if text:
@@ -94,12 +89,24 @@ def export_c(
         raise InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}")) from None
 
 
-def _subject(target: Path, parameters: Any, sample_time: float | None, given: bool) -> Subject:
+def subject_of(target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool) -> Subject:
+    """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
     if target.is_dir() or target.suffix == ".json":
         if parameters or sample_time is not None:
             raise InvalidSpec("--set and --sample-time go with a spec, not with a controller that is stored")
-        return _stored(target / CONTROLLER if target.is_dir() else target, given)
-    return of_spec(load_spec(target, parameters), sample_time, given)
+        found = _stored(target / CONTROLLER if target.is_dir() else target, given)
+    else:
+        found = of_spec(load_spec(target, parameters), sample_time, given)
+    if found.unproved and not unproved:
+        raise CheckFailed(
+            *(Problem(message=f"{target}: not proved: {line}", subject=None) for line in found.unproved[:-1]),
+            Problem(
+                message=f"{target}: not proved: {found.unproved[-1]}",
+                subject=None,
+                hint="--unproved exports it all the same, and its header says so",
+            ),
+        )
+    return found
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
@@ -160,7 +167,7 @@ def _stored(path: Path, given: bool) -> Subject:
     if file.program is None:
         hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
         raise InvalidSpec(Problem(message=f"{path}: the controller has no sample time", subject=None, hint=hint))
-    spec = _its_spec(file, folder)
+    spec = its_spec(file, folder)
     if spec is not None:
         again = with_gains(spec, file)
         controller = pipeline.design(again, growing=True)
@@ -184,7 +191,7 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
     return [] if same else ["the proof is about other gains"]
 
 
-def _its_spec(file: ControllerFile, folder: Path) -> Spec | None:
+def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     """Return the spec that the run in a folder was made from, if it is still there as it was."""
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))

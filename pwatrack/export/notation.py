@@ -1,0 +1,140 @@
+"""The notation in which a step is written once, printed in other languages.
+
+It is a part of Python: assignments, `if` with `elif` and `else`, `for` over a range of two whole numbers, indices from
+0, + - * / %, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False.
+"""
+
+import ast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import indent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Language:
+    """How a language writes it.
+
+    Attributes:
+        assign: From target and value.
+        loop: From index, first and last number, and body; bodies are indented.
+        branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
+        words: Operators, True and False, where they are written in another way.
+        name: A variable.
+        element: An array and its indices -> an entry.
+        from_one: Whether indices begin with 1.
+    """
+
+    assign: str
+    loop: str
+    branch: str
+    other: str
+    otherwise: str
+    end: str
+    words: Mapping[str, str]
+    name: Callable[[str], str]
+    element: str
+    from_one: bool
+
+
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"}
+_COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
+
+
+def printed(text: str, language: Language) -> str:
+    r"""Return lines of the notation in a language.
+
+    Raises:
+        ValueError: If something is no part of the notation.
+
+    Example:
+        >>> from pwatrack.export.structured_text import ST
+        >>> print(printed("for k in range(1, 3):\n    u[k] = 2.0 * (u[k - 1] + 1.0)", ST))
+        FOR k := 1 TO 2 DO
+            u[k] := 2.0 * (u[k - 1] + 1.0);
+        END_FOR;
+    """
+    return "\n".join(_Printer(language).statements(ast.parse(text).body))
+
+
+def names(text: str) -> set[str]:
+    """Return all names in lines of the notation."""
+    return {node.id for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Name)}
+
+
+@dataclass(frozen=True)
+class _Printer:
+    language: Language
+
+    def statements(self, body: Sequence[ast.stmt]) -> Iterator[str]:
+        for statement in body:
+            yield self.statement(statement)
+
+    def block(self, body: Sequence[ast.stmt]) -> str:
+        return indent("\n".join(self.statements(body)), "    ")
+
+    def statement(self, node: ast.stmt) -> str:
+        language = self.language
+        match node:
+            case ast.Assign(targets=[target], value=value):
+                return language.assign.format(self.value(target), self.value(value))
+            case ast.For(
+                target=ast.Name(id=index),
+                iter=ast.Call(args=[ast.Constant(value=int(first)), ast.Constant(value=int(stop))]),
+                orelse=[],
+            ):
+                return language.loop.format(language.name(index), first, stop - 1, self.block(node.body))
+            case ast.If():
+                return self.branches(node, language.branch) + language.end
+        raise ValueError(f"not a part of the notation: {ast.unparse(node)}")
+
+    def branches(self, node: ast.If, form: str) -> str:
+        text = form.format(self.value(node.test), self.block(node.body))
+        match node.orelse:
+            case []:
+                return text
+            case [ast.If() as other]:
+                return text + self.branches(other, self.language.other)
+        return text + self.language.otherwise.format(self.block(node.orelse))
+
+    def value(self, node: ast.expr) -> str:
+        words = self.language.words
+        match node:
+            case ast.Name(id=name):
+                return self.language.name(name)
+            case ast.Constant(value=value):
+                return words.get(str(value), str(value))
+            case ast.Subscript(value=ast.Name(id=name), slice=place):
+                places = place.elts if isinstance(place, ast.Tuple) else [place]
+                return self.language.element.format(self.language.name(name), ", ".join(map(self.place, places)))
+            case ast.BinOp(left=left, op=op, right=right):
+                return f"{self.inner(left)} {self.word(_OPERATORS[type(op)])} {self.inner(right)}"
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                return f"{self.inner(left)} {self.word(_COMPARISONS[type(op)])} {self.inner(right)}"
+            case ast.BoolOp(op=op, values=values):
+                return f" {words['and' if isinstance(op, ast.And) else 'or']} ".join(map(self.inner, values))
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return f"{words['not']}{self.inner(operand)}"
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return f"-{self.inner(operand)}"
+        raise ValueError(f"not a part of the notation: {ast.unparse(node)}")
+
+    def word(self, operator: str) -> str:
+        return self.language.words.get(operator, operator)
+
+    def inner(self, node: ast.expr) -> str:
+        """Return a part of a larger value: nothing is left to the precedence of a language."""
+        text = self.value(node)
+        return f"({text})" if isinstance(node, ast.BinOp | ast.Compare | ast.BoolOp | ast.UnaryOp) else text
+
+    def place(self, node: ast.expr) -> str:
+        """Return an index; what is added to make it begin with 1 goes into the number that it has, where it has one."""
+        if not self.language.from_one:
+            return self.value(node)
+        match node:
+            case ast.Constant(value=int(number)):
+                return str(number + 1)
+            case ast.BinOp(left=ast.Constant(value=int(number)), op=ast.Add(), right=right):
+                return f"{number + 1} + {self.inner(right)}"
+            case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=1)):
+                return self.value(left)
+        return f"{self.inner(node)} + 1"

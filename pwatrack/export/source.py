@@ -1,0 +1,171 @@
+"""What all exported code of a controller is written from."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pwatrack.arrays import Array, IntArray, up
+from pwatrack.control.program import Follows, Program
+from pwatrack.errors import InvalidSpec
+from pwatrack.export.schema import ControllerFile
+from pwatrack.export.stored import runs
+
+_LAST_TICK = 2**32 - 2
+
+
+@dataclass(frozen=True)
+class Vector:
+    """What a controller reads, step by step.
+
+    Attributes:
+        y: Measured outputs, (steps, q).
+        w: The reference from outside, (steps, s).
+        origin: Where it is from, in a few words.
+    """
+
+    y: Array
+    w: Array
+    origin: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """What is written.
+
+    Attributes:
+        file: The controller.
+        name: Prefix of all names.
+        single: Whether in single floats.
+        given: Whether the reference comes from outside.
+        unproved: What is not proved of it, in sentences.
+    """
+
+    file: ControllerFile
+    name: str
+    single: bool
+    given: bool
+    unproved: tuple[str, ...]
+
+    @property
+    def real(self) -> Any:
+        """Type of its numbers."""
+        return np.float32 if self.single else np.float64
+
+    @cached_property
+    def program(self) -> Program:
+        """What runs."""
+        return runs(self.file, given=self.given)
+
+    @cached_property
+    def follows(self) -> Follows | None:
+        """The reference that is made inside."""
+        found = self.program.follows
+        last = 0 if found is None else max([found.end or 0, *(piece.tick for piece in found.pieces)])
+        if last > _LAST_TICK:
+            raise InvalidSpec(f"the reference has pieces up to tick {last}, more than 32 bits count")
+        return found if self.program.sizes["s"] else None
+
+    @property
+    def claims(self) -> list[str]:
+        """What is proved of its error, a sentence for each tracked signal."""
+        part = self.file
+        if part.practical is None:
+            names = part.plant.tracked if part.tracking == "output" else part.plant.states
+            return [f"Of the loop that the theorems are about the error goes to 0: {', '.join(names)}."]
+        return [
+            f"Of the loop that the theorems are about the error of {bound.signal} "
+            f"ends below {up(bound.below)} {bound.unit}".rstrip()
+            + "; it need not go to 0."
+            for bound in part.practical
+        ]
+
+    @property
+    def counted(self) -> bool:
+        """Whether ticks are counted: the reference has pieces, or an end."""
+        return self.follows is not None and (bool(self.follows.pieces) or self.follows.end is not None)
+
+    @property
+    def copies(self) -> int:
+        """How many copies of w are kept."""
+        return 0 if self.follows is None else len(self.follows.turn) - 1
+
+    @cached_property
+    def tables(self) -> dict[str, Array]:
+        """All constants of floats, by name; those that are empty are left out."""
+        program, follows, start = self.program, self.follows, self.file.start
+        of = program.sizes
+        found: dict[str, Array] = {"H": program.H, "h": program.h, "observer": program.observer}
+        found |= {"generator": program.generator, "x_d": program.x_d, "u_ff": program.u_ff, "K": program.K}
+        found["guards"] = program.guards
+        found["start_x_hat"] = np.array(start.x_hat) if start else np.zeros(of["N"])
+        found["start_eta_hat"] = np.array(start.eta_hat) if start else np.zeros(of["p"])
+        if follows is not None:
+            found |= {"turn": follows.turn, "start_w": follows.w0}
+            found["piece_values"] = np.concatenate([np.zeros(0), *(piece.w for piece in follows.pieces)])
+        return {name: values for name, values in found.items() if values.size}
+
+    @cached_property
+    def whole(self) -> dict[str, tuple[str, IntArray]]:
+        """All constants of whole numbers, with their types in C."""
+        found: dict[str, tuple[str, IntArray]] = {
+            "signs": ("int8_t", self.program.signs),
+            "sides": ("int8_t", self.program.sides),
+        }
+        if self.follows is not None:
+            pieces = self.follows.pieces
+            found["piece_tick"] = ("uint32_t", np.array([piece.tick for piece in pieces]))
+            found["piece_start"] = ("uint32_t", np.array([piece.start for piece in pieces]))
+            lengths = [len(piece.w) for piece in pieces]
+            found["piece_length"] = ("uint32_t", np.array(lengths))
+            found["piece_value"] = ("uint32_t", np.cumsum([0, *lengths])[:-1])
+        return {name: (kind, values) for name, (kind, values) in found.items() if values.size}
+
+    def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
+        """Return what stands at the top: what it is, what is proved, digests, signals.
+
+        Args:
+            sizes: Lines on its size, if anything is known of that.
+            reference: What is to be said of a reference that is made inside.
+        """
+        of, part = self.program.sizes, self.file
+        signals = self.signals([*part.plant.outputs, *part.plant.inputs])
+        y, u = ", ".join(signals[: of["q"]]), ", ".join(signals[of["q"] :])
+        proved = [f"NOT PROVED: {line}" for line in self.unproved] or [
+            "Proved for the gains as printed, in continuous time: certificate.json.",
+            *self.claims,
+            "The loop that is sampled is not proved for switching between cells: docs/arithmetic.md of pwatrack.",
+        ]
+        lines = [
+            part.name,
+            "",
+            f"Run once every {self.program.sampling.sample_time!r} s.",
+            "Written by pwatrack. It belongs to its user: see LICENSE-EXCEPTION of pwatrack.",
+            *proved,
+            "",
+            f"Spec         sha256 {part.spec_sha256}",
+            f"Certificate  sha256 {part.proof}",
+            f"Controller   sha256 {part.sha256}",
+            "",
+            *([*sizes, ""] if sizes else []),
+            f"y            {y}",
+            f"ref          {', '.join(self.program.reference) if self.given else reference}",
+            f"u            {u}",
+        ]
+        return [said(line) for line in lines]
+
+    def signals(self, names: Sequence[str]) -> list[str]:
+        """Return names of signals with their units."""
+        units = self.file.plant.units
+        return [f"{name} ({units[name]})" if name in units else name for name in names]
+
+
+def said(text: str) -> str:
+    """Return a text as it may stand in a comment, of C or of Structured Text."""
+    text = re.sub(r"[^ -~]", "?", text)
+    for mark in ("*/", "/*", "*)", "(*"):
+        text = text.replace(mark, " ".join(mark))
+    return text

@@ -1,0 +1,154 @@
+"""The function block, read by a grammar of IEC 61131-3 and run, is the controller in every bit."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import load_spec
+from pwatrack.export.controller import Controller
+from pwatrack.export.source import Source
+from pwatrack.export.structured_text import function_block
+from pwatrack.report.export import CONTROLLER, Subject, of_spec
+from pwatrack.report.verify import CERTIFICATE
+from tests.conftest import SPECS
+from tests.structured_text import Block
+from tests.test_cli import call, refused
+from tests.test_export_c import MACHINE, PIECES
+from tests.test_outcome import cart
+
+SOME = {
+    "two_mass_machine": None,
+    "gallery/two_pumps_two_tanks": 1e-2,  # two inputs, a set point
+    "gallery/payload_without_sensor": 1e-3,  # loads
+    "gallery/cart_and_pole_on_the_move": 1e-2,  # preview
+    "gallery/three_tanks_weirs": 1.0,
+}
+
+
+FROM_OUTSIDE = ("two_mass_machine", "gallery/payload_without_sensor")
+
+
+def block(subject: Subject, *, single: bool = False, given: bool = False) -> Block:
+    source = Source(file=subject.file, name="loop", single=single, given=given, unproved=subject.unproved)
+    return Block(function_block(source))
+
+
+def both(subject: Subject, *, single: bool = False, given: bool = False) -> Iterator[tuple[bytes, bytes]]:
+    """Yield u, x̂ and what else is remembered, of the function block and of the controller, step by step."""
+    run, controller = block(subject, single=single, given=given), Controller(subject.file, single=single)
+    real = np.float32 if single else np.float64
+    for y, w in zip(subject.vector.y.astype(real), subject.vector.w.astype(real), strict=True):
+        found = run(y=y, reset=False, **({"given": w} if given else {}))
+        u = controller.step(y, w if given else None)
+        places = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")
+        v = np.concatenate([controller.state(name) for name in places])
+        cells = tuple(subject.file.plant.cells[found[name]] for name in ("cell", "cell_d"))
+        assert (found["status"], cells) == (controller.status, controller.cells)
+        one = np.array([*found["u"], *found["v"], *found["wanted"], *found["x_d"]], dtype=real)
+        other = np.concatenate([u, v, controller.state("wanted"), controller.state("x_d")])
+        yield one.tobytes(), other.tobytes()
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_no_bit_differs_from_the_controller(name: str) -> None:
+    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=300)
+    for single in (False, True):
+        for given in (False, True) if name in FROM_OUTSIDE else (False,):
+            pairs = list(both(subject, single=single, given=given))
+            assert len(pairs) == 300
+            assert all(one == other for one, other in pairs)
+
+
+def with_pieces(folder: Path) -> Subject:
+    """A controller with all that an input can have, and a reference in pieces that ends: 1,100 steps of it."""
+    path = cart(folder, *MACHINE.split("\n  "), reference="PIECES", duration=10)
+    path.write_text(path.read_text(encoding="utf-8").replace('"PIECES"', PIECES))
+    subject = of_spec(load_spec(path), steps=1100)
+    program = subject.file.program
+    assert program is not None
+    assert program.inside.pieces
+    program = program.model_copy(update={"inside": program.inside.model_copy(update={"end": 1080})})
+    return replace(subject, file=subject.file.model_copy(update={"program": program}))
+
+
+def test_delays_limits_steps_and_pieces_are_in_the_block(tmp_path: Path) -> None:
+    subject = with_pieces(tmp_path)
+    for single in (False, True):
+        assert all(one == other for one, other in both(subject, single=single))
+    controller = Controller(subject.file)
+    assert [controller.step(y) is not None and controller.status for y in subject.vector.y][-1] == 1
+
+
+@pytest.fixture(scope="module")
+def machine() -> Subject:
+    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=1100)
+
+
+def test_the_copies_of_a_long_reference_are_renewed(machine: Subject) -> None:
+    assert all(one == other for one, other in both(machine))
+
+
+def test_faults_are_answered_and_a_reset_starts_anew(machine: Subject) -> None:
+    run, w = block(machine, given=True), machine.vector.w
+    first = run(y=[0.1], given=w[0], reset=False)["u"]
+    known = run(y=[0.1], given=w[1], reset=False)
+    assert first != known["u"]
+    remembered = [name for name in known if f"new_{name}" in known and name != "status"]
+    assert {"v", "before", "cell"} <= {*remembered}
+    for y, given in ((np.nan, w[2]), (np.inf, w[2]), (0.1, [0.1, -np.inf, 0.0]), (0.1, [0.1, 1.7e308, 0.0])):
+        found = run(y=[y], given=given, reset=False)
+        assert (found["status"], found["u"]) == (-1, known["u"])
+        assert [found[name] for name in remembered] == [known[name] for name in remembered]
+    assert run(y=[0.1], given=w[2], reset=False)["status"] == 0
+    assert run(y=[0.1], given=w[0], reset=True)["u"] == first
+    assert run(y=[0.1], given=w[1], reset=False)["u"] == known["u"]
+
+
+def test_the_grammar_takes_the_whole_file(tmp_path: Path) -> None:
+    subject = of_spec(load_spec(cart(tmp_path, "controller: {sample_time: 0.01}")), steps=100)
+    text = function_block(Source(file=subject.file, name="loop", single=False, given=False, unproved=()))
+    one, other = Block(text, whole_text=True), Block(text)
+    assert (one.memory, one.types, one.constants) == (other.memory, other.types, other.constants)
+    assert [one(y=y, reset=False)["u"] for y in subject.vector.y] == [
+        other(y=y, reset=False)["u"] for y in subject.vector.y
+    ]
+
+
+def test_a_wrong_bit_is_found(machine: Subject) -> None:
+    gain = machine.file.K[0][0]
+    source = Source(file=machine.file, name="loop", single=False, given=False, unproved=())
+    text = function_block(source)
+    assert repr(gain) in text
+    wrong = Block(text.replace(repr(gain), repr(float(np.nextafter(gain, 0.0)))))
+    u = [np.array(wrong(y=y, reset=False)["u"]).tobytes() for y in machine.vector.y[:200]]
+    controller = Controller(machine.file)
+    assert u != [controller.step(y).tobytes() for y in machine.vector.y[:200]]
+
+
+def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path) -> None:
+    path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
+    run, out = tmp_path / "run", tmp_path / "code"
+    assert call("design", path, "--out", run).exit_code == 0
+    found = call("export", "st", run, "--out", out, "--name", "loop", "--float32")
+    assert found.exit_code == 0, found.output
+    assert sorted(file.name for file in out.iterdir()) == sorted(["loop.st", CONTROLLER, CERTIFICATE])
+    text = (out / "loop.st").read_text(encoding="ascii")
+    assert "Proved for the gains" in text
+    assert Block(text).types["u"] == "REAL"
+    (out / CERTIFICATE).unlink()
+    error = refused(call("export", "st", out, "--out", tmp_path / "no"), 6)
+    assert f"not proved: there is no {CERTIFICATE} beside it" in error
+    assert not (tmp_path / "no").exists()
+    assert call("export", "st", out, "--out", tmp_path / "no", "--name", "loop", "--unproved").exit_code == 0
+    assert f"NOT PROVED: there is no {CERTIFICATE}" in (tmp_path / "no" / "loop.st").read_text(encoding="ascii")
+
+
+def test_a_title_cannot_leave_its_comment(machine: Subject) -> None:
+    bad = machine.file.model_copy(update={"name": "x *) END_VAR (* \n *"})
+    source = Source(file=bad, name="loop", single=False, given=False, unproved=("*) *", "(* open"))
+    (one, *_) = islice(machine.vector.y, 1)
+    assert Block(function_block(source))(y=one, reset=False)["status"] == 0
