@@ -1,6 +1,7 @@
 """The command line: parse, call, print."""
 
 import json
+from functools import partial
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -39,6 +40,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
 Outside = Annotated[bool, typer.Option("--allow-outside", help="Let specs refer to files outside of their folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Let the workers of this dask scheduler do it."),
+]
 SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
 
 
@@ -138,6 +143,7 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")
     ] = None,
+    scheduler: Scheduler = None,
     plots: Plots = "all",
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -149,11 +155,16 @@ def simulate(
     ] = None,
 ) -> None:
     """Design, then run the closed loop exactly; write traces and plots too."""
-    if ensemble is None and (over is not None or seed is not None):
-        raise typer.BadParameter("it goes with --ensemble M", param_hint="--over" if over else "--seed")
-    chosen: dict[str, Any] = {"over": over or "initial", "seed": 1 if seed is None else seed}
-    chosen |= {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
-    _run(spec_path, out, parameters, solver, simulated=True, members=ensemble, **chosen)
+    for name, value in (("--over", over), ("--seed", seed), ("--scheduler", scheduler)):
+        if ensemble is None and value is not None:
+            raise typer.BadParameter("it goes with --ensemble M", param_hint=name)
+    many = (
+        None
+        if ensemble is None
+        else {"count": ensemble, "over": over or "initial", "seed": 1 if seed is None else seed}
+    )
+    chosen = {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
+    _run(spec_path, out, parameters, solver, many, scheduler, simulated=True, **chosen)
 
 
 @app.command(epilog="Example: pwatrack batch specs/ --jobs 2 --report report.xml")
@@ -169,7 +180,8 @@ def batch(
         typer.Option("--glob", metavar="PATTERN", help="What specs are named like.", show_default="*.yaml, *.yml"),
     ] = None,
     parameters: Set = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time.")] = 1,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time, here.")] = 1,
+    scheduler: Scheduler = None,
     timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
     memory: Annotated[
         float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
@@ -209,7 +221,7 @@ def batch(
             fail_fast=fail_fast,
             again="changed" if resume else rerun or "all",
         )
-        raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit))
+        raise SystemExit(batch(paths, out, options, reports=reports or (), junit=junit, scheduler=scheduler))
 
 
 @app.command(epilog="Example: pwatrack sweep specs/two_mass_backlash.yaml --sweep k2=0.1:0.9:17 --sweep d1=0.1:1:10")
@@ -228,7 +240,8 @@ def sweep(
         float | None,
         typer.Option(min=1e-15, max=1, metavar="SHARE", help="Find where the proof ends, to a share of each range."),
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Designs at a time.")] = 1,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Designs at a time, here.")] = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     """Design a spec at many values of its parameters: a table, curves or maps, and where the proof ends."""
     with refusals():
@@ -247,6 +260,7 @@ def sweep(
             simulated=simulated,
             refine=refine,
             jobs=jobs,
+            scheduler=scheduler,
         )
 
 
@@ -397,10 +411,19 @@ def _run(
     out: Path | None,
     parameters: list[str] | None,
     solver: "Solver | None",
+    members: dict[str, Any] | None = None,
+    scheduler: str | None = None,
     **options: Any,
 ) -> None:
     with refusals():
         from pwatrack.batch.find import run_name
-        from pwatrack.report.session import run
+        from pwatrack.report.session import Members, run
 
-        run(path, out or Path("runs") / run_name(path), parameters or [], solver, **options)
+        task = partial(run, path, out or Path("runs") / run_name(path), parameters or [], solver, **options)
+        if members is None or scheduler is None:
+            task(members=Members(**members) if members else None)
+            return
+        from pwatrack.batch.cluster import Cluster
+
+        with Cluster(scheduler) as cluster:
+            task(members=Members(executor=cluster, workers=cluster.jobs, **members))

@@ -3,6 +3,7 @@
 A `Rational` is a `flint.fmpq_mat`; python-flint is loaded when the first one is made.
 """
 
+import copyreg
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
@@ -33,6 +34,13 @@ def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rati
     import flint
 
     return flint.fmpq_mat(*shape, [flint.fmpq(v.numerator, v.denominator) for row in rows for v in row])
+
+
+def let_travel() -> None:
+    """Let exact matrices be pickled from now on, and with them a plant and all that is made from it."""
+    import flint
+
+    copyreg.pickle(flint.fmpq_mat, lambda X: (flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())))
 
 
 def scalar(value: float) -> Any:

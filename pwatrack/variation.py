@@ -1,6 +1,7 @@
 """A closed loop varied: many members of one design, and what became of them."""
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,9 +11,10 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.causes import Subject
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.outcome import Outcome, Watch
+from pwatrack.rational import let_travel
 from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
-from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
+from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import Box, Region
@@ -24,6 +26,7 @@ from pwatrack.tracking import start_given_twice
 Over = Literal["initial", "parameters", "noise"]
 
 _MOST_KEPT = 250_000_000  # tracking errors: 2 GB
+_PARTS = 4  # of an ensemble for each worker: they need not take the same time
 _SPREAD = 0.05  # of the value of a parameter
 
 
@@ -95,6 +98,7 @@ def ensemble(
     over: Over = "initial",
     seed: int = 1,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> EnsembleResult:
     """Run a simulated closed loop again in many variations, each as exactly as `simulate` does.
@@ -108,7 +112,9 @@ def ensemble(
             5 % around each value that matters to the plant. "noise": the seed of the noise.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
-        progress: Called with the number of members done, after each.
+        executor: Who does the work instead of threads here, `workers` parts at a time. The result does not depend on
+            it either.
+        progress: Called with the number of members done, now and then.
 
     Raises:
         InvalidSpec: If there is too much to keep, nothing to vary, or a region does not fit the generator.
@@ -130,22 +136,63 @@ def ensemble(
             Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
         )
     with spec.located():
-        variation = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}[over](
-            result, count, seed
-        )
-        kept = simulate_ensemble(
-            variation.member,
-            count,
-            duration=spec.scenario.duration,
-            sample_time=spec.scenario.sample_time,
-            workers=workers,
-            progress=progress,
-        )
+        variation = _VARIED[over](result, count, seed)
+        if executor is None:
+            kept = _simulated(spec, variation, range(count), workers, progress)
+        else:
+            kept = _handed_on(executor, result, (over, count, seed), workers or 1, progress)
         judged = [verdict for verdict in kept.verdicts if isinstance(verdict, _Judged)]
         outcomes, figures = tuple(one.outcome for one in judged), tuple(one.figures for one in judged)
         return EnsembleResult(
             nominal=result, variation=variation, seed=seed, ensemble=kept, outcomes=outcomes, figures=figures
         )
+
+
+def _simulated(
+    spec: Spec, variation: Variation, which: range, workers: int | None, progress: Callable[[int], object] | None = None
+) -> Ensemble:
+    """Return some members of an ensemble."""
+    return simulate_ensemble(
+        variation.member,
+        len(which),
+        first=which.start,
+        duration=spec.scenario.duration,
+        sample_time=spec.scenario.sample_time,
+        workers=workers,
+        progress=progress,
+    )
+
+
+def _handed_on(
+    executor: Executor,
+    result: Result,
+    drawn: tuple[Over, int, int],
+    workers: int,
+    progress: Callable[[int], object] | None,
+) -> Ensemble:
+    """Return all members; others simulate them, in parts, each from the run and the random numbers that it draws."""
+    let_travel()
+    count = drawn[1]
+    size = max(1, -(-count // (_PARTS * workers)))
+    futures = [
+        executor.submit(_part, result, *drawn, range(first, min(first + size, count)))
+        for first in range(0, count, size)
+    ]
+    parts = list[Ensemble]()
+    try:
+        for future in futures:
+            parts.append(future.result())
+            if progress:
+                progress(sum(len(part.verdicts) for part in parts))
+    finally:
+        for future in futures:
+            future.cancel()
+    return joined(parts)
+
+
+def _part(result: Result, over: Over, count: int, seed: int, which: range) -> Ensemble:
+    let_travel()
+    return _simulated(result.spec, _VARIED[over](result, count, seed), which, 1)
 
 
 @dataclass(frozen=True)
@@ -248,6 +295,7 @@ def other_noise(result: Result, count: int, seed: int) -> Variation:
     return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
 
 
+_VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}
 _OVER: Subject = ("simulation", "ensemble", "parameters")
 
 

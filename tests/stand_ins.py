@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 from pwatrack.batch.job import Ended, Fault, Job
-from pwatrack.batch.record import inputs
 from pwatrack.report.run_folder import read_index
 from tests.runs import record
 
@@ -46,7 +45,7 @@ def work(job: Job) -> Ended:
 
 def written(job: Job) -> Ended:
     """End so, and leave a run folder as a design does, unless the spec is in error; `count` says how often."""
-    (key, files), ended = inputs(job), work(job)
+    ended = work(job)
     if ended.exit in (1, 2):
         return ended
     time.sleep(0.02)
@@ -55,7 +54,7 @@ def written(job: Job) -> Ended:
         file.write("x")
     faults = (Fault(message="no", hint="yes"),) if ended.exit else ()
     index = read_index(job.out) or {}
-    return Ended(exit=ended.exit, messages="said", faults=faults, index=index, key=key, inputs=files)
+    return Ended(exit=ended.exit, messages="said", faults=faults, index=index)
 
 
 def count(out: Path) -> int:

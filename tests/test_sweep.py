@@ -85,7 +85,7 @@ def test_a_point_that_is_lost_is_said_to_be(spec: Path) -> None:
     class Losing(Executor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
             future: Future[Any] = Future()
-            if args[2]["a"] == 0:
+            if args[4]["a"] == 0:
                 future.set_exception(Lost("killed by signal 9"))
             else:
                 future.set_result(fn(*args, **kwargs))

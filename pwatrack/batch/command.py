@@ -2,17 +2,21 @@
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from pwatrack.batch.board import board
+from pwatrack.batch.cluster import Cluster
+from pwatrack.batch.elsewhere import Work
 from pwatrack.batch.find import left_out
 from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.junit import write_junit
 from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.page import write_page
-from pwatrack.batch.pool import Pool
-from pwatrack.batch.run import Options, Work, run_batch
+from pwatrack.batch.pool import PRELOAD, Pool
+from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.sweep import Method, axis, places, sweep
 from pwatrack.batch.sweep_files import draw_sweep, write_sweep
 from pwatrack.batch.table import print_batch, print_left_out
@@ -47,6 +51,7 @@ def batch(
     *,
     reports: Sequence[Path] = (),
     junit: Path | None = None,
+    scheduler: str | None = None,
     work: Work = simulate,
 ) -> int:
     """Run a batch, show how it goes on, print its table, write its reports, and return its exit code.
@@ -58,13 +63,19 @@ def batch(
     print_left_out(left_out(paths, options.pattern))
     ended: list[Outcome] = []
     try:
-        with board(console(stderr=True)) as watcher:
-            outcomes = run_batch(paths, out, options, work=work, watcher=watcher, ended=ended)
+        with _cluster(scheduler, options) as cluster:
+            options = replace(options, jobs=cluster.jobs) if cluster else options
+            with board(console(stderr=True)) as watcher:
+                outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher, ended=ended)
     except (KeyboardInterrupt, SystemExit):
         _report(sorted(ended, key=lambda outcome: outcome.spec), writers)
         raise
     _report(outcomes, writers)
     return max(outcome.code for outcome in outcomes)
+
+
+def _cluster(scheduler: str | None, options: Options) -> AbstractContextManager[Cluster | None]:
+    return Cluster(scheduler, timeout=options.timeout, memory=options.memory) if scheduler else nullcontext()
 
 
 def _report(outcomes: Sequence[Outcome], writers: Sequence[tuple[Writer, Path]]) -> None:
@@ -99,6 +110,7 @@ def swept(
     simulated: bool = True,
     refine: float | None = None,
     jobs: int = 1,
+    scheduler: str | None = None,
     timeout: float = 600.0,
 ) -> None:
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
@@ -113,12 +125,12 @@ def swept(
     name = load_spec(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}}).name
     with (
         console(stderr=True).status("Starting") as status,
-        Pool(jobs, timeout=timeout, preload=["pwatrack.batch.warm"]) as pool,
+        Cluster(scheduler, timeout=timeout) if scheduler else Pool(jobs, timeout=timeout, preload=PRELOAD) as executor,
     ):
         points, edges = sweep(
             spec,
             axes,
-            pool,
+            executor,
             at=at,
             fixed=fixed,
             simulated=simulated,

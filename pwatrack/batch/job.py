@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pwatrack.errors import Place
-from pwatrack.report.run_folder import Plots
+from pwatrack.report.run_folder import Left, Plots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,6 @@ class Ended:
         messages: What the command line would say on stderr.
         faults: The same, one by one.
         index: Its run.json; empty if it left none.
-        key, inputs: What it depended on when it began, as a digest, and the files that the spec refers to.
     """
 
     exit: int
@@ -56,5 +55,21 @@ class Ended:
     messages: str = ""
     faults: tuple[Fault, ...] = ()
     index: Mapping[str, Any] = field(default_factory=dict)
-    key: str = ""
-    inputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """A job that has ended by itself.
+
+    Attributes:
+        ended: How.
+        key, inputs: What it depended on when it began, as a digest, and the files that the spec refers to.
+        seconds: How long it took.
+        left: What it left, if that is not in its folder yet.
+    """
+
+    ended: Ended
+    key: str
+    inputs: tuple[str, ...]
+    seconds: float
+    left: Left | None = None

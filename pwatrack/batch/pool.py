@@ -20,13 +20,17 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from pwatrack.batch.worker import OutOfMemory, serve
+from pwatrack.errors import CheckFailed
+
+PRELOAD = ("pwatrack.batch.warm",)  # what every spec needs
 
 _GRACE = 0.4  # seconds that a process has to clean up when it is told to end
 _LONGEST_WAIT = 3600.0  # seconds: a selector takes no number of any size
+_START = 60.0  # seconds that a new process has to import what its owner's main program imports
 _SAID = 65_536  # bytes that are kept of what a process says before it dies
 
 
-class Lost(Exception):
+class Lost(CheckFailed):
     """A task whose process did not live to end it.
 
     Attributes:
@@ -54,6 +58,7 @@ class _Worker:
     process: ForkServerProcess
     tasks: Connection
     errors: Connection
+    ready: bool = False
     task: _Task | None = None
     begun: float = 0.0
     deadline: float | None = None
@@ -174,10 +179,16 @@ class Pool(Executor):
             if free is None:
                 free = self._start()
                 self._workers.append(free)
-            free.task, free.begun = task, time.monotonic()
-            free.deadline = None if self._timeout is None else free.begun + self._timeout
+            free.task = task
+            self._begin(free)
             with suppress(OSError):  # it died meanwhile: seen from its sentinel
                 free.tasks.send_bytes(task.content)
+
+    def _begin(self, worker: _Worker) -> None:
+        """Let the time of a task begin, if its process is there to do it."""
+        worker.begun = time.monotonic()
+        start = 0.0 if worker.ready else _START
+        worker.deadline = None if self._timeout is None else worker.begun + start + self._timeout
 
     def _start(self) -> _Worker:
         ours, theirs = self._context.Pipe()
@@ -219,15 +230,21 @@ class Pool(Executor):
             worker.process.terminate()  # it removes what it has half-written
             worker.reason, worker.deadline = reason, time.monotonic() + _GRACE
 
-    def _answered(self, worker: _Worker) -> None:
+    def _answered(self, worker: _Worker) -> bool:
+        """Take what a process sends: that it is there, or its answer; return whether there was anything."""
         try:
-            answer, fine = ForkingPickler.loads(worker.tasks.recv_bytes())
+            message = ForkingPickler.loads(worker.tasks.recv_bytes())
         except (EOFError, OSError):  # it is dying: seen from its sentinel
-            return
+            return False
+        if message is None:
+            worker.ready = True
+        if worker.reason or worker.task is None:  # too late
+            return True
+        if message is None:
+            self._begin(worker)
+            return True
+        answer, fine = message
         task, worker.task = worker.task, None
-        if worker.reason or task is None:  # too late
-            worker.task = task
-            return
         worker.deadline = None
         worker.said.clear()
         if fine:
@@ -238,12 +255,13 @@ class Pool(Executor):
             task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
         else:
             task.future.set_exception(answer)
+        return True
 
     def _ended(self, worker: _Worker) -> None:
         if not worker.reason:
             with suppress(OSError):
-                if worker.tasks.poll():  # its last answer came just before
-                    self._answered(worker)
+                while worker.task and worker.tasks.poll() and self._answered(worker):
+                    pass  # its last answer came just before
         self._bury(worker)
         with self._lock:
             self._workers.remove(worker)

@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.job import Ended, Fault, Job
+from pwatrack.batch.job import Done, Ended, Fault, Job
 from pwatrack.errors import InvalidSpec, Place
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
 from pwatrack.version import versions
@@ -43,19 +43,20 @@ def inputs(job: Job) -> tuple[str, tuple[str, ...]]:
     return key(job, files), tuple(map(str, files))
 
 
-def remember(job: Job, out: Path, ended: Ended, seconds: float) -> None:
+def remember(job: Job, out: Path, done: Done) -> None:
     """Write the record of a run, if it left a folder that is still there. Where that is impossible, it runs again."""
-    if not (ended.index and ended.key):
+    ended = done.ended
+    if not ended.index:
         return
     with suppress(OSError, InvalidSpec):
         stamps = {name: (job.out / name).stat().st_mtime_ns for name in ended.index["files"]}
         content: dict[str, Any] = {
             "format": _FORMAT,
-            "key": ended.key,
-            "inputs": ended.inputs,
+            "key": done.key,
+            "inputs": done.inputs,
             "index": _digest(job.out / INDEX),
         }
-        content |= {"stamps": stamps, "seconds": seconds, "exit": ended.exit, "expected": ended.expected}
+        content |= {"stamps": stamps, "seconds": done.seconds, "exit": ended.exit, "expected": ended.expected}
         content |= {"messages": ended.messages, "faults": [asdict(fault) for fault in ended.faults]}
         with written_at_once(_place(job, out)) as temporary:
             temporary.write_text(json.dumps(content), encoding="utf-8")

@@ -4,20 +4,22 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from pwatrack.batch.elsewhere import Work, done, received, send
 from pwatrack.batch.find import find_specs
-from pwatrack.batch.job import Ended, Job
+from pwatrack.batch.job import Done, Job
 from pwatrack.batch.outcomes import Outcome
-from pwatrack.batch.pool import Lost, Pool
+from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
 from pwatrack.batch.work import simulate
 from pwatrack.report.run_folder import Plots, sweep
 
-Work = Callable[[Job], Ended]
+Submit = Callable[[Job], "Future[Done]"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,8 @@ def run_batch(
     options: Options | None = None,
     *,
     work: Work = simulate,
-    preload: Sequence[str] = ("pwatrack.batch.warm",),
+    preload: Sequence[str] = PRELOAD,
+    executor: Executor | None = None,
     watcher: Watcher | None = None,
     ended: list[Outcome] | None = None,
 ) -> list[Outcome]:
@@ -75,6 +78,7 @@ def run_batch(
         options: How they are run.
         work: What is done with each of them, by the name of a module's function: other processes do it.
         preload: Modules that they import once, before any work.
+        executor: Who does the work instead of processes here, on whatever machine: files go along and come back.
         watcher: Is told of every spec as it ends.
         ended: Outcomes are added to it as they come, for whoever wants them after an interruption.
 
@@ -91,16 +95,25 @@ def run_batch(
         for spec, place in places.items()
     ]
     watcher.begins(len(jobs))
-    executor = partial(Pool, options.jobs, timeout=options.timeout, memory=options.memory, preload=preload)
-    for outcome in _all(jobs, out, options, work, executor):
+    for outcome in _all(jobs, out, options, partial(_submitting, options, work, preload, executor)):
         ended.append(outcome)
         watcher.ended(outcome)
     order = {job.spec: k for k, job in enumerate(jobs)}
     return sorted(ended, key=lambda outcome: order[outcome.spec])
 
 
+@contextmanager
+def _submitting(options: Options, work: Work, preload: Sequence[str], executor: Executor | None) -> Iterator[Submit]:
+    """Return who takes jobs until the block ends."""
+    if executor is not None:
+        yield partial(send, executor, work)
+        return
+    with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=preload) as pool:
+        yield partial(pool.submit, done, work)
+
+
 def _all(
-    jobs: Sequence[Job], out: Path, options: Options, work: Work, start_executor: Callable[[], Executor]
+    jobs: Sequence[Job], out: Path, options: Options, submitting: Callable[[], AbstractContextManager[Submit]]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of jobs, first of those that need not be run again."""
     rest = list[Job]()
@@ -115,18 +128,18 @@ def _all(
         else:
             yield outcome
     if rest:
-        with start_executor() as executor:
-            yield from _worked_off(rest, out, executor, work, options)
+        with submitting() as submit:
+            yield from _worked_off(rest, out, submit, options)
 
 
-def _worked_off(jobs: Sequence[Job], out: Path, executor: Executor, work: Work, options: Options) -> Iterator[Outcome]:
+def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options) -> Iterator[Outcome]:
     """Yield the outcomes of jobs as they end; no more are handed on than are soon begun: the rest may be skipped."""
-    waiting, running = deque(jobs), dict[Future[tuple[Ended, float]], Job]()
+    waiting, running = deque(jobs), dict[Future[Done], Job]()
     at_once = options.jobs if options.fail_fast else 2 * options.jobs
     while waiting or running:
         while waiting and len(running) < at_once:
             job = waiting.popleft()
-            running[executor.submit(_timed, work, job)] = job
+            running[submit(job)] = job
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             outcome = _outcome(running.pop(future), out, future)
             yield outcome
@@ -136,17 +149,11 @@ def _worked_off(jobs: Sequence[Job], out: Path, executor: Executor, work: Work, 
                 waiting.clear()
 
 
-def _timed(work: Work, job: Job) -> tuple[Ended, float]:
-    start = time.perf_counter()
-    ended = work(job)
-    return ended, time.perf_counter() - start
-
-
-def _outcome(job: Job, out: Path, future: Future[tuple[Ended, float]]) -> Outcome:
+def _outcome(job: Job, out: Path, future: "Future[Done]") -> Outcome:
     try:
-        ended, seconds = future.result()
-        remember(job, out, ended, seconds)
-        return Outcome.of(job.spec, job.out, ended, seconds=seconds)
+        ending = received(job, future.result())
+        remember(job, out, ending)
+        return Outcome.of(job.spec, job.out, ending.ended, seconds=ending.seconds)
     except Lost as lost:
         from pwatrack.spec.load import expected_exit
 

@@ -10,6 +10,7 @@ from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
+from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.report.terminal import told
@@ -178,7 +179,7 @@ def sweep(
     Args:
         spec: The file.
         axes: The parameters that vary.
-        executor: Who does the work: `look` and `bisect`, one place at a time.
+        executor: Who does the work, on whatever machine: `look` and `bisect`, one place at a time.
         at: Where to look, from `places`.
         fixed: Other parameters, as text.
         simulated: Whether to simulate too.
@@ -188,8 +189,8 @@ def sweep(
     Returns:
         The points in the order of `at`, and the ends of the proof in the order of the grid.
     """
-    set_ = dict(fixed or {})
-    futures = [executor.submit(look, spec, set_, values, simulated=simulated) for values in at]
+    set_, files = dict(fixed or {}), packed(spec)
+    futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
     points = [_point(f, v) for f, v in zip(_ended(futures, progress), at, strict=True)]
     if refine is None:
         return points, []
@@ -199,7 +200,9 @@ def sweep(
         if one.proved != other.proved and _told(one, other)
     ]
     found = [
-        executor.submit(bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low))
+        executor.submit(
+            with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
+        )
         for one, other, axis in pairs
     ]
     return points, [future.result() for future in _ended(found, progress) if not future.exception()]

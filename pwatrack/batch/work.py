@@ -3,13 +3,11 @@
 import contextlib
 import io
 from collections.abc import Iterator
-from pathlib import Path
 
 from pwatrack.batch.job import Ended, Fault, Job
-from pwatrack.batch.record import inputs
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report.codes import code_of
-from pwatrack.report.run_folder import INDEX, read_index
+from pwatrack.report.run_folder import read_index, stamp
 from pwatrack.report.terminal import told
 
 
@@ -21,7 +19,7 @@ def simulate(job: Job) -> Ended:
     said = io.StringIO()
     faults: tuple[Fault, ...] = ()
     code, lines = int(ExitCode.DONE), list[str]()
-    (key, files), before = inputs(job), _stamp(job.out)
+    before = stamp(job.out)
     with contextlib.redirect_stderr(said):
         try:
             run(
@@ -37,30 +35,24 @@ def simulate(job: Job) -> Ended:
         except MemoryError:
             raise
         except Exception as error:
-            code, lines = told(error)
-            faults = tuple(_faults(error)) if isinstance(error, PwatrackError) else ()
-    index = (read_index(job.out) if _stamp(job.out) != before else None) or {}
+            code, lines, faults = refused(error)
+    index = (read_index(job.out) if stamp(job.out) != before else None) or {}
     return Ended(
         exit=int(code),
         expected=expected_exit(job.spec),
         messages="\n".join([*said.getvalue().splitlines(), *lines]),
         faults=faults,
         index=index if index.get("exit") == code else {},
-        key=key,
-        inputs=files,
     )
+
+
+def refused(error: Exception) -> tuple[int, list[str], tuple[Fault, ...]]:
+    """Return how a run ends with an exception: its exit code, what the command line says, and what is wrong."""
+    code, lines = told(error)
+    return int(code), lines, tuple(_faults(error)) if isinstance(error, PwatrackError) else ()
 
 
 def _faults(refusal: PwatrackError) -> Iterator[Fault]:
     for problem in refusal.problems:
         code = code_of(problem.message, refusal.code)
         yield Fault(message=problem.message, code=code, hint=problem.hint, place=problem.place)
-
-
-def _stamp(folder: Path) -> tuple[int, int] | None:
-    """Return what tells one index of a folder from the next."""
-    try:
-        found = (folder / INDEX).stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_mtime_ns

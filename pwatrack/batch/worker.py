@@ -26,7 +26,8 @@ def serve(tasks: Connection, errors: Connection, memory: float | None) -> None:
     """Work off tasks.
 
     Args:
-        tasks: Where (function, arguments, named arguments) come from, and (answer, whether it is one) go to.
+        tasks: Where (function, arguments, named arguments) come from, and (answer, whether it is one) go to, after a
+            None for a start.
         errors: Where everything goes that the process says on stderr.
         memory: Megabytes that a task may take beyond the program itself.
     """
@@ -36,6 +37,8 @@ def serve(tasks: Connection, errors: Connection, memory: float | None) -> None:
     os.dup2(nowhere, 0)
     os.dup2(nowhere, 1)
     os.dup2(errors.fileno(), 2)
+    with suppress(OSError):
+        tasks.send_bytes(ForkingPickler.dumps(None))  # from now on time counts
     while True:
         try:
             content = tasks.recv_bytes()

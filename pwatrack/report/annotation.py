@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.cells import cell_len
 
+from pwatrack.carried import content
 from pwatrack.errors import Place, PwatrackError
 from pwatrack.report.codes import code_of
 
@@ -21,10 +22,9 @@ def excerpt(place: Place, message: str) -> list[str]:
     """
     try:
         path = Path(place.file)
-        if not path.is_file() or path.stat().st_size > _LARGEST:
-            return []
-        line = path.read_text(encoding="utf-8").split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
-    except (OSError, ValueError, IndexError):
+        text = content(path, lambda: _bytes(path)).decode("utf-8")
+        line = text.split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
+    except (OSError, ValueError, IndexError, PwatrackError):
         return []
     first, length = _meant(line, place.column - 1, message)
     start = max(0, min(first - _WIDEST // 2, len(line) - _WIDEST))
@@ -32,6 +32,12 @@ def excerpt(place: Place, message: str) -> list[str]:
     margin = f"{place.line:5} | "
     under = " " * cell_len(before + line[start:first]) + "^" + "~" * (cell_len(line[first : first + length]) - 1)
     return [margin + before + shown, " " * (len(margin) - 2) + "| " + under[: _WIDEST + 2]]
+
+
+def _bytes(path: Path) -> bytes:
+    if not path.is_file() or path.stat().st_size > _LARGEST:
+        raise ValueError("it is not looked into")
+    return path.read_bytes()
 
 
 def _meant(line: str, first: int, message: str) -> tuple[int, int]:

@@ -34,6 +34,7 @@ CODES = (
     _kind("P208", r"^cannot write", "A place that cannot be written", "Nothing was changed there. Look for a full disk, missing rights, or a file where a folder should be; choose another --out."),
     _kind("P209", r"^cannot read|is no folder and no file", "A file that cannot be read", "Paths are relative to the folder that the program was started in; those in a spec to the folder of the spec."),
     _kind("P210", r"is missing", "Something that every spec has is missing", "A spec has at least name, system, reference and simulation. 'pwatrack init' writes one to start from."),
+    _kind("P211", r"^--scheduler", "A scheduler that cannot be used", "docs/cluster.md says how scheduler and workers are started. Workers need the package under the same versions as here."),
     _kind("P301", r"do not cover", "Cells with a hole between them", "Together, the cells have to contain every state; the message has one that is in none. Border points belong to both neighbours."),
     _kind("P302", r"overlap", "Cells that overlap", "Two cells may share a border only; the message has a state inside both."),
     _kind("P303", r"must be continuous", "A field that jumps", "On the border of two cells both have to give the same A x + b: class (1) of the paper. Often b is missing, or a number is rounded; 'tolerance: {continuity: …}' accepts and repairs jumps by rounding."),

@@ -41,6 +41,7 @@ from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.trace import Trace
+from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.spec.values import WRITTEN
 from pwatrack.tracking import reference_remarks
@@ -256,7 +257,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
     return {
         "name": path.stem,
         "spec": str(path),
-        "spec_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
+        "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest(),
         "parameters": dict(parameters),
         "seconds": dict(seconds or {}),
         "versions": versions(),

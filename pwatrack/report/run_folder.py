@@ -17,7 +17,10 @@ import signal
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
@@ -44,12 +47,52 @@ _GOING, _COMING = (
 )  # the index while files of the earlier run go and those of the new one come
 
 
+@dataclass
+class Left:
+    """What a run leaves that is made on another machine than its folder is on.
+
+    Attributes:
+        index: What `read_index` finds there: first that of the earlier run, if there is one.
+        files: What each file holds, once there is a run.
+    """
+
+    index: dict[str, Any] | None = None
+    files: dict[str, bytes] | None = None
+
+    def write(self, path: str | Path) -> None:
+        """Write it where it belongs, if there is a run, as if it had been made there.
+
+        Raises:
+            InvalidSpec: If the folder cannot be written.
+        """
+        if self.index is None or self.files is None:
+            return
+        with run_folder(path) as run:
+            for name, content in self.files.items():
+                run.place(name).write_bytes(content)
+            run.commit(self.index)
+
+
+_LEFT: ContextVar[Left | None] = ContextVar("where runs are left", default=None)
+
+
+@contextmanager
+def left_elsewhere(left: Left) -> Iterator[None]:
+    """Let the one run of the block be left there, and nothing be written into its folder."""
+    token = _LEFT.set(left)
+    try:
+        yield
+    finally:
+        _LEFT.reset(token)
+
+
 class RunFolder:
     """Files on their way into a folder; use it through `run_folder`."""
 
-    def __init__(self, path: Path, stage: Path) -> None:
+    def __init__(self, path: Path, stage: Path, left: Left | None = None) -> None:
         self.path = path
         self._stage = stage
+        self._left = left
         self._names: list[str] = []
 
     def place(self, name: str) -> Path:
@@ -76,6 +119,10 @@ class RunFolder:
 
         A file of the user's under one of these names, and one that was changed since a run wrote it, is kept: `name~`.
         """
+        if self._left is not None:
+            self._left.files = {name: (self._stage / name).read_bytes() for name in self._names}
+            self._left.index = json.loads(json_text(index))
+            return
         new = {name: _record(self._stage / name) for name in self._names}
         with _alone(self.path):
             for name in (*new, INDEX):
@@ -120,8 +167,12 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
         >>> index["verdict"], list(index["files"])
         ('proved', ['gains.json'])
     """
-    path = Path(path)
+    path, left = Path(path), _LEFT.get()
     try:
+        if left is not None:
+            with TemporaryDirectory(prefix=_STAGE) as temporary:
+                yield RunFolder(path, Path(temporary), left)
+            return
         path.mkdir(parents=True, exist_ok=True)
         stage = path / f"{_STAGE}{secrets.token_hex(8)}"
         with _alone(path):  # or another run would take the stage for one that nobody owns
@@ -166,6 +217,8 @@ def _is_temporary(file: Path, prefix: str) -> bool:
 
 def read_index(path: str | Path) -> dict[str, Any] | None:
     """Return the index of the run that a folder tells; None if it tells none, or that of another program."""
+    if (left := _LEFT.get()) is not None:
+        return left.index
     index = _index(Path(path))
     return index if index.get("verdict") != INCOMPLETE and index else None
 
@@ -179,6 +232,17 @@ def named_spec(index: Mapping[str, Any], folder: Path) -> Path:
     """
     path = Path(str(index.get("spec", "")))
     return folder / path if path == Path(WRITTEN) else path
+
+
+def stamp(path: Path) -> tuple[int, int] | None:
+    """Return what tells one index of a folder from the next; None if there is none."""
+    if (left := _LEFT.get()) is not None:
+        return None if left.files is None else (id(left.files), 0)
+    try:
+        found = (path / INDEX).stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def kept_files(path: Path) -> list[str]:

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,6 +38,29 @@ from pwatrack.variation import EnsembleResult, Over, ensemble
 Shown = Literal["summary", "more", "json", "nothing"]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Members:
+    """An ensemble that is asked for: see `ensemble`."""
+
+    count: int
+    over: Over = "initial"
+    seed: int = 1
+    executor: Executor | None = None
+    workers: int | None = None
+
+    def of(self, result: Result, progress: Callable[[int], object]) -> EnsembleResult:
+        """Return that ensemble of a run."""
+        return ensemble(
+            result,
+            self.count,
+            over=self.over,
+            seed=self.seed,
+            workers=self.workers,
+            executor=self.executor,
+            progress=progress,
+        )
+
+
 def run(
     path: Path,
     folder: Path,
@@ -47,9 +71,7 @@ def run(
     fronts: bool = False,
     scaled: bool = False,
     stored: Path | None = None,
-    members: int | None = None,
-    over: Over = "initial",
-    seed: int = 1,
+    members: Members | None = None,
     plots: Plots = "all",
     shown: Shown = "summary",
     outside: bool = False,
@@ -61,7 +83,7 @@ def run(
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
-        stored, members, over, seed: A controller.json that is simulated instead of a new one, and as for `ensemble`.
+        stored, members: A controller.json that is simulated instead of a new one, and an ensemble of its loop.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.
@@ -81,7 +103,7 @@ def run(
                     result = pipeline.simulate(spec, controller, made.runs)
                 if members:
                     with made.timed("ensemble"):
-                        many = ensemble(result, members, over=over, seed=seed, progress=_shown(status, members))
+                        many = members.of(result, _shown(status, members.count))
             else:
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):

@@ -1,7 +1,7 @@
 """The same closed loop many times: members on all cores, of which only the tracking error is kept."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -80,12 +80,24 @@ class Ensemble:
         return np.asarray(np.append(self.t, np.inf)[first])
 
 
+def joined(parts: Sequence[Ensemble]) -> Ensemble:
+    """Return the ensemble whose members are those of its parts, in order."""
+    return Ensemble(
+        t=parts[0].t,
+        error=np.concatenate([part.error for part in parts]),
+        mode_changes=np.concatenate([part.mode_changes for part in parts]),
+        unresolved=np.concatenate([part.unresolved for part in parts]),
+        verdicts=tuple(verdict for part in parts for verdict in part.verdicts),
+    )
+
+
 def simulate_ensemble(
     member: Callable[[int], Member],
     count: int,
     *,
     duration: float,
     sample_time: float,
+    first: int = 0,
     workers: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Ensemble:
@@ -93,7 +105,7 @@ def simulate_ensemble(
 
     Args:
         member: Returns a member by its index, from any thread, when its turn comes; their flows may differ.
-        count: How many, at least one.
+        count, first: How many, at least one, and the index of the first of them.
         duration, sample_time: As for `simulate_flow`.
         workers: Threads; None for one on each core. The result does not depend on it.
         progress: Called with the number of members done, now and then.
@@ -102,7 +114,6 @@ def simulate_ensemble(
         PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.
 
     Example: oscillators with a one-sided spring, dropped from ten heights.
-
         >>> from pwatrack.simulation.flow import SwitchedPart
         >>> spring = SwitchedPart(name="spring", cells=("touching", "free"), guards=np.array([[1.0, 0, 0]]),
         ...     signs=np.array([[-1], [1]]), F=np.array([[[0, 0, 0], [-9.0, 0, 0], [0, 0, 0]], np.zeros((3, 3))]))
@@ -116,16 +127,16 @@ def simulate_ensemble(
     samples = sample_count(duration, sample_time)
     error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)
     verdicts: list[object] = [None] * count
-    with _named("member 1"):
-        first = member(0).flow
-    shared = Propagator(first, duration=duration, sample_time=sample_time)
+    with _named(f"member {first + 1}"):
+        flow = member(first).flow
+    shared = Propagator(flow, duration=duration, sample_time=sample_time)
 
     def run(number: int) -> None:
-        label = f"member {number + 1}"
+        label = f"member {first + number + 1}"
         with _named(label):
-            one = member(number)
+            one = member(first + number)
         with _named(f"{label}, {one.text}" if one.text else label):
-            on = shared if one.flow is first else Propagator(one.flow, duration=duration, sample_time=sample_time)
+            on = shared if one.flow is flow else Propagator(one.flow, duration=duration, sample_time=sample_time)
             walk = on.walk(one.z0, one.resets)
         walk.norms(one.error, error[number])
         mode_changes[number], unresolved[number] = walk.events, walk.unresolved

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from pwatrack.carried import content
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
@@ -207,7 +208,7 @@ def expected_exit(path: str | Path) -> int:
         return ExpectSection.model_validate(document.data["expect"]).exit
     except PwatrackError:  # not even YAML
         try:
-            found = _EXPECT.search(_content(Path(path)).decode("utf-8", errors="replace"))
+            found = _EXPECT.search(spec_bytes(Path(path)).decode("utf-8", errors="replace"))
         except InvalidSpec:
             return 0
         return int(found[1]) if found else 0
@@ -243,17 +244,26 @@ def _files(data: object) -> Iterator[str]:
 
 
 def _read(path: Path) -> tuple[Document, str]:
-    content = _content(path)
+    text = spec_bytes(path)
     try:
-        return parse_yaml(content.decode("utf-8"), str(path)), hashlib.sha256(content).hexdigest()
+        return parse_yaml(text.decode("utf-8"), str(path)), hashlib.sha256(text).hexdigest()
     except UnicodeDecodeError as error:
-        before = content[: error.start]
+        before = text[: error.start]
         place = Place(str(path), before.count(b"\n") + 1, error.start - before.rfind(b"\n"))
-        raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {content[error.start]:#04x}", place=place)) from None
+        raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {text[error.start]:#04x}", place=place)) from None
 
 
-def _content(path: Path) -> bytes:
-    """Return the bytes of a regular file that is not too large: others may never end."""
+def spec_bytes(path: Path) -> bytes:
+    """Return what a spec file holds; raises as `file_content` does."""
+    return content(path, lambda: file_content(path))
+
+
+def file_content(path: Path) -> bytes:
+    """Return the bytes of a spec file, a regular one that is not too large: others may never end.
+
+    Raises:
+        InvalidSpec: If it is no such file, or cannot be read.
+    """
     try:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):

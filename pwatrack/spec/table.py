@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.carried import content
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Table
@@ -31,12 +32,10 @@ class Folder:
     path: Path
     outside: bool = False
 
-    def file(self, name: str) -> Path:
-        """Return the path of a file; raises ValueError if it is not to be read, wherever links lead."""
-        path = self.path / name
+    def check(self, path: Path) -> None:
+        """Refuse a file with a ValueError if it is not to be read, wherever links lead."""
         if not self.outside and not path.resolve().is_relative_to(self.path.resolve()):
             raise ValueError("it is outside of the spec's folder, and is read with --allow-outside only")
-        return path
 
 
 def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
@@ -54,7 +53,7 @@ def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table
     """
     path = folder.path / section.file
     try:
-        values = _values(folder.file(section.file), section)
+        values = _values(content(path, lambda: table_content(path, folder)), section)
         _check(values)
         t, y = values.T
         if section.filter is not None:
@@ -70,9 +69,9 @@ def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table
     return Table(readonly(t), readonly(y), filtered=section.filter is not None)
 
 
-def _values(path: Path, section: TableSection) -> Array:
+def _values(text: bytes, section: TableSection) -> Array:
     """Return times in s and values, (K, 2)."""
-    lines = _lines(path)
+    lines = _lines(text)
     delimiter = section.delimiter or _delimiter(lines)
     rows = [
         [cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter, skipinitialspace=True) if row
@@ -97,21 +96,30 @@ def _values(path: Path, section: TableSection) -> Array:
     return np.array(numbers).reshape(-1, 2) * _scales(section.scale, section.time, column)
 
 
-def _lines(path: Path) -> list[str]:
-    """Return the lines of the file; only a regular one is opened, and no more is read than is taken."""
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode):
+def table_content(path: Path, folder: Folder) -> bytes:
+    """Return the bytes of a table; only a regular file is opened, and no more is read than is taken.
+
+    Raises:
+        ValueError: If it is outside of the folder, no regular file, or too large.
+        OSError: If it cannot be read.
+    """
+    folder.check(path)
+    if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("not a regular file")
     with path.open("rb") as file:
-        content = file.read(LARGEST_FILE + 1)
-    if len(content) > LARGEST_FILE:
+        text = file.read(LARGEST_FILE + 1)
+    if len(text) > LARGEST_FILE:
         raise ValueError(f"more than {LARGEST_FILE:,} bytes, which is the most that is read")
-    wide = content.startswith(_WIDE)
+    return text
+
+
+def _lines(text: bytes) -> list[str]:
+    wide = text.startswith(_WIDE)
     try:
-        return content.decode("utf-16" if wide else "utf-8-sig").splitlines()
+        return text.decode("utf-16" if wide else "utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         kind = "UTF-16" if wide else "UTF-8"
-        raise ValueError(f"not {kind} text: byte {content[error.start]:#04x} at position {error.start + 1}") from None
+        raise ValueError(f"not {kind} text: byte {text[error.start]:#04x} at position {error.start + 1}") from None
 
 
 _ADVICE = "write points in numbers, or semicolons between columns"

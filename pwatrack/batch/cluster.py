@@ -1,0 +1,184 @@
+"""The workers of a dask scheduler as an executor: each does its tasks in processes of a pool, as it is done locally.
+
+So a task that crashes, hangs or grows fails by itself there too, and the worker lives on. A task whose worker is lost
+is done again by another one.
+"""
+
+import multiprocessing
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent import futures
+from concurrent.futures import Executor, Future
+from importlib import import_module
+from multiprocessing.reduction import ForkingPickler
+from typing import Any
+
+from pwatrack.batch.pool import PRELOAD, Lost, Pool
+from pwatrack.errors import InvalidSpec
+from pwatrack.version import versions
+
+_PATIENCE = 10.0  # seconds in which a scheduler and a worker are to be found
+_LOOK = 1.0  # seconds between two looks whether anybody still waits for a task
+
+Settings = tuple[float | None, float | None, tuple[str, ...]]  # timeout, memory and preload of a pool
+
+
+class Cluster(Executor):
+    """An executor on the workers of a dask scheduler. Use it as a context: an exception inside cancels what is left.
+
+    Args:
+        address: Of the scheduler, such as "tcp://10.0.0.1:8786".
+        timeout, memory, preload: As for `Pool`, in whose processes the workers do their tasks.
+
+    A future's `result()` raises `Lost` as that of a pool does, also where the scheduler went away, and `InvalidSpec`
+    where a worker cannot do the task as it would be done here: it has no pwatrack, or other versions.
+
+    Raises:
+        InvalidSpec: If distributed is not installed, or there is no scheduler, or no worker.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        timeout: float | None = None,
+        memory: float | None = None,
+        preload: Sequence[str] = PRELOAD,
+    ) -> None:
+        try:
+            distributed: Any = import_module("distributed")
+        except ImportError:
+            hint = "pip install 'pwatrack[cluster]'"
+            raise InvalidSpec("--scheduler: the package distributed is not installed", hint=hint) from None
+        hint = "start one with 'dask scheduler', and workers with 'dask worker ADDRESS'"
+        try:
+            self._client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise InvalidSpec(f"--scheduler {address}: no dask scheduler answers: {error}", hint=hint) from None
+        try:
+            self._client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            self._client.close()
+            raise InvalidSpec(f"--scheduler {address}: the scheduler has no workers", hint=hint) from None
+        self._executor = self._client.get_executor(pure=False)
+        self._settings: Settings = timeout, memory, tuple(preload)
+        self._futures = set[Future[Any]]()
+        self._lock = threading.Lock()
+
+    @property
+    def jobs(self) -> int:
+        """How many tasks the workers do at a time."""
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Return the future of a call, which some worker will make."""
+        future = Future[Any]()
+        content = bytes(ForkingPickler.dumps((fn, args, kwargs)))
+        with self._lock:
+            self._futures.add(future)
+        sent = self._executor.submit(work, content, self._settings, versions())
+
+        def ended(_: object) -> None:
+            with self._lock:
+                self._futures.discard(future)
+            if future.set_running_or_notify_cancel():
+                _settle(future, sent)
+
+        sent.add_done_callback(ended)
+        future.add_done_callback(lambda future: future.cancelled() and sent.cancel())
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more tasks, wait for those that are there or cancel them, and leave the scheduler."""
+        with self._lock:
+            left = list(self._futures)
+        if cancel_futures:
+            for future in left:
+                future.cancel()
+        elif wait:
+            futures.wait(left)
+        self._client.close()
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.shutdown(cancel_futures=kind is not None)
+
+
+def _settle(future: Future[Any], sent: Future[Any]) -> None:
+    """Give a future what came back."""
+    from distributed import KilledWorker
+
+    if sent.cancelled():
+        future.set_exception(Lost("the scheduler has gone, or has dropped the task"))
+        return
+    error = sent.exception()
+    if error is None:
+        answer, fine = ForkingPickler.loads(sent.result())
+        future.set_result(answer) if fine else future.set_exception(answer)
+    elif isinstance(error, KilledWorker):
+        future.set_exception(Lost(f"every worker that was at it has died: {error}"))
+    else:
+        future.set_exception(InvalidSpec(f"--scheduler: a worker cannot do the work: {type(error).__name__}: {error}"))
+
+
+_IDLE = defaultdict[Settings, list[Pool]](list)  # on a worker: processes that wait for a task, by how they are limited
+_TAKING = threading.Lock()
+
+
+def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
+    """Make a call on a worker, in a process of its own; return what came out, as bytes.
+
+    Args:
+        content: The function and its arguments.
+        settings: Of the pool.
+        known: The versions of who asks: others may compute other bits.
+    """
+    if versions() != known:
+        other = {name: (here, known.get(name)) for name, here in versions().items() if known.get(name) != here}
+        said = ", ".join(f"{name} {here} instead of {there}" for name, (here, there) in other.items())
+        return _answer(InvalidSpec(f"--scheduler: a worker has {said}", hint="install the same versions there"), False)
+    multiprocessing.current_process().daemon = False  # that of a nanny may have no children; ours end with it anyway
+    with _TAKING:
+        pool = _IDLE[settings].pop() if _IDLE[settings] else None
+        for others in [key for key in _IDLE if key != settings]:
+            for idle in _IDLE.pop(others):
+                idle.shutdown(wait=False)
+    if pool is None:
+        timeout, memory, preload = settings
+        pool = Pool(1, timeout=timeout, memory=memory, preload=preload)
+    future = pool.submit(_called, content)
+    while not futures.wait([future], _LOOK).done:
+        if _forgotten():
+            pool.kill_workers()
+    if future.cancelled() or _forgotten():
+        return b""  # nobody asks for it
+    error = future.exception()
+    answer = _answer(error, False) if error else future.result()
+    with _TAKING:
+        _IDLE[settings].append(pool)
+    return bytes(answer)
+
+
+def _called(content: bytes) -> bytes:
+    """Make the call, in whatever process."""
+    function, positional, named = ForkingPickler.loads(content)
+    try:
+        return _answer(function(*positional, **named), True)
+    except MemoryError:
+        raise
+    except Exception as error:
+        return _answer(error, False)
+
+
+def _answer(answer: object, fine: bool) -> bytes:
+    return bytes(ForkingPickler.dumps((answer, fine)))
+
+
+def _forgotten() -> bool:
+    """Whether nobody waits any more for what this thread of a worker is at."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    task = worker.state.tasks.get(worker.get_current_task())
+    return task is None or task.state == "cancelled"
