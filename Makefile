@@ -35,6 +35,21 @@ demo: $(READY) ## design and simulate the paper's example
 test: $(READY) ## run the tests
 	@$(BIN)/pytest -q -n auto
 
+DOCS := .venv/.docs
+
+$(DOCS): $(READY) docs/requirements.lock
+	@if command -v uv >/dev/null 2>&1; then \
+	  uv pip install -q --python $(BIN)/python --require-hashes -r docs/requirements.lock ; \
+	else \
+	  $(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r docs/requirements.lock ; \
+	fi
+	@touch $@
+
+.PHONY: docs
+docs: $(DOCS) ## build the documentation, and run all that it shows (five minutes)
+	@OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -W --keep-going -n -q docs docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
 .PHONY: batch
 batch: $(READY) ## design and simulate every spec in specs/
 	@$(BIN)/pwatrack batch specs --jobs 2
@@ -130,10 +145,12 @@ format: $(READY) ## let ruff format and fix
 	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
 
 .PHONY: lock
-lock: ## renew requirements.lock from pyproject.toml (needs uv)
+lock: ## renew the locks from pyproject.toml (needs uv)
 	uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	  --extra dev --custom-compile-command 'make lock' pyproject.toml -o requirements.lock
+	uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	  --extra docs -c requirements.lock --custom-compile-command 'make lock' pyproject.toml -o docs/requirements.lock
 
 .PHONY: clean
 clean: ## remove .venv, runs and caches
-	rm -rf .venv runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache docs/_build docs/generated

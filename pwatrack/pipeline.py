@@ -121,6 +121,12 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
     Raises:
         PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
             generator's initial state has the wrong length, or a long run does not fit on the disk.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> result = simulate(load_spec("specs/gallery/kinked_tanks.yaml"))
+        >>> result.outcome.kind, result.response.y.shape
+        ('tracks', (2401, 1))
     """
     controller = controller or design(spec, growing=True)
     with spec.located():

@@ -76,6 +76,13 @@ def write_design(
 
     Raises:
         InvalidSpec: If the folder cannot be written; nothing is changed then.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> from pwatrack import design, load_spec
+        >>> spec = load_spec("specs/gallery/kinked_tanks.yaml")
+        >>> sorted(path.name for path in write_design(spec, design(spec), mkdtemp()).iterdir())[:3]
+        ['bounds.json', 'certificate.json', 'controller.json']
     """
     with run_folder(folder) as run:
         _design_files(run, spec, controller, known_start(spec, controller))
@@ -117,6 +124,13 @@ def write_result(
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
 
     Returns and raises: as `write_design`.
+
+    Example:
+        >>> from tempfile import mkdtemp
+        >>> from pwatrack import load_spec, simulate
+        >>> result = simulate(load_spec("specs/gallery/kinked_tanks.yaml"))
+        >>> (write_result(result, mkdtemp(), plots="none") / "trace.csv").is_file()
+        True
     """
     code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
     index = _index(result.spec, seconds) | {"exit": int(code)} | _result_content(result)

@@ -1,0 +1,192 @@
+"""The documentation is complete, its links lead somewhere, and what it shows runs. Only one test here needs Sphinx."""
+
+import ast
+import doctest
+import inspect
+import re
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import pwatrack
+from docs.ext import cells, gallery, reference
+from pwatrack.cli import app
+from pwatrack.report.codes import CODES, explanation
+from pwatrack.spec.problems import known_keys
+from pwatrack.spec.requirement import QUANTITIES
+from tests.conftest import SPECS
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if not {"_build", "generated"} & set(path.parts))
+OF_THE_PAPER = {"1", "3", *map(str, range(7, 24))}  # (2), (4), (5) and (6) are said in words
+
+
+def text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@cache
+def made(name: str) -> str:
+    return {**reference.GENERATED, **gallery.GENERATED}[name]()
+
+
+@cache
+def equations() -> list[cells.Carried]:
+    found = (block for path in PAGES for block in cells.blocks(text(path)) if block.kind == "equation")
+    return [cells.carried(block) for block in found]
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    listed = {DOCS / "index.md"}
+    for path in PAGES:
+        for tree in re.findall(r"```\{toctree\}\n(.*?)```", text(path), re.DOTALL):
+            names = [name for name in tree.split("\n") if name and name[0] != ":"]
+            listed |= {other.resolve() for name in names for other in path.parent.glob(f"{name}.md")}
+    assert listed == set(PAGES)
+
+
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(path: Path) -> None:
+    bare = re.sub(r"(?s)```.*?```|`[^`\n]*`", "", text(path))
+    for target in re.findall(r"\]\(([^)\s]+)\)", bare):
+        if re.match(r"https?:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        other = path.parent / name if name else path
+        assert other.exists(), f"{path.name}: {target}"
+        if anchor:
+            titles = re.findall(r"(?m)^#+ (.*)$", text(other))
+            slugs = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+            assert anchor in slugs, f"{path.name}: {target}"
+
+
+def test_every_key_of_a_spec_is_in_the_reference() -> None:
+    shown = set(re.findall(r"(?m)^\| `(\w+)` \|", made("spec_keys")))
+    assert set(known_keys()) <= shown
+    assert len(shown) > 90
+
+
+def test_every_command_and_option_is_in_the_reference() -> None:
+    page = made("command_line")
+    paths = re.findall(r"(?m)^## `pwatrack ?(.*)`$", page)
+    asked = {"": CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout}
+    for path in paths:
+        asked[path] = CliRunner().invoke(app, [*path.split(), "--help"], env={"COLUMNS": "200"}).stdout
+    for path, said in asked.items():
+        section = page.partition(f"## `{f'pwatrack {path}'.strip()}`\n")[2].partition("\n## ")[0]
+        options = set(re.findall(r"--[a-z][a-z0-9-]*", said)) - {"--help", "--install-completion", "--show-completion"}
+        declared = {option for option in options if f"│ {option}" in said or f"--{option[2:]} " in said}
+        assert {option for option in declared if f"`{option}" not in section and option not in section} == set(), path
+    commands = {name for said in asked.values() for name in re.findall(r"(?m)^│ ([a-z]+) {2,}\w", said)}
+    assert commands <= {word for path in paths for word in path.split()}
+    assert {"check", "design", "simulate", "verify", "batch", "init", "export", "explain"} <= commands
+
+
+def test_every_code_of_an_error_is_in_the_reference() -> None:
+    page = made("error_codes")
+    for kind in CODES:
+        assert f"## {explanation(kind.code).splitlines()[0]}" in page
+
+
+def test_every_figure_is_in_the_reference_with_its_meaning() -> None:
+    rows = dict(re.findall(r"(?m)^\| `(\w+)` \|.*\| (.+) \|$", made("figures")))
+    assert set(rows) == set(QUANTITIES)
+    assert all(len(meaning) > 10 for meaning in rows.values())
+
+
+def test_every_file_of_a_run_is_in_the_reference() -> None:
+    page = text(DOCS / "reference" / "files.md")
+    rooms = [ROOT / "pwatrack" / "report", ROOT / "pwatrack" / "batch"]
+    named = {
+        node.value
+        for room in rooms
+        for module in room.rglob("*.py")
+        for node in ast.walk(ast.parse(text(module)))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and re.fullmatch(r"[a-z_]+\.(json|csv|png|parquet)", node.value)
+    } - {"going.json", "coming.json", "sarif.json"}
+    assert len(named) > 20
+    assert {name for name in named if f"`{name}`" not in page} == set()
+
+
+def test_every_public_name_has_its_docstring_and_an_example_that_runs() -> None:
+    page = made("python_api")
+    for name in pwatrack.__all__:
+        section = page.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
+        assert section.strip(), name
+    functions = [name for name in pwatrack.__all__ if inspect.isfunction(getattr(pwatrack, name))]
+    assert len(functions) >= 6
+    for function in functions:
+        assert "**Example**" in page.partition(f"## `{function}`\n")[2].partition("\n## ")[0], function
+
+
+def test_every_equation_names_modules_and_tests_that_exist() -> None:
+    assert {e.number for e in equations()} >= OF_THE_PAPER
+    assert len({e.number for e in equations()}) == len(equations())
+    for equation in equations():
+        assert equation.modules, equation.number
+        assert equation.tests, equation.number
+        for module in equation.modules:
+            assert (ROOT / "pwatrack" / module).is_file(), f"({equation.number}): {module}"
+        for test in equation.tests:
+            file, _, function = test.partition("::")
+            assert re.search(rf"(?m)^def {function}\(", text(ROOT / file)), f"({equation.number}): {test}"
+
+
+def test_equations_of_the_code_are_in_the_theory() -> None:
+    """Each number of an equation that ARCHITECTURE.md says the place of has its formula."""
+    table = text(ROOT / "ARCHITECTURE.md").partition("## Where the equations live")[2]
+    named = set(re.findall(r"\((\d+)\)", table.partition("## Libraries")[0]))
+    assert named <= OF_THE_PAPER
+
+
+def test_every_spec_has_its_entry_in_the_gallery_and_says_what_it_is() -> None:
+    assert set(gallery.working()) | set(gallery.refused()) == set(SPECS.rglob("*.yaml"))
+    for path in SPECS.rglob("*.yaml"):
+        assert len(gallery.words(path)) > 60, path
+
+
+def test_refusals_of_the_gallery_are_shown_with_code_and_place() -> None:
+    page = made("refusals")
+    for path in gallery.refused():
+        entry = page.partition(f"[`specs/refused/{path.name}`]")[0].rpartition("### ")[2]
+        assert re.search(r"\[P\d\d\d\]", entry), path.name
+        assert f"specs/refused/{path.name}:" in entry, path.name
+
+
+def test_blocks_show_what_came_out_and_a_page_that_fails_is_an_error(tmp_path: Path) -> None:
+    source = "```{file} a.txt\nhello\n```\n```{run}\ncat a.txt\n```\n```{python}\nprint(6 * 7)\n```\n"
+    page = cells.Page("here", cells.prepared(tmp_path / "page"), {"it": lambda: "made"}, tmp_path)
+    shown = page.expand(source + "```{generated} it\n```\n")
+    assert "hello" in shown.partition("cat a.txt")[2]
+    assert "42" in shown
+    assert "made" in shown
+    assert page.expand("```{run} exit=3\nexit 3\n```\n")
+    with pytest.raises(cells.PageError, match="exit 0, not 3"):
+        page.expand("```{run} exit=3\ntrue\n```\n")
+    with pytest.raises(cells.PageError, match="no picture"):
+        page.expand("```{picture} none.png\n```\n")
+
+
+@pytest.mark.parametrize("module", [cells, gallery, reference], ids=lambda module: module.__name__)
+def test_examples_of_the_generators_run(module: object) -> None:
+    found = doctest.testmod(module)  # type: ignore[arg-type]
+    assert found.attempted
+    assert not found.failed
+
+
+def test_formulas_become_mathml() -> None:
+    if find_spec("sphinx") is None:
+        pytest.skip("Sphinx is not installed: `make docs` is where formulas are drawn")
+    from docs.ext.mathml import mathml
+
+    for equation in equations():
+        assert mathml(equation.formula, block=True).startswith("<math")
+    indexed = mathml(r"\dot x_d", block=False)
+    assert re.search(r"<msub>\s*<mover", indexed)
+    assert "munder" not in indexed
