@@ -86,7 +86,16 @@ def check(
         try:
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
             sizes = spec_sizes(spec)
-            name, report = spec.name, applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=sizes)
+            name, report = (
+                spec.name,
+                applicability(
+                    spec.problem.plant,
+                    tracking=spec.problem.tracking,
+                    sizes=sizes,
+                    asked=spec.objectives.practical,
+                    uncertain=bool(spec.objectives.uncertain),
+                ),
+            )
             reference, sizes = checked(spec, report.form)
             remarks = reference_remarks(spec, report.form)
         except PwatrackError as error:  # raised below what can be said of the plant

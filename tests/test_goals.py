@@ -28,7 +28,9 @@ from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.proofs import refuted
+from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
@@ -228,6 +230,20 @@ def test_a_rate_out_of_reach_is_proved_to_be(specs: Path, rate: float) -> None:
         slower = json.loads(text)
         slower["proofs"][0]["rate"] = "0.1"  # which can be reached: the same multipliers must not prove otherwise
         assert audit(json.dumps(slower))[1] != []
+
+
+@pytest.mark.parametrize(("n", "apart"), [(4, 0.1), (6, 0.3), (7, 1.0)])
+def test_modes_so_close_together_that_floating_point_proves_nothing_are_proved_in_exact_numbers(
+    n: int, apart: float
+) -> None:
+    """One input moves n modes that grow nearly alike: it takes gains of 5e4 and more, and a P of condition 1e9."""
+    A, B = np.diag(1 + apart * np.arange(n)), np.ones((n, 1))
+    task = Task(A=A[None], B=B, cells=["all"])
+    K, found = gain(task)
+    assert isinstance(found, Certificate)
+    assert prove(task.closed(K), found.P) is None
+    assert prove_exactly(CONTROLLER, task.exactly_closed(K), found.P, found.rate) is not None
+    assert -np.linalg.eigvals(A + B @ K).real.max() >= found.rate > 0
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))

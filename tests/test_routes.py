@@ -16,17 +16,26 @@ TAKEN = {
     "gallery/three_tanks_pumps": "several outputs",
     "gallery/kinked_tanks": "kinked derivative",
     "gallery/two_rooms": "Theorem 2",
+    "gallery/cart_and_pole_swaying": "preview",
 }
 NONE = {
     "refused/kink_upstream": ("Theorem 3", "before an input enters"),
     "refused/output_upstream_of_input": ("Theorem 3", "no input ever reaches the output 'y'"),
     "refused/runaway_upstream": ("Theorem 2", "no gain moves the eigenvalue 0.01 in cell 'reaction linear'"),
+    "refused/tank_without_outlet": ("practical tracking", "no scalar nonlinearity has two corners"),
 }
 
 
 def judged(name: str) -> Applicability:
     spec = load_spec(SPECS / f"{name}.yaml")
-    return applicability(spec.problem.plant, tracking=spec.problem.tracking, sizes=spec_sizes(spec))
+    asked, uncertain = spec.objectives.practical, bool(spec.objectives.uncertain)
+    return applicability(
+        spec.problem.plant,
+        tracking=spec.problem.tracking,
+        sizes=spec_sizes(spec),
+        asked=asked,
+        uncertain=uncertain,
+    )
 
 
 @pytest.mark.parametrize(("name", "route"), TAKEN.items())
@@ -47,6 +56,29 @@ def test_where_there_is_no_route_each_says_why_and_design_refuses(name: str, rea
     assert reason[1] in found.routes()[reason[0]]
     with pytest.raises(PwatrackError):
         design(load_spec(SPECS / f"{name}.yaml"))
+
+
+@pytest.mark.parametrize(
+    "name", ["gear_with_backlash", "valve_with_dead_band", "train_slack_couplings", "stiff_springs"]
+)
+def test_where_cells_are_merged_check_names_that_route_too(name: str) -> None:
+    found = judged(f"gallery/{name}")
+    answers = {route.name: answer for route, answer in found.answers}
+    assert isinstance(answers["practical tracking"], Needs)
+    controller = design(load_spec(SPECS / f"gallery/{name}.yaml"))
+    assert (controller.practical is not None) == (name != "train_slack_couplings")
+    assert found.taken.split(", else ")[-1] == "practical tracking"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("gallery/robust_positioning", "its bounds are not proved with uncertain parameters"),
+        ("gallery/cart_and_pole_on_the_move", "with all cells merged that can be: the zero dynamics do not converge"),
+    ],
+)
+def test_where_merging_does_not_help_it_says_why(name: str, reason: str) -> None:
+    assert judged(name).routes()["practical tracking"].startswith(f"no: {reason}")
 
 
 def test_every_route_is_judged_for_every_plant_with_a_reason() -> None:

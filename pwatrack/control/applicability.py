@@ -1,15 +1,18 @@
 """What the theory can do for a plant, before an inequality is solved: all routes, and the one design takes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
+from pwatrack.control.practical import widest
 from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, stable
 from pwatrack.errors import OutsideTheory, PwatrackError
+from pwatrack.model.merging import merged
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import is_hurwitz
 
@@ -86,6 +89,23 @@ def _preview(facts: Facts) -> Answer:
     return Needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
 
 
+def _practical(facts: Facts) -> Answer:
+    """Judge whether merging cells leaves a plant that can be tracked exactly: see `control.practical`."""
+    if facts.uncertain:
+        return No("its bounds are not proved with uncertain parameters")
+    if facts.merged is None:
+        return No("no scalar nonlinearity has two corners that could become one or none")
+    if facts.tracking == "output" and facts.form is None and not facts.asked:
+        return No("it is not asked for, and what refuses exact tracking is no inequality that is proved impossible")
+    form = facts.merged.form
+    bent = form is not None and any(form.piecewise)
+    exact = _state(facts.merged) if facts.tracking == "state" else _kinked_or(facts.merged, kinked=bent)
+    if isinstance(exact, No):
+        return No(f"with all cells merged that can be: {exact.reason}")
+    assert isinstance(exact, Needs)
+    return Needs(f"{exact.inequalities}, with cells merged", "errors end below a bound")
+
+
 ROUTES: tuple[Route, ...] = (
     Route(name="Theorem 1", judge=_alone),
     Route(name="Theorem 2", judge=_state, takes=frozenset({"state"})),
@@ -93,6 +113,7 @@ ROUTES: tuple[Route, ...] = (
     Route(name="several outputs", judge=_several, takes=_OUTPUT),
     Route(name="kinked derivative", judge=_kinked, takes=_OUTPUT),
     Route(name="preview", judge=_preview, takes=_OUTPUT),
+    Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"})),
 )
 """In the order in which `design` tries them. A new one is a module with its Route, and a line here."""
 
@@ -102,11 +123,9 @@ class Applicability(Facts):
     """Which routes there are for a plant, and why not where there are none.
 
     Attributes:
-        tracking: What was asked for.
         answers: Of each of the routes.
     """
 
-    tracking: Tracking
     answers: tuple[tuple[Route, Answer], ...]
 
     def routes(self) -> dict[str, str]:
@@ -129,21 +148,45 @@ class Applicability(Facts):
         return ", else ".join(open_) or "none: design refuses, with the reason"
 
 
-def applicability(plant: PWASystem, *, tracking: Tracking = "output", sizes: Sizes | None = None) -> Applicability:
+def applicability(
+    plant: PWASystem,
+    *,
+    tracking: Tracking = "output",
+    sizes: Sizes | None = None,
+    asked: bool = False,
+    uncertain: bool = False,
+) -> Applicability:
     """Return what the theory can do for a plant.
 
     Args:
         plant: The system (1).
         tracking: What is asked for.
         sizes: Those of its signals; those that balance it by default.
+        asked: Whether practical tracking is asked for.
+        uncertain: Whether only intervals of some parameters are known.
 
     Example:
         >>> from pwatrack import load_spec
         >>> found = applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant)
         >>> found.form.degrees, found.taken
-        ((2,), 'Theorem 3')
+        ((2,), 'Theorem 3, else practical tracking')
     """
-    sizes, stuck = sizes or Sizes.of(plant), ""
+    sizes = sizes or Sizes.of(plant)
+    scalar = scalar_form(plant)
+    ways = {} if scalar is None else widest(scalar)
+    less = merged(plant, scalar, ways) if scalar is not None and ways else None
+    facts = replace(
+        _facts(plant, sizes, tracking),
+        asked=asked,
+        uncertain=uncertain,
+        merged=None if less is None else _facts(less, sizes, tracking),
+    )
+    answers = tuple((route, route.judge(facts)) for route in ROUTES)
+    return Applicability(**vars(facts), answers=answers)
+
+
+def _facts(plant: PWASystem, sizes: Sizes, tracking: Tracking) -> Facts:
+    stuck = ""
     try:
         check_modes(plant, DEFAULT, DEFAULT, sizes)
     except PwatrackError as refusal:
@@ -151,8 +194,6 @@ def applicability(plant: PWASystem, *, tracking: Tracking = "output", sizes: Siz
     try:
         form = normal_form(plant, input_sizes=sizes.input)
         zeros = np.linalg.eigvals(form.Psi).astype(complex)
-        facts = Facts(plant=plant, form=form, refusal=None, zero_dynamics=zeros, stuck=stuck)
+        return Facts(plant=plant, form=form, refusal=None, zero_dynamics=zeros, stuck=stuck, tracking=tracking)
     except OutsideTheory as refusal:
-        facts = Facts(plant=plant, form=None, refusal=refusal, zero_dynamics=None, stuck=stuck)
-    answers = tuple((route, route.judge(facts)) for route in ROUTES)
-    return Applicability(**vars(facts), tracking=tracking, answers=answers)
+        return Facts(plant=plant, form=None, refusal=refusal, zero_dynamics=None, stuck=stuck, tracking=tracking)

@@ -25,6 +25,10 @@ class Facts:
         refusal: Why there is no normal form, else None.
         zero_dynamics: Eigenvalues of A_η in each cell, (l, n − r); None without a normal form.
         stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
+        tracking: What was asked for.
+        asked: Whether practical tracking is asked for, after any refusal of the theory.
+        uncertain: Whether only intervals of some parameters are known.
+        merged: The same of the plant with all cells merged that can be; None where none can.
     """
 
     plant: PWASystem
@@ -32,6 +36,10 @@ class Facts:
     refusal: OutsideTheory | None
     zero_dynamics: NDArray[np.complex128] | None
     stuck: str = ""
+    tracking: Tracking = "output"
+    asked: bool = False
+    uncertain: bool = False
+    merged: "Facts | None" = None
 
 
 @dataclass(frozen=True)

@@ -214,6 +214,8 @@ class Search:
         certificate = best_certificate(
             closed, start=candidate.P, sizes=self.task.scale.state, soon=soon, solver=self.task.solver
         )
+        if certificate is None and candidate.P is not None:
+            certificate = self.task.reached_exactly(candidate.K, candidate.P)
         return (candidate.K, certificate) if certificate is not None and reaches(certificate, rate) else None
 
     def regulator(self, rate: float) -> Proved | None:

@@ -6,16 +6,18 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, each, stack
+from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import Part, Subject
-from pwatrack.lmi.certificate import Certificate, prove
-from pwatrack.lmi.exact import RATE_GIVEN
+from pwatrack.lmi.certificate import Certificate, likely_rate, prove
+from pwatrack.lmi.exact import RATE_GIVEN, prove_exactly
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import Rational
+from pwatrack.rational import Rational, floats
+
+_SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried in exact numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +112,20 @@ class Task:
         """Return the certificate that P gives for a gain, if it shows a rate (1/s)."""
         found = prove(self.closed(K), P) if np.isfinite(K).all() else None
         return found if found is not None and reaches(found, rate) else None
+
+    def reached_exactly(self, K: Array, P: Array) -> Certificate | None:
+        """Return the certificate that P gives in exact numbers, where it is too ill-conditioned for floating point."""
+        rate = likely_rate(self.closed(K), P)
+        if not rate > 0:
+            return None
+        M = different(self.exactly_closed(K))
+        proofs = (prove_exactly(self.role, M, P, rate * share) for share in _SHARES)
+        proof = next((proof for proof in proofs if proof is not None), None)
+        if proof is None:
+            return None
+        return Certificate(
+            M=readonly(self.closed(K)), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin
+        )
 
 
 def reaches(certificate: Certificate, rate: float) -> bool:

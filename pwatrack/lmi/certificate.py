@@ -48,17 +48,14 @@ def prove(M: Array, P: Array) -> Certificate | None:
         >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
         True
     """
-    diagonal = np.diag(P)
-    if not (np.isfinite(P).all() and (diagonal > 0).all()):
+    scaled = _scaled(M, P)
+    if scaled is None or not _definite(scaled[1], np.abs(scaled[1])):
         return None
-    d = 2.0 ** np.round(np.log2(diagonal) / 2)
-    scaled_P, scaled_M = symmetric_part(P) / 2 / d[:, None] / d, distinct(M)[0] / d[:, None] * d
-    if not _definite(scaled_P, np.abs(scaled_P)):
-        return None
+    scaled_M, scaled_P = scaled
     left = symmetric_part(scaled_M @ scaled_P)
     if not np.isfinite(left).all():
         return None
-    rate = min(-float(eigh(side, scaled_P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
+    rate = _rate(left, scaled_P)
     size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
     for shrunk in (rate * (1 - less) for less in _LESS):
         slack = -left - 2 * shrunk * scaled_P
@@ -66,6 +63,41 @@ def prove(M: Array, P: Array) -> Certificate | None:
         if shrunk > 0 and margin > 0:
             return Certificate(M=readonly(M), P=readonly(symmetric_part(P) / 2), rate=shrunk, margin=margin)
     return None
+
+
+def likely_rate(M: Array, P: Array) -> float:
+    """Return the rate in 1/s that a P seems to prove, as far as floating point can tell; 0 for none.
+
+    Args:
+        M, P: As for `prove`.
+
+    Example: of so ill-conditioned a P only exact numbers can prove anything.
+
+        >>> P = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-13]])
+        >>> likely_rate(-np.eye(2)[None], P) > 0, prove(-np.eye(2)[None], P) is None
+        (True, True)
+    """
+    scaled = _scaled(M, P)
+    if scaled is None or not np.linalg.eigvalsh(scaled[1])[0] > 0:
+        return 0.0
+    left = symmetric_part(scaled[0] @ scaled[1])
+    try:
+        return max(0.0, _rate(left, scaled[1])) if np.isfinite(left).all() else 0.0
+    except np.linalg.LinAlgError:  # P is not definite to working precision
+        return 0.0
+
+
+def _scaled(M: Array, P: Array) -> tuple[Array, Array] | None:
+    """Return each different M, and P, with states scaled by powers of two so that the diagonal of P is about 1."""
+    diagonal = np.diag(P)
+    if not (np.isfinite(P).all() and (diagonal > 0).all()):
+        return None
+    d = 2.0 ** np.round(np.log2(diagonal) / 2)
+    return distinct(M)[0] / d[:, None] * d, symmetric_part(P) / 2 / d[:, None] / d
+
+
+def _rate(left: Array, P: Array) -> float:
+    return min(-float(eigh(side, P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
 
 
 def _definite(X: Array, size: Array) -> bool:
