@@ -400,6 +400,21 @@ def export_to_structured_text(
     _export("st", target, out, parameters, sample_time, **options)
 
 
+@exports.command(name="mat", epilog="Example: pwatrack export mat runs/two_mass_machine --out matlab")
+def export_to_matlab(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it."""
+    options = {"name": name, "single": False, "reference": reference, "unproved": unproved}
+    _export("mat", target, out, parameters, sample_time, **options)
+
+
 def _export(
     to: "Target", target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
 ) -> None:

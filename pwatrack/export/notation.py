@@ -19,6 +19,7 @@ class Language:
         loop: From index, first and last number, and body; bodies are indented.
         branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
         words: Operators, True and False, where they are written in another way.
+        remainder: From two whole numbers.
         name: A variable.
         element: An array and its indices -> an entry.
         from_one: Whether indices begin with 1.
@@ -31,12 +32,13 @@ class Language:
     otherwise: str
     end: str
     words: Mapping[str, str]
+    remainder: str
     name: Callable[[str], str]
     element: str
     from_one: bool
 
 
-_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"}
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
 
 
@@ -106,6 +108,8 @@ class _Printer:
             case ast.Subscript(value=ast.Name(id=name), slice=place):
                 places = place.elts if isinstance(place, ast.Tuple) else [place]
                 return self.language.element.format(self.language.name(name), ", ".join(map(self.place, places)))
+            case ast.BinOp(left=left, op=ast.Mod(), right=right):
+                return self.language.remainder.format(self.inner(left), self.inner(right))
             case ast.BinOp(left=left, op=op, right=right):
                 return f"{self.inner(left)} {self.word(_OPERATORS[type(op)])} {self.inner(right)}"
             case ast.Compare(left=left, ops=[op], comparators=[right]):

@@ -16,6 +16,7 @@ from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.c_project import write_c
 from pwatrack.export.c_source import CSource, prefix
+from pwatrack.export.matlab import write_matlab
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed, read
@@ -29,7 +30,7 @@ from pwatrack.spec.spec import Spec
 
 CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector
-Target = Literal["c", "st"]
+Target = Literal["c", "st", "mat"]
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,10 @@ def export(
     kind, called = CSource if to == "c" else Source, prefix(name or subject.file.name)
     code = kind(file=subject.file, name=called, single=single, given=given, unproved=subject.unproved)
     try:
-        names = write_c(code, subject.vector, out) if isinstance(code, CSource) else write_structured_text(code, out)
+        if isinstance(code, CSource):
+            names = write_c(code, subject.vector, out)
+        else:
+            names = write_matlab(code, subject.vector, out) if to == "mat" else write_structured_text(code, out)
         beside = {CONTROLLER: json_text(subject.file.model_dump()), CERTIFICATE: subject.certificate}
         for file, text in beside.items():
             if text:
