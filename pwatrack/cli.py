@@ -237,8 +237,14 @@ def batch(
 def sweep(
     spec_path: SpecPath,
     ranges: Annotated[
-        list[str], typer.Option("--sweep", metavar="NAME=LOW:HIGH:POINTS", help="A parameter that varies.")
-    ],
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            metavar="NAME=LOW:HIGH:POINTS",
+            help="A parameter that varies; may be repeated.",
+            show_default="those of 'sweep' in the file",
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", show_default="runs/<name>-sweep")] = None,
     parameters: Set = None,
     method: Annotated[Literal["grid", "random", "lhs"], typer.Option(help="Where to look.")] = "grid",
@@ -260,7 +266,7 @@ def sweep(
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
         swept(
             spec_path,
-            ranges,
+            ranges or (),
             folder,
             parameters=parameters or (),
             method=method,

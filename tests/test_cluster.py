@@ -21,10 +21,11 @@ from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.pool import Lost, Pool
 from pwatrack.batch.run import Options, Watcher, run_batch
-from pwatrack.batch.sweep import axis, places, sweep
+from pwatrack.batch.sweep import places, sweep
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.codes import code_of
+from pwatrack.spec.axis import axis
 from tests.stand_ins import work
 from tests.test_pool import sleeping, suicide
 from tests.test_sweep import SPEC

@@ -1,5 +1,7 @@
 import csv
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from fractions import Fraction
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from pwatrack.batch.pool import Lost
-from pwatrack.batch.sweep import axis, look, places, sweep
+from pwatrack.batch.sweep import look, places, sweep
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
+from pwatrack.spec.axis import Axis, axis
+from pwatrack.spec.load import load_spec
 
 SPEC = """
 name: Unstable drive
@@ -127,3 +131,77 @@ def test_two_parameters_give_maps(spec: Path, tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["sweep", str(spec), *options])
     assert run.exit_code == 0, run.output
     assert (tmp_path / "out" / "sweep.png").stat().st_size > 1_000
+
+
+SECTION = "sweep: {a: {from: 0, to: 2, points: 5}, b: [0, 1/8, pi/8]}\n"
+
+
+def test_the_file_may_say_what_varies(spec: Path, tmp_path: Path) -> None:
+    spec.write_text(SPEC + SECTION, encoding="utf-8")
+    run = CliRunner().invoke(app, ["sweep", str(spec), "--design", "--out", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    with (tmp_path / "out" / "sweep.csv").open(encoding="utf-8", newline="") as file:
+        rows = [(float(row["a"]), float(row["b"]), row["verdict"] == "proved") for row in csv.DictReader(file)]
+    assert rows == [(a, b, a + b < 1) for a in (0.0, 0.5, 1.0, 1.5, 2.0) for b in (0.0, 0.125, pi / 8)]
+    options = ["--sweep", "b=0:1:2", "--design", "--out", str(tmp_path / "other")]
+    run = CliRunner().invoke(app, ["sweep", str(spec), *options])
+    assert run.exit_code == 0, run.output
+    assert "2 points" not in run.stdout
+    assert len((tmp_path / "other" / "sweep.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("sweep: {c: [1, 2]}", r":\d+:\d+: sweep: 'c' is no parameter \(a, b\)"),
+        ("sweep: {a: {from: 1, to: 0}}", "from 1 is not below to 0"),
+        ("sweep: {a: {from: 0, to: 1, points: 1}}", "sweep.a.points: 1 is below 2"),
+        ("sweep: {a: {from: 0}}", "sweep.a.to is missing"),
+        ("sweep: {a: {form: 0, to: 1}}", "sweep.a.form: unknown key; did you mean 'from'"),
+        ("sweep: {a: {from: x, to: 1}}", "sweep.a.from: unknown name 'x'"),
+        ("sweep: {a: [1, 0]}", "values in increasing order"),
+        ("sweep: {a: []}", "at least 1 entry"),
+        ("sweep: {a: 3}", "sweep.a: a mapping is expected"),
+        ("sweep: [a]", "sweep: a mapping is expected"),
+    ],
+)
+def test_a_section_that_is_none_is_refused(spec: Path, section: str, said: str) -> None:
+    spec.write_text(SPEC + section, encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=said):
+        load_spec(spec)
+
+
+def test_without_a_section_and_a_range_nothing_varies(spec: Path) -> None:
+    run = CliRunner().invoke(app, ["sweep", str(spec)])
+    assert run.exit_code == 2
+    assert "nothing varies" in run.stderr
+
+
+def test_given_values_are_drawn_as_often_as_each_other() -> None:
+    given = Axis.through("a", (Fraction(0), Fraction(1, 10), Fraction(5)))
+    drawn = [place["a"] for place in places([given, axis("b=0:1")], "lhs", 30)]
+    assert sorted(drawn) == [0.0] * 10 + [0.1] * 10 + [5.0] * 10
+
+
+def test_a_sweep_whose_first_place_is_outside_the_theory_goes_on(spec: Path, tmp_path: Path) -> None:
+    jump = SPEC.replace("[[a + b]]", "[[0.5]]").replace("slope: 1,", "slope: 1,").replace("B: [[1]]", "B: [[a]]")
+    spec.write_text(jump, encoding="utf-8")
+    options = ["--sweep", "a=0:1:2", "--design", "--out", str(tmp_path / "out")]
+    run = CliRunner().invoke(app, ["sweep", str(spec), *options])
+    assert run.exit_code == 0, run.output
+    assert run.stdout.splitlines()[1] == "1 proved"
+
+
+def test_the_table_is_there_as_parquet_too(spec: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    options = ["--sweep", "a=0:2:5", "--sweep", "b=0:1:2", "--design", "--out", str(tmp_path / "out")]
+    run = CliRunner().invoke(app, ["sweep", str(spec), *options])
+    assert run.exit_code == 0, run.output
+    columns = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pydict()
+    with (tmp_path / "out" / "sweep.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(columns) == list(rows[0])
+    for name, values in columns.items():
+        assert ["" if v is None else repr(v) if isinstance(v, float) else str(v) for v in values] == [
+            row[name] for row in rows
+        ]

@@ -17,12 +17,13 @@ from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.run import Options, run_batch
-from pwatrack.batch.sweep import Method, axis, places, sweep
+from pwatrack.batch.sweep import Method, places, sweep
 from pwatrack.batch.sweep_files import draw_sweep, write_sweep
 from pwatrack.batch.table import print_batch, print_left_out
 from pwatrack.batch.work import simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import console
+from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[Outcome], Path], None]
 WRITERS: dict[str, Writer] = {
@@ -115,14 +116,19 @@ def swept(
 ) -> None:
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
 
+    Ranges that are given replace those in the file.
+
     Raises:
         InvalidSpec: If a range is not one, the spec is in error with the parameters given, or files cannot be written.
     """
-    from pwatrack.spec.load import assignments, load_spec
+    from pwatrack.spec.load import assignments, read_sweep
 
-    axes = [axis(text) for text in ranges]
-    at, fixed = places(axes, method, count, seed), assignments(parameters)
-    name = load_spec(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}}).name
+    fixed = assignments(parameters)
+    axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
+    if not axes:
+        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file: see SPEC.md")
+    at = places(axes, method, count, seed)
+    name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
     with (
         console(stderr=True).status("Starting") as status,
         Cluster(scheduler, timeout=timeout) if scheduler else Pool(jobs, timeout=timeout, preload=PRELOAD) as executor,

@@ -1,10 +1,8 @@
 """A spec at many values of its parameters, and where on the way between two of them the proof ends."""
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from dataclasses import dataclass, field
-from fractions import Fraction
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -14,25 +12,11 @@ from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.report.terminal import told
+from pwatrack.spec.axis import Axis
 
 Method = Literal["grid", "random", "lhs"]
-_AXIS = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
 _MOST = 1_000_000  # points
 _HALVINGS = 60
-
-
-@dataclass(frozen=True, kw_only=True)
-class Axis:
-    """A parameter that varies from `low` to `high`, on a grid at so many points."""
-
-    name: str
-    low: Fraction
-    high: Fraction
-    points: int = 11
-
-    def at(self, share: Fraction | float) -> float:
-        """Return the value at a share of the way."""
-        return float(self.low + (self.high - self.low) * Fraction(share))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,29 +55,6 @@ class Edge:
     name: str
 
 
-def axis(text: str) -> Axis:
-    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
-
-    Raises:
-        InvalidSpec: If it is not written so.
-
-    Example:
-        >>> axis("k2=0.1:0.9:17").at(0.5)
-        0.5
-    """
-    found = _AXIS.fullmatch(text)
-    try:
-        if found is None:
-            raise ValueError
-        low, high = Fraction(found[2].strip()), Fraction(found[3].strip())
-    except (ValueError, ZeroDivisionError):
-        raise InvalidSpec(f"--sweep {text}: expected NAME=LOW:HIGH:POINTS, such as --sweep k2=0.1:0.9:17") from None
-    points = int(found[4] or 11)
-    if not low < high or points < 2:
-        raise InvalidSpec(f"--sweep {text}: LOW is to be below HIGH, with at least two points")
-    return Axis(name=found[1], low=low, high=high, points=points)
-
-
 def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
     """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
 
@@ -101,6 +62,7 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
         InvalidSpec: If they are too many, or a parameter varies twice.
 
     Example:
+        >>> from pwatrack.spec.axis import axis
         >>> places([axis("a=0:1:2"), axis("b=0.1:0.3:3")])[1]
         {'a': 0.0, 'b': 0.2}
     """
@@ -111,8 +73,7 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
     if total > _MOST:
         raise InvalidSpec(f"--sweep: {total:,} points, at most {_MOST:,} are looked at")
     if method == "grid":
-        shares = product(*([Fraction(k, one.points - 1) for k in range(one.points)] for one in axes))
-        return [{one.name: one.at(share) for one, share in zip(axes, row, strict=True)} for row in shares]
+        return [dict(zip(names, row, strict=True)) for row in product(*(one.grid for one in axes))]
     import numpy as np
     from scipy.stats import qmc
 

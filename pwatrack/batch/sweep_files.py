@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from pwatrack.batch.sweep import Axis, Edge, Point
+from pwatrack.batch.sweep import Edge, Point
 from pwatrack.report.run_folder import written_at_once
+from pwatrack.spec.axis import Axis
 
 
 def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> list[Path]:

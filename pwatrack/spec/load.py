@@ -15,12 +15,13 @@ from pwatrack.carried import content
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
+from pwatrack.spec.axis import Axis, axes_of
 from pwatrack.spec.box import box_problems
 from pwatrack.spec.build import build_loads, build_plant, build_reference
 from pwatrack.spec.consistency import load_problems, plant_problems, reference_problems, sampling_problems
 from pwatrack.spec.entries import Context
 from pwatrack.spec.goals import goal_problems
-from pwatrack.spec.names import condition_problems, declared_loads, name_problems, start_problems
+from pwatrack.spec.names import condition_problems, declared_loads, name_problems, start_problems, sweep_problems
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.paths import at_path
 from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
@@ -83,6 +84,19 @@ def read_spec(
     text = yaml_text(document.data)
     folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
     return _spec_of(document, parameters, folder, path=Path(WRITTEN), sha256=digest, text=text)
+
+
+def read_sweep(path: Path, parameters: Mapping[str, float | str]) -> tuple[str, list[Axis]]:
+    """Return the title of a spec file, and which parameters it says vary in a sweep.
+
+    Raises:
+        InvalidSpec: With every error in the form of the file; the plant is not looked at.
+    """
+    document, _ = _read(path)
+    _check_sizes(document)
+    values, problems = evaluated(document.data.get("parameters", {}), parameters)
+    file = _checked(document, _context(document.data, values), problems, SpecFile)
+    return file.name, axes_of(file.sweep or {})
 
 
 def read_plant(document: Document) -> PWASystem:
@@ -169,6 +183,7 @@ def _checked(document: Document, context: Context, problems: list[Problem], form
         if isinstance(file, SpecFile):
             problems += load_problems(file) + reference_problems(file) + goal_problems(file)
             problems += condition_problems(file, context.parameters) + box_problems(file.design, context.parameters)
+            problems += sweep_problems(file, context.parameters)
     if problems:
         said = {problem.subject for problem in document.problems if problem.subject}  # and what follows from it is not
         problems = [p for k, p in enumerate(problems) if k < len(document.problems) or p.subject not in said]

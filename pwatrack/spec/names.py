@@ -134,6 +134,17 @@ def condition_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Pr
     ]
 
 
+def sweep_problems(file: SpecFile, parameters: Mapping[str, Any]) -> list[Problem]:
+    """Check that what varies in a sweep is a parameter."""
+    return [
+        Problem(
+            message=f"sweep: {shown(name)} is no parameter ({_listed(tuple(parameters))}){meant}",
+            subject=("sweep", name),
+        )
+        for name, meant in unknown_names(file.sweep or (), parameters)
+    ]
+
+
 def unknown_names(names: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield the names that are not known, the first ones with a guess at what was meant."""
     wanted, count = set(known), 0

@@ -144,7 +144,7 @@ def _sections() -> tuple[tuple[Subject, type[Section]], ...]:
 
 def known_keys() -> list[str]:
     """Return every key that some section has."""
-    return sorted({name for _, model in _sections() for name in model.model_fields} | {*QUANTITIES, "members"})
+    return sorted({name for _, model in _sections() for name in model.written_keys()} | {*QUANTITIES, "members"})
 
 
 def _unknown_key(subject: Subject) -> str:
@@ -154,14 +154,14 @@ def _unknown_key(subject: Subject) -> str:
     for path, model in _sections():
         here = len(path) == len(section) and all(p in ("*", q) for p, q in zip(path, section, strict=True))
         if here:
-            siblings |= set(model.model_fields)
-        elif key in model.model_fields and "*" not in path:
+            siblings |= set(model.written_keys())
+        elif key in model.written_keys() and "*" not in path:
             below = path[: len(section)] == tuple(section)
             places.append(".".join(str(p) for p in (path[len(section) :] if below else path)) or "the top of the file")
     if places and key not in siblings:
         return f"; '{key}' belongs under {' or '.join(places[:3])}"
     return guess(key, sorted(siblings)) or guess(
-        key, sorted({n for _, model in _sections() for n in model.model_fields})
+        key, sorted({n for _, model in _sections() for n in model.written_keys()})
     )
 
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from pwatrack.model.pwa import ROUNDING
+from pwatrack.spec.axis import SweepSection
 from pwatrack.spec.design_section import DesignSection
 from pwatrack.spec.entries import (
     ExitNumber,
@@ -45,4 +46,6 @@ class SpecFile(PlantFile):
     reference: ReferenceSection
     simulation: SimulationSection
     expect: ExpectSection | None = None
+    sweep: SweepSection | None = None
+    """Which parameters `pwatrack sweep` varies: ranges, or lists of values."""
     require: Any = None  # see `requirement`

@@ -1,0 +1,124 @@
+"""Parameters that vary in a sweep: evenly on a grid, or through given values."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Discriminator, Field, Tag
+
+from pwatrack.errors import InvalidSpec
+from pwatrack.real import Real
+from pwatrack.spec.entries import Exact, Name, Whole
+from pwatrack.spec.section import Section
+
+_TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
+_MOST = 1_000_000  # points
+_POINTS = 11
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """A parameter that varies from `low` to `high`, at so many points of a grid; or through `values`, if there are any.
+
+    Example:
+        >>> Axis(name="k", low=Fraction(0), high=Fraction(1, 5), points=3).grid
+        (0.0, 0.1, 0.2)
+    """
+
+    name: str
+    low: Fraction
+    high: Fraction
+    points: int = _POINTS
+    values: tuple[Fraction, ...] = ()
+
+    @staticmethod
+    def through(name: str, values: tuple[Fraction, ...]) -> "Axis":
+        """Return a parameter that has these values, in increasing order."""
+        return Axis(name=name, low=values[0], high=values[-1], points=len(values), values=values)
+
+    @property
+    def grid(self) -> tuple[float, ...]:
+        """The values on a grid."""
+        if self.values:
+            return tuple(map(float, self.values))
+        return tuple(self._between(Fraction(k, self.points - 1)) for k in range(self.points))
+
+    def at(self, share: float) -> float:
+        """Return the value at a share of the way, 0 to 1; of given values, the one that has this share of them."""
+        if self.values:
+            return float(self.values[min(int(share * self.points), self.points - 1)])
+        return self._between(Fraction(share))
+
+    def _between(self, share: Fraction) -> float:
+        return float(self.low + (self.high - self.low) * share)
+
+
+def axis(text: str) -> Axis:
+    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
+
+    Raises:
+        InvalidSpec: If it is not written so.
+
+    Example:
+        >>> axis("k2=0.1:0.9:17").at(0.5)
+        0.5
+    """
+    found = _TEXT.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        low, high = Fraction(found[2].strip()), Fraction(found[3].strip())
+    except (ValueError, ZeroDivisionError):
+        raise InvalidSpec(f"--sweep {text}: expected NAME=LOW:HIGH:POINTS, such as --sweep k2=0.1:0.9:17") from None
+    points = int(found[4] or _POINTS)
+    if not low < high or points < 2:
+        raise InvalidSpec(f"--sweep {text}: LOW is to be below HIGH, with at least two points")
+    return Axis(name=found[1], low=low, high=high, points=points)
+
+
+class RangeSection(Section):
+    """From where to where a parameter varies in a sweep, and at how many points of a grid."""
+
+    start: Annotated[Exact, Field(alias="from")]
+    to: Exact
+    points: Annotated[Whole, Field(ge=2, le=_MOST)] = _POINTS
+
+
+def _increasing(values: list[Real]) -> list[Real]:
+    if not all(one.centre < other.centre for one, other in pairwise(values)):
+        raise ValueError("values in increasing order are expected")
+    return values
+
+
+def _upward(section: RangeSection) -> RangeSection:
+    low, high = float(section.start), float(section.to)
+    if not section.start.centre < section.to.centre:
+        raise ValueError(f"from {low:g} is not below to {high:g}")
+    return section
+
+
+def _kind(value: Any) -> str:
+    return "values" if isinstance(value, list) else "a range"
+
+
+SweepSection = dict[
+    Name,
+    Annotated[
+        Annotated[RangeSection, AfterValidator(_upward), Tag("a range")]
+        | Annotated[list[Exact], AfterValidator(_increasing), Field(min_length=1, max_length=_MOST), Tag("values")],
+        Discriminator(_kind),
+    ],
+]
+
+
+def axes_of(section: Mapping[str, RangeSection | list[Real]]) -> list[Axis]:
+    """Return the parameters that a file says vary."""
+    return [
+        Axis.through(name, tuple(value.centre for value in entry))
+        if isinstance(entry, list)
+        else Axis(name=name, low=entry.start.centre, high=entry.to.centre, points=entry.points)
+        for name, entry in section.items()
+    ]
