@@ -116,7 +116,21 @@ def listed(items: Sequence[str], most: int | None, by: str = ", ") -> str:
 
 
 class PwatrackError(Exception):
-    """A refusal with its reasons; `code` is its exit code, `evidence` its proof where there is one."""
+    """A refusal with its reasons: all that pwatrack raises on purpose is one.
+
+    Attributes:
+        code: The exit code of the command line, with the `verdict` in words.
+        problems: What is wrong, each with `message`, `hint` and `place`: line and column of a file, or an argument.
+        evidence: Its proof where there is one.
+
+    Example:
+        >>> from pwatrack import plant
+        >>> try:
+        ...     plant(A=[[-1]], B=[[1, 2, 3]], C=[[1]], inputs=["u"])
+        ... except PwatrackError as refusal:
+        ...     print(refusal.code.verdict, "-", refusal.problems[0].place, "-", refusal)
+        invalid spec - B[0] - B[0]: 3 entries, expected 1, one for each of the inputs
+    """
 
     code = ExitCode.BUG
 
@@ -132,30 +146,70 @@ class PwatrackError(Exception):
 
 
 class InvalidSpec(PwatrackError):
-    """The description is not well formed."""
+    """The description is not well formed; `problems` is everything that is wrong with it.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> try:
+        ...     load_spec({"name": "nothing yet"})
+        ... except InvalidSpec as refusal:
+        ...     print([problem.message for problem in refusal.problems])
+        ['system is missing', 'reference is missing', 'simulation is missing']
+    """
 
     code = ExitCode.INVALID
 
 
 class OutsideTheory(PwatrackError):
-    """The system is not one that the theorems cover."""
+    """The system is not one that the theorems cover.
+
+    Example: a field that jumps.
+
+        >>> from pwatrack import plant
+        >>> try:
+        ...     plant(A=[[[-1]], [[-2]]], b=[[0], [1]], B=[[1]], C=[[1]], where=["x1 <= 0", "x1 >= 0"])
+        ... except OutsideTheory as refusal:
+        ...     print(refusal.problems[0].message[:56])
+        cells 'A[0]' and 'A[1]' disagree on x1 = 0: b jumps by 1
+    """
 
     code = ExitCode.OUTSIDE_THEORY
 
 
 class Infeasible(PwatrackError):
-    """A matrix inequality is proved to have no solution; `evidence` is the proof."""
+    """A matrix inequality is proved to have no solution; `evidence` is the proof, where it is more than a reason.
+
+    Example: an unstable mode that no input moves.
+
+        >>> from pwatrack import design, plant, problem
+        >>> runaway = plant(A=[[-1, 0], [0, 1]], B=[[1], [0]], C=[[1, 0], [0, 1]], track=["y1"])
+        >>> try:
+        ...     design(problem(runaway, reference="sin(t)", simulation={"duration": 1, "sample_time": 0.1}))
+        ... except Infeasible as refusal:
+        ...     print(refusal.problems[0].place, refusal.code.verdict)
+        B infeasible
+    """
 
     code = ExitCode.INFEASIBLE
 
 
 class Undecided(PwatrackError):
-    """Neither a solution nor a proof that there is none was found."""
+    """Neither a solution nor a proof that there is none was found.
+
+    Example:
+        >>> Undecided("(8) is undecided").code.verdict
+        'undecided'
+    """
 
     code = ExitCode.UNDECIDED
 
 
 class CheckFailed(PwatrackError):
-    """A result was computed, but a check on it failed."""
+    """A result was computed, but a check on it failed.
+
+    Example:
+        >>> int(CheckFailed("the error grows").code)
+        6
+    """
 
     code = ExitCode.CHECK_FAILED

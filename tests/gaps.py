@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwatrack import PWASystem
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.controller import Controller
@@ -12,6 +11,7 @@ from pwatrack.control.practical import Practical, deviation_bounds
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.model.merging import merged, merges
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, dead_zone
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.closed_loop import closed_loop

@@ -4,8 +4,9 @@ from itertools import product
 
 import numpy as np
 
-from pwatrack import Partition, PWASystem
 from pwatrack.arrays import Array
+from pwatrack.model.cells import Partition
+from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.propagate import StateResets
 
 

@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 from scipy.linalg import expm, sqrtm
 
-from pwatrack import PWASystem
 from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Bounds, Form
@@ -21,6 +20,7 @@ from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi.exact import Proof
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes

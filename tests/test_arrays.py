@@ -1,8 +1,12 @@
 """Plants and problems from arrays and mappings are those of files, and so is all that is said of them."""
 
 import ast
+import doctest
+import json
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
@@ -16,8 +20,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PPoly
 
-from pwatrack import InvalidSpec, OutsideTheory, PwatrackError, Spec, load_spec, plant, problem
+import pwatrack
+from pwatrack import (
+    CheckFailed,
+    Infeasible,
+    InvalidSpec,
+    OutsideTheory,
+    PwatrackError,
+    Result,
+    Spec,
+    design,
+    ensemble,
+    load_spec,
+    plant,
+    problem,
+    simulate,
+)
 from pwatrack.rational import fraction_of
+from pwatrack.report.verify import verify
 from pwatrack.spec.expression import Expression
 from pwatrack.spec.values import document_of, yaml_text
 from pwatrack.spec.yaml_tree import parse_yaml
@@ -297,3 +317,137 @@ def test_everything_that_a_file_has_can_be_given() -> None:
     assert {*SystemSection.model_fields} - {*of_plant} == {"hyperplanes"}  # H, h
     assert {*DesignSection.model_fields} <= {*of_problem}
     assert {*SpecFile.model_fields} - {*of_problem} == {"system", "design", "parameters", "tolerance", "expect"}
+
+
+def paper_arrays() -> dict[str, Any]:
+    """Return the plant of Section V in numbers, but for where its cells are."""
+    k1, d1, d2 = 1.0, 0.2, 0.1
+
+    def matrix(k: float) -> list[list[float]]:
+        return [[0, 1, 0, 0], [-k, -d2, k, d2], [0, 0, 0, 1], [k, d2, -(k + k1), -round(d1 + d2, 12)]]
+
+    return {
+        "A": np.array([matrix(0.4), matrix(0.0), matrix(0.4)]),
+        "b": np.array([[0, -0.02, 0, 0.02], [0, 0, 0, 0], [0, 0.04, 0, -0.04]]),
+        "B": np.array([[0.0], [1], [0], [0]]),
+        "C": np.array([[1.0, 0, 0, 0]]),
+        "states": ["z1", "v1", "z2", "v2"],
+        "cells": ["upper spring", "gap", "lower spring"],
+        "units": {"z1": "m", "v1": "m/s", "z2": "m", "v2": "m/s", "u": "N", "y": "m"},
+    }
+
+
+WAYS: dict[str, dict[str, Any]] = {
+    "inequalities": {"where": ["z2 - z1 >= 0.05", "-0.1 <= z2 - z1 <= 0.05", "z2 - z1 <= -0.1"]},
+    "signs": {
+        "H": np.array([[-1, 0, 1, 0], [-1, 0, 1, 0]]),
+        "h": np.array([-0.05, 0.1]),
+        "signs": np.array([[1, 1], [-1, 1], [-1, -1]]),
+    },
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_example_of_the_paper_from_arrays_is_the_very_design_of_its_file(way: str) -> None:
+    simulation = {"duration": 60, "sample_time": 0.01, "initial": {"plant": [0.25, 0, 0, 0], "generator": [0.2, 0]}}
+    reference = {"output": {"sine": {"amplitude": 0.15, "frequency": "2*pi"}}}
+    spec = problem(plant(**paper_arrays(), **WAYS[way]), reference=reference, simulation=simulation)
+    wanted, made = design(load_spec(SPECS / "two_mass_backlash.yaml")), design(spec)
+    assert made.K.tobytes() == wanted.K.tobytes()
+    assert made.L.tobytes() == wanted.L.tobytes()
+    same = made.certificate | {"spec_sha256": wanted.certificate["spec_sha256"]}
+    if way == "inequalities":
+        assert same == wanted.certificate
+    proved = [proof for proof in wanted.certificate["proofs"] if proof["of"] != "generator"]
+    assert [proof for proof in same["proofs"] if proof["of"] != "generator"] == proved
+    assert np.array_equal(simulate(made).e, simulate(wanted).e)
+
+
+@pytest.fixture(scope="module")
+def run() -> Result:
+    return simulate(problem(plant(**STOP), **ASKED, controller={"rate": 0.5}))
+
+
+def test_the_results_are_those_of_the_trace(run: Result, tmp_path: Path) -> None:
+    response = run.response
+    for name in ("t", "x", "x_hat", "x_d", "y", "y_d", "u", "u_ff"):
+        assert np.array_equal(getattr(run, name), getattr(response, name))
+    assert np.array_equal(run.e, run.y - run.y_d)
+    with (run.save(tmp_path / "run") / "trace.csv").open(encoding="utf-8") as file:
+        header = file.readline().strip().split(",")
+        rows = np.loadtxt(file, delimiter=",")
+    for name, values in run.signals.items():
+        assert np.array_equal(rows[:, header.index(name)], values)
+    assert not [*(tmp_path / "run").glob("*.png")]
+
+
+def test_a_saved_run_is_verified_against_its_own_description(run: Result, tmp_path: Path) -> None:
+    folder = run.save(tmp_path / "run")
+    assert any("from_python.yaml: same plant, gains and goals" in sentence for sentence in verify(folder))
+    assert (folder / "from_python.yaml").read_text(encoding="utf-8") == run.spec.text
+    index = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    (folder / "from_python.yaml").write_text(
+        str(run.spec.text).replace("[[0, 1], [-1, -1]]", "[[0, 1], [-1.0, -1]]"), encoding="utf-8"
+    )
+    with pytest.raises(CheckFailed, match="has other bytes"):
+        verify(folder)
+    assert index["spec_sha256"] == run.spec.sha256
+    assert run.controller.save(tmp_path / "design") == tmp_path / "design"
+
+
+def test_pictures_are_drawn_where_they_are_asked_for(run: Result) -> None:
+    assert {"tracking_error", "outputs", "input"} <= {*run.plot()}
+    assert ensemble(run, 2).plot().axes
+
+
+def test_the_table_of_an_ensemble_has_what_was_drawn_and_measured(run: Result, tmp_path: Path) -> None:
+    many = ensemble(run, 3, seed=2)
+    assert many.e.shape == (3, len(many.t))
+    assert np.array_equal(many.table["largest_error"], many.e.max(axis=1))
+    assert {"x1", "x2", "final_error", "largest_input_u"} <= {*many.table}
+    rows = np.genfromtxt(many.save(tmp_path / "many") / "ensemble.csv", delimiter=",", names=True, dtype=None)
+    assert np.array_equal(rows["x1"], many.table["x1"])
+
+
+def test_a_design_runs_in_another_scenario(run: Result) -> None:
+    longer = problem(plant(**STOP), reference="0.1*sin(t)", simulation={"duration": 20, "sample_time": 0.1})
+    other = simulate(longer, run.controller)
+    assert other.spec is longer
+    assert len(other.t) == 201
+    assert np.array_equal(other.x[:101], run.x)
+
+
+def test_the_program_of_a_design_is_that_of_its_run() -> None:
+    sampled = {"duration": 5, "sample_time": 0.01, "controller": {"sample_time": 0.01}}
+    made = design(problem(plant(**STOP), reference="0.1*sin(t)", simulation=sampled))
+    program, run = made.controller, simulate(made)
+    assert np.array_equal([program.step(y) for y in run.y], run.u)
+    assert program.K.tolist() == made.K.tolist()
+    with pytest.raises(InvalidSpec, match="has no sample time"):
+        _ = design(problem(plant(**STOP), **ASKED)).controller
+
+
+def test_what_is_refused_in_a_design_is_said_by_argument() -> None:
+    with pytest.raises(Infeasible, match=r"(?m)^controller\['K'\]: \(8\) for the given gain K is infeasible") as raised:
+        design(problem(plant(**STOP), **ASKED, controller={"K": np.array([[5, 0]])}))
+    assert raised.value.code.verdict == "infeasible"
+
+
+def test_there_are_at_most_16_public_names_each_with_an_example() -> None:
+    assert len(pwatrack.__all__) <= 16
+    for name in pwatrack.__all__:
+        public = getattr(pwatrack, name)
+        assert doctest.DocTestFinder(recurse=False).find(public, name)[0].examples, name
+        assert public.__doc__
+
+
+def test_importing_is_light_and_arrays_load_no_solver_and_no_picture() -> None:
+    program = """
+import sys, pwatrack
+assert "numpy" not in sys.modules
+pwatrack.plant(A=[[-1]], B=[[1]], C=[[1]])
+pwatrack.simulate
+print([name for name in ("matplotlib", "picos", "numba", "control", "pyarrow", "distributed") if name in sys.modules])
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

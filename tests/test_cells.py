@@ -13,9 +13,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from pwatrack import Partition
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec, OutsideTheory
+from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import Nonlinearity, dead_zone, generate_cells, spring
 from pwatrack.model.polyhedron import Row, borders, interior_point, opposite, primitive, value
 from pwatrack.real import Real

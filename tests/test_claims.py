@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from pwatrack import ensemble, load_spec, simulate, write_result
+from pwatrack import ensemble, load_spec, simulate
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
 from pwatrack.merged import checked as known
 from pwatrack.pipeline import design
 from pwatrack.report import summary, terminal
+from pwatrack.report.files import write_result
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.verify import verify

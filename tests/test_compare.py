@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pwatrack import load_spec, simulate, write_result
+from pwatrack import load_spec, simulate
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.compare import names_of, read_run
+from pwatrack.report.files import write_result
 
 
 @pytest.fixture(scope="module")

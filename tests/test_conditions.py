@@ -10,12 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import PWASystem, Result, Spec, ensemble, load_spec, simulate, write_result
+from pwatrack import Result, Spec, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory
 from pwatrack.model.conditions import Conditions, Noise, Sampling
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import draw
 from pwatrack.simulation.actuator import Actuator
 from tests.scenarios import in_scenario

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import pwatrack
-from pwatrack import Controller, Result, design, load_spec, simulate, write_design, write_result
+from pwatrack import Controller, Result, design, load_spec, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, json_schema
 from pwatrack.export.stored import digest, parsed
 from pwatrack.model.conditions import Sampling
+from pwatrack.report.files import write_design, write_result
 from tests.conftest import SPECS
 from tests.test_cli import call, refused
 from tests.test_outcome import cart

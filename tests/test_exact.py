@@ -14,7 +14,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pwatrack import design, load_spec, write_design
+from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.convergence import best_certificate, prove_convergence
@@ -30,6 +30,7 @@ from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.certificate import subject_content
+from pwatrack.report.files import write_design
 from pwatrack.report.verify import verify
 
 AUDITOR = Path(auditor.__path__[0])

@@ -16,7 +16,7 @@ from rich.console import Console
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
 from benchmarks.corpus import feasible
-from pwatrack import PWASystem, design, load_spec, simulate
+from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Goal, LeastCost, Smallest, demands
@@ -33,6 +33,7 @@ from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.summary import print_design

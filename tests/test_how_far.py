@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pwatrack import Partition, PWASystem, design, load_spec
+from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.cli import app
 from pwatrack.control.generator import trajectory_generator
@@ -21,7 +21,9 @@ from pwatrack.how_far import HowFar, how_far
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.polynomial import Polynomial
 from pwatrack.lmi.role import CONTROLLER
+from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
 from pwatrack.sizing import spec_sizes

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, expm
 
-from pwatrack import PWASystem, design, load_spec, simulate, write_result
+from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.program import program
 from pwatrack.control.visibility import check_loads
@@ -19,10 +19,12 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.loads import Load, Loads
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.real import Real
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.files import write_result
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.sample_map import SampleMaps

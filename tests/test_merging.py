@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pwatrack import PWASystem, load_spec
+from pwatrack import load_spec
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
 from pwatrack.model.merging import merged, merges
 from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm, dead_zone, piecewise_linear
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.real import Real
 from tests.plants import random_plant

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pwatrack import Partition, PWASystem
 from pwatrack.errors import OutsideTheory
+from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
 from tests.plants import random_plant, springs
 
 seeds = st.integers(0, 10_000)

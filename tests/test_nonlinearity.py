@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pwatrack import PWASystem, load_spec
+from pwatrack import load_spec
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import stack
 from pwatrack.model.nonlinearity import (
@@ -20,6 +20,7 @@ from pwatrack.model.nonlinearity import (
     saturation,
     spring,
 )
+from pwatrack.model.pwa import PWASystem
 
 ELEMENTS = {
     "dead zone": (dead_zone(lower=-1, upper=2), lambda s: max(0.0, s - 2) + min(0.0, s + 1)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from pwatrack import design, load_spec, simulate
+from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.generator import trajectory_generator
@@ -305,3 +305,10 @@ def test_a_generator_that_runs_is_left_to_run() -> None:
     controller = design(load_spec(SPECS / "two_mass_backlash.yaml"))
     assert controller.trajectory.preview is None
     assert controller.left_by_preview == 0.0
+
+
+def test_where_nothing_drives_an_unstable_mode_it_rests_at_0_and_no_gain_is_found() -> None:
+    arrays = plant(A=[[-1, 0], [0, 1]], B=[[1], [0]], C=[[1, 0], [0, 1]], track=["y1"])
+    spec = problem(arrays, reference="sin(t)", simulation={"duration": 10, "sample_time": 0.1})
+    with pytest.raises(Infeasible, match=r"no gain moves the eigenvalue 1"):
+        design(spec)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from pwatrack import Partition, PWASystem, Result, design, load_spec, simulate
+from pwatrack import Result, design, load_spec, simulate
 from pwatrack.arrays import Array, IntArray, readonly
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.bounds import Form
@@ -20,6 +20,8 @@ from pwatrack.errors import Infeasible
 from pwatrack.lmi.audit.matrices import added, definite, product, transposed
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.ellipsoid import Inner, ellipsoid
+from pwatrack.model.cells import Partition
+from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import ClosedLoop

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from scipy.linalg import eigvals
 
-from pwatrack import OutsideTheory, PWASystem, PwatrackError, design, load_spec, simulate
+from pwatrack import OutsideTheory, PwatrackError, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.report.files import write_result

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pwatrack import PWASystem, Result, Spec, design, simulate, write_result
+from pwatrack import Result, Spec, design, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import trajectory_generator
@@ -20,10 +20,12 @@ from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.model.normal_form import normal_form
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import figure_content, measures
+from pwatrack.report.files import write_result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pwatrack import OutsideTheory, Partition, PWASystem, design, load_spec, simulate
+from pwatrack import OutsideTheory, design, load_spec, simulate
 from pwatrack.control.set_point import set_point
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec
+from pwatrack.model.cells import Partition
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.simulation.bounded import bounded_response

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pwatrack import design, load_spec, simulate, write_result
+from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.bands import covered
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
+from pwatrack.report.files import write_result
 from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures
 from pwatrack.report.verify import verify

@@ -30,7 +30,8 @@ class Controller:
         single: Whether to compute in single floats.
 
     Example:
-        >>> from pwatrack import design, load_spec, write_design
+        >>> from pwatrack import design, load_spec
+        >>> from pwatrack.report.files import write_design
         >>> spec = load_spec("specs/two_mass_machine.yaml")
         >>> folder = write_design(spec, design(spec), "/tmp/pwatrack-controller")
         >>> controller = Controller.load(folder / "controller.json")

@@ -293,7 +293,7 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
 
 def _signals(run: RunFolder, result: Result) -> None:
     """Write trace.csv and events.csv, block by block."""
-    columns = [name for names, _ in _columns(result, result.response) for name in names]
+    columns = [name for names, _ in signal_columns(result, result.response) for name in names]
     columns += ["cell_" + part.name.replace(" ", "_") for part in result.loop.flow.parts]
     with (
         run.place("trace.csv").open("w", encoding="utf-8", newline="") as traces,
@@ -305,14 +305,14 @@ def _signals(run: RunFolder, result: Result) -> None:
         for block in result.blocks():
             for first in range(0, len(block.t), _ROWS):
                 rows = slice(first, first + _ROWS)
-                values: Array = np.column_stack([values[rows] for _, values in _columns(result, block)])
+                values: Array = np.column_stack([values[rows] for _, values in signal_columns(result, block)])
                 for row, modes in zip(values.tolist(), block.trace.modes[rows].tolist(), strict=True):
                     trace.writerow([*map(repr, row), *modes])
             event.writerows(_event_rows(result.loop, block.trace))
 
 
-def _columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
-    """Return the names and values of all signals."""
+def signal_columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
+    """Return the names and values of all signals at some samples: t (K,), the others (K, ·)."""
     plant = result.spec.problem.plant
     loads = () if plant.loads is None else plant.loads.names
     forms = [k for k, name in enumerate(plant.tracked_names) if name not in plant.outputs]

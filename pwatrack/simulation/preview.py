@@ -331,7 +331,7 @@ class _Solution:
             while todo:
                 a, b, before = todo.pop()
                 fitted, off = interpolation(self.eta(k, a + (b - a) * interpolation.points), b - a)
-                missed = float(off.max()) / size
+                missed = float(off.max()) / size if size else 0.0  # nothing drives it: it is 0
                 noise = missed < _NOISE and missed > before / 8  # halving would take it to 1/1000
                 if missed > _FITTED and not noise and b - a > resolved:
                     todo += [((a + b) / 2, b, missed), (a, (a + b) / 2, missed)]

@@ -109,7 +109,7 @@ class Scenario:
 
 @dataclass(frozen=True, kw_only=True)
 class Spec:
-    """What one file asks for.
+    """What one file, one mapping or one problem from arrays asks for.
 
     Attributes:
         name: Title of the problem.
@@ -123,7 +123,13 @@ class Spec:
         scenario: What is simulated.
         requirements: What figures of design, run and ensemble must achieve.
         expected_exit: How a run of this spec should end; 0 unless the file says otherwise.
-        places: Where each part of the description stands in the file.
+        places: Where each part of the description stands in the file, or how it is called in Python.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> spec = load_spec("specs/two_mass_backlash.yaml")
+        >>> spec.name, spec.problem.plant.states, spec.scenario.duration
+        ('Two masses with backlash', ('z1', 'v1', 'z2', 'v2'), 60.0)
     """
 
     name: str
