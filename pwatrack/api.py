@@ -1,6 +1,7 @@
 """What a program or a notebook calls: design, simulate and ensemble, and what they return. Files only where asked."""
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -304,6 +305,7 @@ def ensemble(
     over: Over = "initial",
     seed: int = 1,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Many:
     """Run a simulated closed loop again in many variations, each as exactly as `simulate` does.
@@ -315,6 +317,7 @@ def ensemble(
             regions and intervals that the problem gives, else within those that `pwatrack.variation` names.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
+        executor: Where members run instead of threads here, `workers` at a time.
         progress: Called with the number of members done, now and then.
 
     Raises:
@@ -328,7 +331,9 @@ def ensemble(
         >>> many.e.shape, bool(many.table["final_error"].max() < 1e-3), list(many.table)[:2]
         ((4, 6001), True, ['z1', 'v1'])
     """
-    found = variation.ensemble(result, count, over=over, seed=seed, workers=workers, progress=progress)
+    found = variation.ensemble(
+        result, count, over=over, seed=seed, workers=workers, executor=executor, progress=progress
+    )
     return Many(**_parts(found))
 
 

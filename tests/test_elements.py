@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pwatrack import design, load_spec, write_design
+from pwatrack import design, load_spec
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed, Infeasible
 from pwatrack.lmi.audit.certificate import FORMAT, audit
@@ -20,6 +20,7 @@ from pwatrack.lmi.audit.elements import Elements
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, generate_cells, piecewise_linear
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate, refusal_certificate, subject_content
+from pwatrack.report.files import write_design
 from pwatrack.report.verify import verify
 
 STOPS = """
