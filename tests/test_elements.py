@@ -189,7 +189,8 @@ def test_generator_json_is_not_vouched_for_where_neither_spec_nor_cells_are_at_h
 
 def test_a_refusal_names_cells_that_are_not_listed(tmp_path: Path) -> None:
     """Without a brake the state w grows wherever its valve is shut."""
-    (tmp_path / "s.yaml").write_text(STOPS.replace("[0.2, 0, -1]", "[0, 0, 0.1]").replace("-2*z + 0.1", "+ 0.1"))
+    text = STOPS.replace("[0.2, 0, -1]", "[0, 0, 0.1]").replace("-2*z + 0.1", "+ 0.1")
+    (tmp_path / "s.yaml").write_text(text.replace('"0.1*sin(t)"', '"0.1*sin(t)", preview: none'))
     spec = load_spec(tmp_path / "s.yaml")
     with pytest.raises(Infeasible) as refused:
         design(spec)
