@@ -11,6 +11,7 @@ from scipy.integrate import solve_bvp
 from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory
@@ -27,6 +28,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.simulation.preview import bounded_solution, played_back
+from pwatrack.spec.spec import Spec
 from tests.conftest import SPECS
 from tests.plants import saddle
 
@@ -165,13 +167,47 @@ def test_a_reference_that_is_not_known_beforehand_is_refused(tmp_path: Any) -> N
         design(load_spec(path))
 
 
-def test_a_load_that_moves_what_is_worked_out_is_refused(tmp_path: Any) -> None:
+def blown(folder: Path, loads: str, acts: str, *replaced: tuple[str, str]) -> Spec:
+    """The cart and pole on the move with unknown loads that its input does not reach."""
     text = (SPECS / "gallery" / "cart_and_pole_on_the_move.yaml").read_text(encoding="utf-8")
-    path = tmp_path / "spec.yaml"
-    text = text.replace("estimate: input", "estimate: {wind: {into: {w: 1}}}").replace(", load_F: N", "")
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(OutsideTheory, match="the load wind acts on η"):
-        design(load_spec(path))
+    path = folder / "spec.yaml"
+    for old, new in (("estimate: input", f"estimate: {loads}"), ("{v: 0.5/M, w: -0.5/(M*l)}", acts), *replaced):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text.replace(", load_F: N", ""), encoding="utf-8")
+    return load_spec(path)
+
+
+@pytest.mark.parametrize(
+    ("loads", "acts"),
+    [
+        ("{wind: {into: {w: 1}}}", "{w: 0.3}"),
+        ("{wind: {into: {w: 1}}, push: {into: {v: 1}}}", "{w: 0.3, v: 0.2}"),
+        ("{hum: {into: {w: 1}, frequency: 3}}", '{w: "0.2*sin(3*t)"}'),
+    ],
+)
+def test_a_load_on_what_is_worked_out_is_made_up_for(tmp_path: Path, loads: str, acts: str) -> None:
+    """It only shifts the bounded solution, as the pole leans against a wind, the same in all cells."""
+    result = simulate(blown(tmp_path, loads, acts))
+    assert result.final_error < 1e-8
+    controller = result.controller
+    content = json.loads(json.dumps(design_certificate(result.spec, controller)))
+    assert not audit(json.dumps(content))[1]
+    for spoiled in (None, [["0.1"] * len(row) for row in content["eta_with_loads"]], content["eta_with_loads"][1:]):
+        assert audit(json.dumps(content | {"eta_with_loads": spoiled}))[1]
+    plant, added = controller.plant, beside_given(controller.plant, controller.compensation.X)
+    assert plant.loads is not None
+    X, S, E = added.X.floats, plant.loads.S.floats, plant.loads.E.floats
+    np.testing.assert_allclose(plant.B @ added.u_ff, X @ S - plant.A @ X - E, atol=1e-12)
+
+
+def test_a_load_that_moves_what_is_worked_out_in_other_ways_in_other_cells_is_refused(tmp_path: Path) -> None:
+    leaning = (
+        "of: p, lower: -gap, upper: gap, slope: k, into: {v: -1/M, w: 1/(M*l)}",
+        "of: lean, lower: -0.2, upper: 0.2, slope: 1, into: {w: -1}",
+    )
+    with pytest.raises(OutsideTheory, match=r"the load wind acts on η .* is not the same in all cells"):
+        design(blown(tmp_path, "{wind: {into: {w: 1}}}", "{w: 0.3}", leaning))
 
 
 def test_cells_with_different_numbers_of_unstable_modes_have_no_P() -> None:

@@ -17,6 +17,10 @@ c_0 X = 0, y_d = c_0 x_d stays exact, ẋ_d = f(x_d) + B u_ff + E ŝ + X L_s C �
 
 e → 0 as (8) and (9) say, for every s, matched (E = B U: X = 0, W_i[η] = 0, u_ff − U ŝ) or not. For state tracking x_d
 is given: loads must be matched then, X = 0 and u_ff − U ŝ.
+
+Where η is worked out beforehand, there is no η̂ to be driven. With η + H ŝ in its place, G = [g; −H] in all of this, it
+need not be, if one H makes the rows of W_i below r vanish in all cells: A_ηi H − H S = −W_i[η] with H = 0 on the
+right. It has one solution, as no eigenvalue of A_ηi is on the imaginary axis and those of S are.
 """
 
 from dataclasses import dataclass
@@ -32,6 +36,7 @@ from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
+from pwatrack.rational import Rational, on_entries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,13 +56,16 @@ class Compensation:
     guards: Array
 
 
-def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Compensation:
+def compensation(
+    plant: PWASystem, form: NormalForm | None, filtered: int, *, played_back: bool = False
+) -> Compensation:
     """Return what makes up for the loads.
 
     Args:
         plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
-        filtered: How many η̂ there are; none where they were worked out beforehand, as no load acts on them then.
+        filtered: How many η̂ there are.
+        played_back: Whether η was worked out beforehand.
 
     Raises:
         OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
@@ -76,6 +84,8 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
         )
     T, exact, nothing = form.exact.T, form.plant.exact, BallMatrix.of(np.zeros((n, p)), (n, p))
     G = loads_in_derivatives(loads, form)
+    if played_back:
+        G = above(G.part(range(form.r), range(p)), BallMatrix(-resting(loads, form)))
     shifts = different(each(lambda inverse: nothing - inverse @ G, form.exact.inverse))
     if len(shifts) > 1:
         raise _bent(form, G)
@@ -90,8 +100,25 @@ def compensation(plant: PWASystem, form: NormalForm | None, filtered: int) -> Co
     )
 
 
+def beside_given(plant: PWASystem, X: BallMatrix) -> Compensation:
+    """Return what makes up for the loads where x_d and its derivative are given for none of them.
+
+    In the cell of x_d + X ŝ: B u_ff = ẋ_d + X S ŝ − A_i (x_d + X ŝ) − b_i − E ŝ.
+    """
+    loads, shift = plant.loads, X.floats
+    if loads is None:
+        return compensation(plant, None, 0)
+    needed = shift @ loads.S.floats - plant.A @ shift - loads.E.floats
+    return Compensation(
+        X=X,
+        u_ff=pseudo_inverse(plant.B) @ needed,
+        rate=np.zeros((len(plant.A), 0, shift.shape[1])),
+        guards=plant.partition.H @ shift,
+    )
+
+
 def check_played_back(form: NormalForm) -> None:
-    """Refuse loads that act on an η that is worked out beforehand: their estimates are only known as the plant runs.
+    """Refuse loads that act on an η that is worked out beforehand, in other ways in other cells.
 
     Raises:
         OutsideTheory: Naming the load and the η.
@@ -99,14 +126,15 @@ def check_played_back(form: NormalForm) -> None:
     loads = form.plant.loads
     if loads is None:
         return
-    rate = np.abs(compensation(form.plant, form, len(form.eta_names)).rate).max(axis=0)
+    rate = np.abs(compensation(form.plant, form, len(form.eta_names), played_back=True).rate).max(axis=0)
     for load, states in zip(loads.each, loads.groups, strict=True):
         acts = rate[:, list(states)].max(axis=1)
         if acts.any():
             raise OutsideTheory(
                 Problem(
                     message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
-                    "that have unstable modes: x_d is worked out beforehand, and the estimate is not known then",
+                    "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
+                    "then, would add to it is not the same in all cells",
                     subject=(Part.ESTIMATE,),
                     hint="a load that acts as an input does, or another output",
                 )
@@ -122,6 +150,34 @@ def loads_in_derivatives(loads: Loads, form: NormalForm) -> BallMatrix:
         for _ in range(r - 1):
             G.append(T.part([len(G) - 1], range(n)) @ loads.E + G[-1] @ loads.S)
     return reduce(above, G + [nothing] * (n - form.r))
+
+
+def resting(loads: Loads, form: NormalForm) -> Rational:
+    """Return H (n − r, p) with η_ref + H s for η where loads act, if all cells have the same; 0 where there is none.
+
+    It is that of the first cell, for numbers that are exact.
+    """
+    import flint
+
+    r, n, p = form.r, form.r + len(form.eta_names), loads.S.shape[0]
+    q, nothing = n - r, flint.fmpq_mat(n - r, p)
+    if not q or not form.plant.exact.exact or loads.E.radius is not None or loads.S.radius is not None:
+        return nothing
+    G, T, A_eta = loads_in_derivatives(loads, form).centre, form.exact.T[0].centre, form.exact.A_eta[0].centre
+    A, E, S = form.plant.exact.A[0].centre, loads.E.centre, loads.S.centre
+    W = on_entries(T * (E - A * form.exact.inverse[0].centre * G) + G * S, range(r, n), range(p))
+    unknowns = [(j, k) for k in range(p) for j in range(q)]
+    rows = flint.fmpq_mat(q * p, q * p)
+    for at, (j, k) in enumerate(unknowns):
+        for i in range(q):
+            rows[at, k * q + i] += A_eta[j, i]
+        for i in range(p):
+            rows[at, i * q + j] -= S[i, k]
+    try:
+        found = rows.solve(flint.fmpq_mat(q * p, 1, [-W[j, k] for j, k in unknowns]))
+    except ZeroDivisionError:
+        return nothing
+    return flint.fmpq_mat(q, p, [found[k * q + j, 0] for j in range(q) for k in range(p)])
 
 
 def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:

@@ -77,7 +77,8 @@ class Controller:
     def compensation(self) -> Compensation:
         """What the estimates of loads add to the desired trajectory."""
         form = None if self.generator is None else self.generator.form
-        return compensation(self.plant, form, self.trajectory.rate.shape[1])
+        played_back = self.trajectory.preview is not None
+        return compensation(self.plant, form, self.trajectory.rate.shape[1], played_back=played_back)
 
     @cached_property
     def guarantees(self) -> Guarantees:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.compensation import compensation
+from pwatrack.control.compensation import beside_given
 from pwatrack.control.controller import Controller
 from pwatrack.control.state_tracking import input_trajectory, state_trajectory
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
@@ -133,8 +133,9 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
     trajectory, names = _given_trajectory(controller) if given else (controller.trajectory, ())
     m, partition, steps = plant.B.shape[1], plant.model.partition, _stepper(sampling)
     s_hat = len(controller.design.L) - len(plant.B)
-    added = compensation(plant, None, 0) if given and controller.trajectory.preview else None
-    added = added or controller.compensation
+    added = controller.compensation
+    if given and controller.trajectory.preview:
+        added = beside_given(plant, added.X)
     no_limits = np.tile([-np.inf, np.inf], (m, 1))
     rates, quanta = conditions.rates, conditions.quanta
     return Program(

@@ -9,7 +9,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Form
-from pwatrack.control.compensation import compensation
+from pwatrack.control.compensation import compensation, resting
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
@@ -41,7 +41,8 @@ CLAIM = (
     "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). A plant with elements is A x + b "
     "+ B u and the sum of direction function(row x + constant); its cells are all combinations of segments, the last "
     "element's first. Bounded both ways: the same "
-    "without a rate and without P > 0, so that the generator has one bounded solution, which is played back. With a "
+    "without a rate and without P > 0, so that the generator has one bounded solution, which is played back; with "
+    "estimates s_hat of loads eta + H s_hat, H = eta_with_loads, so that no load acts on eta in any cell. With a "
     "degree 2 d: the monomials "
     "m of degree d of z = T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - "
     "2 d rate P - N_i > 0 for every different M_i, and m^T N_i m = 0 for all z. X bounds a cost: X > 0 and X "
@@ -79,7 +80,17 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     listed = practical is not None or uncertain is not None or any("degree" in proof for proof in proofs)
     content = _content(spec, controller.design.K, controller.design.L, proofs, listed=listed)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
+    content["eta_with_loads"] = _with_loads(controller)
     return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain, "practical": practical}
+
+
+def _with_loads(controller: Controller) -> list[list[str]] | None:
+    """Return H with eta_ref + H s for a bounded eta that is played back beside loads; None where there is none."""
+    plant, form = controller.plant, controller.form
+    if plant.loads is None or form is None or controller.trajectory.preview is None:
+        return None
+    H = resting(plant.loads, form)
+    return BallMatrix(H).texts if any(H.entries()) else None
 
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
@@ -154,12 +165,13 @@ def output_form(spec: Spec, directions: Any = None) -> NormalForm:
     return normal_form(plant, directions=BallMatrix.of([[number(v) for v in row] for row in directions], (m, p)))
 
 
-def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
+def generator_content(form: NormalForm, shift: Array | None, *, played_back: bool) -> dict[str, Any]:
     """Return the content of generator.json: (15) and (16) in doubles.
 
     Args:
         form: The normal form (11).
         shift: M of Assumption 2, or None if there is none.
+        played_back: Whether its bounded solution is, in place of a filter.
     """
     A_eta, B_eta, b_eta = tracking_dynamics(form)
     return {
@@ -176,16 +188,16 @@ def generator_content(form: NormalForm, shift: Array | None) -> dict[str, Any]:
         "gamma": form.gamma.tolist(),
         "right_inverse": form.right_inverse.tolist(),
         "shift": None if shift is None else shift.tolist(),
-        "loads": _compensation_content(form),
+        "loads": _compensation_content(form, played_back=played_back),
     }
 
 
-def _compensation_content(form: NormalForm) -> dict[str, Any] | None:
+def _compensation_content(form: NormalForm, *, played_back: bool) -> dict[str, Any] | None:
     """Return what estimates s_hat of loads add: to x_d, to u_ff and to the rate of eta_hat, the last two by cell."""
     loads = form.plant.loads
     if loads is None:
         return None
-    added = compensation(form.plant, form, len(form.eta_names))
+    added = compensation(form.plant, form, len(form.eta_names), played_back=played_back)
     return {
         "names": list(loads.names),
         "where": list(loads.where),

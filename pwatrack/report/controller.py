@@ -31,7 +31,7 @@ class Written:
 def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None) -> Written:
     """Return a design as its files tell it; `start` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
-    generator = None if made is None else generator_content(made.form, made.shift)
+    generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
     proof = hashlib.sha256(certificate.encode()).hexdigest()
     known = None if start is None else dict(start)
     return Written(certificate, generator, content(spec, controller, proof=proof, generator=generator, start=known))

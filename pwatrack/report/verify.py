@@ -228,7 +228,8 @@ def _against_folder(content: dict[str, Any], folder: Path, index: Any, spec: Spe
         if spec is not None and same:
             form = output_form(spec, subject.get("directions"))
             A_eta, B_eta, _ = tracking_dynamics(form)
-            same = generator == generator_content(form, assumption_2_shift(A_eta, B_eta[:, :, : form.r]))
+            moved = assumption_2_shift(A_eta, B_eta[:, :, : form.r])
+            same = generator == generator_content(form, moved, played_back=_played_back(content))
         if told or spec is not None:
             yield "generator.json", "" if same else "generator.json is not that of this plant"
     if (bounds := _json(folder / BOUNDS)) is not None:
@@ -281,10 +282,14 @@ def _peaks(content: dict[str, Any], spec: Spec) -> list[list[float]]:
     form = output_form(spec, (content["generator"] or {}).get("directions")) if output else None
     plant = spec.problem.plant if form is None else form.plant
     K, L = (BallMatrix.of([[number(v) for v in row] for row in content[letter]]) for letter in ("K", "L"))
-    loops = Loops(plant, K, L, (), compensation(plant, form, 0).X, output=output)
+    loops = Loops(plant, K, L, (), compensation(plant, form, 0, played_back=_played_back(content)).X, output=output)
     channels = [entry["channel"] for entry in content["bounds"] if entry["channel"][0] != "start"]
     found = [loops.peaks((kind, k)) for kind, k in channels]
     return [list(gain) for peaks in found for gain in peaks.values()]
+
+
+def _played_back(content: dict[str, Any]) -> bool:
+    return any("bounded" in proof for proof in content["proofs"])
 
 
 def _bounded(told: Any, content: dict[str, Any]) -> bool:

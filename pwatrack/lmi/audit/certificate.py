@@ -56,7 +56,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults.append("a load enters where no input does, and x_d is given")
     K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
     generator = content["generator"]
-    A_eta, X = (None, None) if generator is None else normal_form(plant, generator)
+    A_eta, X = (None, None) if generator is None else normal_form(plant, generator, content.get("eta_with_loads"))
     refusal = any("Z" in proof or "no_P" in proof for proof in content["proofs"])
     faults += misplaced(content) if refusal else []
     decided = set()

@@ -6,13 +6,16 @@ from functools import partial, reduce
 from typing import Any
 
 from .balls import Ball, inverse, less, negative, part, plus, stacked, times, unlike
-from .matrices import Fault, added, definite, inverted, product, transposed
+from .matrices import Fault, Matrix, added, definite, inverted, product, transposed
 from .plant import Plant
 from .reading import matrix, number
 
 
-def normal_form(plant: Plant, generator: Any) -> tuple[list[Ball], Ball | None]:
-    """Return A_eta of (17), and by what loads shift x_d, after checking that the plant has the form that is claimed."""
+def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list[Ball], Ball | None]:
+    """Return A_eta of (17), and by what loads shift x_d, after checking that the plant has the form that is claimed.
+
+    With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
+    """
     n, degrees = len(plant.B[0]), [int(r) for r in generator["relative_degrees"]]
     r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
     internal, Z = [int(j) for j in generator["internal"]], matrix(generator["directions"])
@@ -38,7 +41,7 @@ def normal_form(plant: Plant, generator: Any) -> tuple[list[Ball], Ball | None]:
         raise Fault("A_eta is not that of the plant")
     if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
         raise Fault("T is not that of the plant")
-    return found, shift(plant, degrees, T[0], backs)
+    return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
 
 
 def tracked_derivatives(plant: Plant, j: int, degree: int) -> list[Ball]:
@@ -83,8 +86,8 @@ def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
             raise Fault("the last derivatives of the outputs are not moved the same way in all cells")
 
 
-def shift(plant: Plant, degrees: list[int], T: Ball, backs: list[Ball]) -> Ball | None:
-    """Return X = -T_i^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; 0]."""
+def shift(plant: Plant, degrees: list[int], T: list[Ball], backs: list[Ball], H: Matrix) -> Ball | None:
+    """Return X = -T_i^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; -H]."""
     if plant.loads is None:
         return None
     E, S = plant.loads
@@ -93,12 +96,20 @@ def shift(plant: Plant, degrees: list[int], T: Ball, backs: list[Ball]) -> Ball 
     for degree in degrees:
         G.append(nothing)
         for _ in range(degree - 1):
-            G.append(plus(times(part(T, len(G) - 1), E), times(G[-1], S)))
-    whole = joined(G + [nothing] * (len(E[0]) - len(G)))
+            G.append(plus(times(part(T[0], len(G) - 1), E), times(G[-1], S)))
+    r, n = len(G), len(E[0])
+    if H and (len(H) != n - r or any(len(row) != len(S[0]) for row in H)):
+        raise Fault("what loads add to eta does not fit the plant")
+    whole = joined(G + ([negative((H, []))] if H else [nothing] * (n - r)))
     shifts = unlike(once(lambda back: negative(times(back, whole)), backs))
     if len(shifts) > 1:
         raise Fault("loads move a derivative that differs between cells")
-    return shifts[0][1]
+    X = shifts[0][1]
+    for T_i, A_i in zip(T, plant.A, strict=True) if H else ():
+        W, open_ = plus(times(T_i, plus(times(A_i, X), E)), times(whole, S))
+        if open_ or any(any(row) for row in W[r:]):
+            raise Fault("a load acts on an eta that is played back")
+    return X
 
 
 def joined(rows: list[Ball]) -> Ball:
