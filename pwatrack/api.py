@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pwatrack.report.run_folder import Plots
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Design(Controller):
     """A controller that is proved, and the problem that it is for: what `design` returns.
 
@@ -42,6 +42,9 @@ class Design(Controller):
     """
 
     spec: Spec
+
+    def __repr__(self) -> str:
+        return f"<design of {self.spec.name!r}: {self.verdict}, rate {self.figures['rate']:.4g} 1/s>"
 
     @staticmethod
     def of(spec: Spec, controller: Controller) -> "Design":
@@ -92,7 +95,7 @@ class Design(Controller):
         return write_design(self.spec, self, folder)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Result(Simulated):
     """A closed loop that was simulated: what `simulate` returns.
 
@@ -114,6 +117,9 @@ class Result(Simulated):
     """
 
     controller: Design
+
+    def __repr__(self) -> str:
+        return f"<run of {self.spec.name!r}: {self.outcome.text}>"
 
     @property
     def verdict(self) -> str:
@@ -209,7 +215,7 @@ class Result(Simulated):
         return {name.removesuffix(".png"): figure for name, figure in draw(self).items()}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Many(EnsembleResult):
     """A loop in many variations: what `ensemble` returns.
 
@@ -219,6 +225,10 @@ class Many(EnsembleResult):
         figures: What was measured of each, (M,).
         ensemble: What was kept of them.
     """
+
+    def __repr__(self) -> str:
+        said = self.failure or f"{len(self.outcomes):,} members {self.variation.text}, none fails"
+        return f"<ensemble of {self.nominal.spec.name!r}: {said}>"
 
     @property
     def t(self) -> Array:
