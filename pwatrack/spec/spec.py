@@ -147,7 +147,8 @@ class Spec:
 
     def __repr__(self) -> str:
         (n, m), plant = self.problem.plant.B.shape, self.problem.plant
-        return f"<spec {self.name!r}: {self.problem.tracking} tracking, {len(plant.A)} cells, n = {n}, m = {m}>"
+        cells = f"{len(plant.A)} cell" + "s" * (len(plant.A) > 1)
+        return f"<spec {self.name!r}: {self.problem.tracking} tracking, {cells}, n = {n}, m = {m}>"
 
     @contextmanager
     def located(self) -> Iterator[None]:
