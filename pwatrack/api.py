@@ -6,9 +6,13 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pwatrack import pipeline, variation
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
+from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.model.pwa import PWASystem
 from pwatrack.result import Result as Simulated
 from pwatrack.spec.spec import Spec
 from pwatrack.variation import EnsembleResult, Over
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
     from pwatrack.report.run_folder import Plots
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Design(Controller):
     """A controller that is proved, and the problem that it is for: what `design` returns.
 
@@ -42,6 +46,9 @@ class Design(Controller):
     """
 
     spec: Spec
+
+    def __repr__(self) -> str:
+        return f"<design of {self.spec.name!r}: {self.verdict}, rate {self.figures['rate']:.4g} 1/s>"
 
     @staticmethod
     def of(spec: Spec, controller: Controller) -> "Design":
@@ -92,7 +99,7 @@ class Design(Controller):
         return write_design(self.spec, self, folder)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Result(Simulated):
     """A closed loop that was simulated: what `simulate` returns.
 
@@ -114,6 +121,9 @@ class Result(Simulated):
     """
 
     controller: Design
+
+    def __repr__(self) -> str:
+        return f"<run of {self.spec.name!r}: {self.outcome.text}>"
 
     @property
     def verdict(self) -> str:
@@ -209,7 +219,7 @@ class Result(Simulated):
         return {name.removesuffix(".png"): figure for name, figure in draw(self).items()}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Many(EnsembleResult):
     """A loop in many variations: what `ensemble` returns.
 
@@ -219,6 +229,10 @@ class Many(EnsembleResult):
         figures: What was measured of each, (M,).
         ensemble: What was kept of them.
     """
+
+    def __repr__(self) -> str:
+        said = self.failure or f"{len(self.outcomes):,} members {self.variation.text}, none fails"
+        return f"<ensemble of {self.nominal.spec.name!r}: {said}>"
 
     @property
     def t(self) -> Array:
@@ -271,6 +285,7 @@ def design(spec: Spec, *, growing: bool = False) -> Design:
         >>> made.verdict, made.generator.shift.round(12).tolist()
         ('proved', [[1.0, 0.0], [0.0, 0.0]])
     """
+    _check("design", spec, Spec)
     return Design.of(spec, pipeline.design(spec, growing=growing))
 
 
@@ -283,8 +298,8 @@ def simulate(asked: Spec | Design, controller: Controller | None = None) -> Resu
         controller: A design for the same plant, for another scenario or reference than its own.
 
     Raises:
-        PwatrackError: Whatever `design` raises; InvalidSpec if a start does not fit the generator, or a long run the
-            disk; CheckFailed if the loop chatters.
+        PwatrackError: Whatever `design` raises; InvalidSpec if the design is for another plant, a start does not fit
+            the generator, or a long run the disk; CheckFailed if the loop chatters.
 
     Example:
         >>> from pwatrack import load_spec
@@ -292,8 +307,11 @@ def simulate(asked: Spec | Design, controller: Controller | None = None) -> Resu
         >>> run.verdict, run.final_error < 1e-3
         ('tracks', True)
     """
+    _check("simulate", asked, Spec, Design)
     spec = asked.spec if isinstance(asked, Design) else asked
     known = controller or (asked if isinstance(asked, Design) else None)
+    if known is not None:
+        _check_plant(spec, known.running)
     run = pipeline.simulate(spec, known)
     return Result(**_parts(run) | {"controller": Design.of(run.spec, run.controller)})
 
@@ -331,10 +349,31 @@ def ensemble(
         >>> many.e.shape, bool(many.table["final_error"].max() < 1e-3), list(many.table)[:2]
         ((4, 6001), True, ['z1', 'v1'])
     """
+    _check("ensemble", result, Simulated)
     found = variation.ensemble(
         result, count, over=over, seed=seed, workers=workers, executor=executor, progress=progress
     )
     return Many(**_parts(found))
+
+
+def _check(function: str, value: object, *kinds: type) -> None:
+    if not isinstance(value, kinds):
+        wanted = {Spec: "problem or load_spec", Design: "design", Simulated: "simulate"}
+        found = f"{function}: a value of type {type(value).__name__} is none of those that it takes"
+        said = " or ".join(wanted[kind] for kind in kinds)
+        raise InvalidSpec(Problem(message=found, subject=None, hint=f"it takes what {said} returned"))
+
+
+def _check_plant(spec: Spec, designed: PWASystem) -> None:
+    """Refuse a design for another plant: it is the design's that would run."""
+    plant = spec.problem.plant
+    pairs = (
+        *((getattr(plant, name), getattr(designed, name)) for name in ("A", "b", "B", "C")),
+        *((getattr(plant.partition, name), getattr(designed.partition, name)) for name in ("H", "h", "signs")),
+    )
+    if not all(np.array_equal(one, other) for one, other in pairs):
+        hint = "other values of parameters in the plant that runs stand in the scenario: simulation.plant.parameters"
+        raise InvalidSpec(Problem(message="simulate: the design is for another plant", subject=None, hint=hint))
 
 
 def _parts(made: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import math
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -229,6 +229,7 @@ WRONG_PLANTS: dict[str, tuple[dict[str, Any], str]] = {
     "what is tracked": (without(track=["z"]), "track: 'z' is no output"),
     "a parameter": (without(parameters={"k": "m"}), r"parameters\['k'\]: parameter 'k': unknown name 'm'"),
     "a tolerance": (without(tolerance=0.1), "tolerance: 0.1 is more than data are rounded by"),
+    "planes alone": (without("signs", A=[[0, 1], [-1, -1]], b=[0, 0]), "H: hyperplanes need cells with signs"),
     "an element": (
         {"A": [[-1]], "B": [[1]], "C": [[1]], "nonlinearities": [{"name": "s", "kind": "sprung"}]},
         r"nonlinearities\[0\]: kind 'sprung' is none of",
@@ -316,7 +317,8 @@ def test_everything_that_a_file_has_can_be_given() -> None:
     of_plant, of_problem = signature(plant).parameters, signature(problem).parameters
     assert {*SystemSection.model_fields} - {*of_plant} == {"hyperplanes"}  # H, h
     assert {*DesignSection.model_fields} <= {*of_problem}
-    assert {*SpecFile.model_fields} - {*of_problem} == {"system", "design", "parameters", "tolerance", "expect"}
+    of_commands = {"expect", "sweep"}  # of batch and sweep, which take files
+    assert {*SpecFile.model_fields} - {*of_problem} - of_commands == {"system", "design", "parameters", "tolerance"}
 
 
 def paper_arrays() -> dict[str, Any]:
@@ -415,6 +417,26 @@ def test_a_design_runs_in_another_scenario(run: Result) -> None:
     assert other.spec is longer
     assert len(other.t) == 201
     assert np.array_equal(other.x[:101], run.x)
+
+
+def test_a_design_for_another_plant_is_refused(run: Result) -> None:
+    stiffer = plant(**STOP | {"A": [[[0, 1], [-1, -1]], [[0, 1], [-5, -1]]], "b": [[0, 0], [0, 0.2]]})
+    with pytest.raises(InvalidSpec, match="the design is for another plant"):
+        simulate(problem(stiffer, **ASKED), run.controller)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda made: design(made), "design: a value of type Plant"),
+        (lambda made: simulate(made), "simulate: a value of type Plant"),
+        (lambda made: ensemble(made, 3), "ensemble: a value of type Plant"),
+        (lambda made: load_spec(made), "load_spec: a value of type Plant"),
+    ],
+)
+def test_what_a_function_does_not_take_is_said(call: Callable[[Any], Any], said: str) -> None:
+    with pytest.raises(InvalidSpec, match=said):
+        call(plant(**STOP))
 
 
 def test_the_program_of_a_design_is_that_of_its_run() -> None:

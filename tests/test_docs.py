@@ -2,7 +2,6 @@
 
 import ast
 import doctest
-import inspect
 import re
 from functools import cache
 from importlib.util import find_spec
@@ -119,7 +118,7 @@ def test_every_public_name_has_its_docstring_and_an_example_that_runs() -> None:
     for name in pwatrack.__all__:
         section = page.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
         assert section.strip(), name
-    functions = [name for name in pwatrack.__all__ if inspect.isfunction(getattr(pwatrack, name))]
+    functions = [name for name in pwatrack.__all__ if name[0].islower()]
     assert len(functions) >= 6
     for function in functions:
         assert "**Example**" in page.partition(f"## `{function}`\n")[2].partition("\n## ")[0], function

@@ -427,3 +427,8 @@ def test_an_inequality_holds_exactly_where_its_form_is_not_negative(
 def test_an_exponent_may_begin_with_0(text: str) -> None:
     form = linear_form(text, ["z"], {})
     assert float(form.offset) == float(text.replace("z", "").replace(" ", ""))
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**17), 10**17))
+def test_a_number_alone_is_the_same_as_in_an_expression(value: float) -> None:
+    assert real(str(value), {}) == real(f"({value})", {})

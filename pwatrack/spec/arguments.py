@@ -189,6 +189,8 @@ def argument(subject: Subject) -> str:
     match subject:
         case ("system", "cells" | "hyperplanes", int(number), str(name), *rest):
             name, steps = "cells" if name == "name" else name, (number, *rest)
+        case ("system", "hyperplanes", *rest):
+            name, steps = "H", tuple(rest)
         case ("tolerance", "continuity", *rest):
             name, steps = "tolerance", tuple(rest)
         case ("system" | "design", str(name), *rest) | (str(name), *rest):
@@ -222,10 +224,10 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _depth(value: Any) -> int:
-    """Return how many lists are in each other, along first entries."""
+def _depth(value: Any, most: int = 4) -> int:
+    """Return how many lists are in each other, along first entries, or as many as are looked for."""
     value = _plain(value)
-    return 1 + _depth(value[0]) if isinstance(value, list | tuple) and value else 0
+    return 1 + _depth(value[0], most - 1) if isinstance(value, list | tuple) and value and most else 0
 
 
 def _length(value: Any, axis: int) -> int:

@@ -29,7 +29,7 @@ CONSTANTS = {"pi": math.pi}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
 _LONGEST = 500  # characters of an expression: nobody writes longer ones by hand
-_PLAIN = re.compile(r"-?(0|[1-9][0-9]{0,14})(\.[0-9]{1,15})?")
+_PLAIN = re.compile(r"-?(0|[1-9][0-9]{0,16})(\.[0-9]{1,20})?(e[-+]?[0-9]{1,2})?")  # all doubles of common size
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -151,6 +151,16 @@ class LinearForm:
     __pow__ = __rpow__ = __rtruediv__
 
 
+def is_number(text: str) -> bool:
+    """Whether a text is a number in digits, as most entries of most files are: it need not be parsed.
+
+    Example:
+        >>> is_number("-0.5"), is_number("1e-05"), is_number("1/2")
+        (True, True, False)
+    """
+    return _PLAIN.fullmatch(text) is not None
+
+
 def real(text: str | Expression, parameters: Parameters) -> Real:
     """Return the value of an expression in the parameters, exactly where it is rational.
 
@@ -161,7 +171,7 @@ def real(text: str | Expression, parameters: Parameters) -> Real:
         >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
         Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
     """
-    if isinstance(text, str) and _PLAIN.fullmatch(text):  # most entries of most files
+    if isinstance(text, str) and is_number(text):
         return Real(Fraction(text))
     value: Real = _evaluate(text, _names(parameters))
     return value

@@ -72,6 +72,9 @@ def load_spec(
     """
     if isinstance(source, Mapping):
         return read_spec(document_of(source), parameters, outside=outside)
+    if not isinstance(source, str | Path):
+        message = f"load_spec: a value of type {type(source).__name__} is neither a path nor a mapping of sections"
+        raise InvalidSpec(Problem(message=message, subject=None))
     path = Path(source)
     document, digest = _read(path)
     return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path=path, sha256=digest)

@@ -18,6 +18,7 @@ from pwatrack.spec.expression import (
     ExpressionError,
     LinearForm,
     UnknownName,
+    is_number,
     parsed,
     real,
 )
@@ -77,7 +78,7 @@ class ParametricPlant:
             tolerance: For the continuity of the plant.
         """
         texts = {**(section if isinstance(section, dict) else {}), **overrides}
-        found = ((path, parsed(text)) for path, text in _entries(nominal, written))
+        found = ((path, parsed(text)) for path, text in _entries(nominal, written) if not is_number(text))
         return ParametricPlant(
             parameters={name: parsed(str(text)) for name, text in texts.items()},
             outside=frozenset(overrides),

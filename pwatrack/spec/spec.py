@@ -107,7 +107,7 @@ class Scenario:
     bands: Mapping[str, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Spec:
     """What one file, one mapping or one problem from arrays asks for.
 
@@ -144,6 +144,11 @@ class Spec:
     requirements: tuple[Requirement, ...]
     expected_exit: int
     places: Mapping[Subject, Place]
+
+    def __repr__(self) -> str:
+        (n, m), plant = self.problem.plant.B.shape, self.problem.plant
+        cells = f"{len(plant.A)} cell" + "s" * (len(plant.A) > 1)
+        return f"<spec {self.name!r}: {self.problem.tracking} tracking, {cells}, n = {n}, m = {m}>"
 
     @contextmanager
     def located(self) -> Iterator[None]:

@@ -136,7 +136,7 @@ class _Reading:
         return repr(value) if isinstance(value, float) else str(value)
 
     def _fault(self, path: Subject, what: str) -> str:
-        self.problems.append(Problem(message=f"{path_text(path)}: {what}", subject=path))
+        self.problems.append(Problem(message=f"{path_text(path)}: {what}" if path else what, subject=path))
         return "0"
 
 
