@@ -17,11 +17,7 @@ class CSource(Source):
 
     def numbers(self, values: Any) -> str:
         """Return an array as a C initialiser; each number is the shortest decimal that gives it."""
-        if np.ndim(values):
-            return "{" + ", ".join(self.numbers(value) for value in values) + "}"
-        value = self.real(values)
-        text = str(value)
-        return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * self.single
+        return initialiser(values, single=self.single)
 
     @property
     def constant_bytes(self) -> int:
@@ -90,6 +86,19 @@ def prefix(title: str) -> str:
     while len("_".join(words)) > _PREFIX and len(words) > 1:
         words.pop()
     return "_".join(words)[:_PREFIX]
+
+
+def initialiser(values: Any, *, single: bool = False) -> str:
+    """Return an array as a C initialiser; each number is the shortest decimal that gives it.
+
+    Example:
+        >>> initialiser([[1.0, 0.1], [1e-300, 2.0]]), initialiser(0.1, single=True)
+        ('{{1.0, 0.1}, {1e-300, 2.0}}', '0.1f')
+    """
+    if np.ndim(values):
+        return "{" + ", ".join(initialiser(value, single=single) for value in values) + "}"
+    text = str((np.float32 if single else np.float64)(values))
+    return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * single
 
 
 def header(c: CSource) -> str:

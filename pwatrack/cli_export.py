@@ -1,0 +1,125 @@
+"""`pwatrack export …`: parse, call, print."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from pwatrack.report.terminal import refusals
+
+if TYPE_CHECKING:
+    from pwatrack.report.export import Target
+
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Replace a parameter; may be repeated."),
+]
+Exported = Annotated[
+    Path, typer.Argument(metavar="RUN|SPEC", help="A run folder, a spec or a controller.json.", show_default=False)
+]
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of the spec's.")]
+Prefix = Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")]
+Single = Annotated[bool, typer.Option("--float32", help="Compute in single floats.")]
+From = Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")]
+Unproved = Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")]
+
+exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=True)
+
+
+@exports.command(name="c", epilog="Example: pwatrack export c runs/two_mass_machine --out firmware --float32")
+def export_to_c(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    single: Single = False,
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write a controller in C99, with a test vector of its simulation."""
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    _export("c", target, out, parameters, sample_time, **options)
+
+
+@exports.command(name="st", epilog="Example: pwatrack export st runs/two_mass_machine --out plc --float32")
+def export_to_structured_text(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    single: Single = False,
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write a controller as a function block in Structured Text of IEC 61131-3."""
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    _export("st", target, out, parameters, sample_time, **options)
+
+
+@exports.command(name="mat", epilog="Example: pwatrack export mat runs/two_mass_machine --out matlab")
+def export_to_matlab(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it."""
+    options = {"name": name, "single": False, "reference": reference, "unproved": unproved}
+    _export("mat", target, out, parameters, sample_time, **options)
+
+
+def _export(
+    to: "Target", target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
+) -> None:
+    _check_sample_time(sample_time)
+    with refusals():
+        from pwatrack.report.export import export
+        from pwatrack.spec.load import assignments
+
+        given = options.pop("reference") == "outside"
+        known = assignments(parameters or [])
+        files = export(to, target, out, parameters=known, sample_time=sample_time, given=given, **options)
+        typer.echo(f"Code in {out}/: {', '.join(files)}")
+
+
+@exports.command(name="fmu", epilog="Example: pwatrack export fmu specs/two_mass_machine.yaml --out blocks --fmi 3")
+def export_to_fmu(
+    target: Exported,
+    out: Folder,
+    parameters: Set = None,
+    sample_time: SampleTime = None,
+    name: Prefix = None,
+    fmi: Annotated[Literal["2", "3", "both"], typer.Option(help="Version of FMI.")] = "both",
+    of: Annotated[Literal["controller", "plant", "both"], typer.Option(help="What is exported.")] = "both",
+    reference: From = "inside",
+    unproved: Unproved = False,
+) -> None:
+    """Write controller and plant as FMUs for co-simulation."""
+    _check_sample_time(sample_time)
+    with refusals():
+        from pwatrack.report.export_fmu import export_fmu
+        from pwatrack.spec.load import assignments
+
+        for line in export_fmu(
+            target,
+            out,
+            parameters=assignments(parameters or []),
+            sample_time=sample_time,
+            name=name,
+            versions=(2, 3) if fmi == "both" else (2,) if fmi == "2" else (3,),
+            of=("controller", "plant") if of == "both" else (of,),
+            given=reference == "outside",
+            unproved=unproved,
+        ):
+            typer.echo(line)
+
+
+def _check_sample_time(sample_time: float | None) -> None:
+    if sample_time is not None and not 0 < sample_time < float("inf"):
+        raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
