@@ -366,7 +366,7 @@ def test_more_cells_than_can_be_worked_with_are_refused_at_once() -> None:
         Nonlinearity(name=f"e{k}", function=spring(), row=np.eye(60)[k], constant=0, direction=np.eye(60)[0])
         for k in range(60)
     ]
-    with pytest.raises(InvalidSpec, match="60 hyperplanes make more than 20,000 cells"):
+    with pytest.raises(InvalidSpec, match="60 hyperplanes make more than 100,000 cells"):
         generate_cells(-np.eye(60), np.zeros(60), elements)
 
 
@@ -404,8 +404,9 @@ def test_a_border_that_no_decimal_hits_is_proved_and_verified_as_it_is(tmp_path:
     done = run(tmp_path, spring, "design", "--out", str(tmp_path / "out"))
     assert done.exit_code == 0, done.output
     certificate = json.loads((tmp_path / "out" / "certificate.json").read_text())
-    assert certificate["plant"]["H"] == [["1/7", "1/3"]]
-    assert certificate["plant"]["h"] == ["-1/3"]
+    (element,) = certificate["plant"]["elements"]
+    assert element["row"] == ["1/7", "1/3"]
+    assert element["function"]["breakpoints"] == ["1/3"]
     assert CliRunner().invoke(app, ["verify", str(tmp_path / "out")]).exit_code == 0
 
 

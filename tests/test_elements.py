@@ -14,13 +14,15 @@ from hypothesis import strategies as st
 
 from pwatrack import design, load_spec
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.errors import CheckFailed, Infeasible
+from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec
 from pwatrack.lmi.audit.certificate import FORMAT, audit
 from pwatrack.lmi.audit.elements import Elements
+from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, generate_cells, piecewise_linear
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate, refusal_certificate, subject_content
 from pwatrack.report.files import write_design
+from pwatrack.report.export import of_spec
 from pwatrack.report.verify import verify
 
 STOPS = """
@@ -187,22 +189,26 @@ def test_generator_json_is_not_vouched_for_where_neither_spec_nor_cells_are_at_h
         verify(run, stops.parent / "stops.yaml")
 
 
-def test_a_refusal_names_cells_that_are_not_listed(tmp_path: Path) -> None:
-    """Without a brake the state w grows wherever its valve is shut."""
-    text = STOPS.replace("[0.2, 0, -1]", "[0, 0, 0.1]").replace("-2*z + 0.1", "+ 0.1")
-    (tmp_path / "s.yaml").write_text(text.replace('"0.1*sin(t)"', '"0.1*sin(t)", preview: none'))
+@pytest.mark.parametrize(
+    ("reference", "kind"),
+    [("output: sin(t)", "P"), ("input: [sin(t)], start: [0, 0, 0]}\ndesign: {tracking: state", "Z")],
+)
+def test_a_refusal_names_cells_that_are_not_listed(tmp_path: Path, reference: str, kind: str) -> None:
+    """The state w grows wherever its valve is shut: in six cells that differ from each other in the stop alone."""
+    text = STOPS.replace("[0.2, 0, -1]", "[0, 0, 0.1]").replace("-2*z + 0.1", "+ 0.1").replace("v: 0.5", "v: 0")
+    (tmp_path / "s.yaml").write_text(text.replace('output: "0.1*sin(t)"', reference))
     spec = load_spec(tmp_path / "s.yaml")
     with pytest.raises(Infeasible) as refused:
         design(spec)
-    assert refused.value.evidence is not None
-    content = refusal_certificate(spec, refused.value.evidence)  # type: ignore[arg-type]
+    assert isinstance(refused.value.evidence, Impossibility)
+    content = refusal_certificate(spec, refused.value.evidence)
     assert "elements" in content["plant"]
     said, faults = audit(json.dumps(content))
     assert not faults
-    (Z,) = content["proofs"]
-    names = [spec.problem.plant.cell_names[int(i)] for i in Z["Z"]]
-    assert any(sentence.endswith(", ".join(f"'{name}'" for name in names)) for sentence in said)
-    Z["Z"] = {"9": next(iter(Z["Z"].values()))}
+    (proof,) = content["proofs"]
+    names = [f"'{spec.problem.plant.cell_names[int(i)]}'" for i in proof[kind]]
+    assert any(all(name in sentence for name in names) for sentence in said)
+    proof[kind] = {"9": next(iter(proof[kind].values()))}
     assert audit(json.dumps(content))[1] == ["there is no 9 among 9"]
 
 
@@ -214,6 +220,25 @@ def test_elements_that_do_not_make_all_combinations_are_listed(tmp_path: Path) -
     content = design_certificate(spec, design(spec))
     assert len(content["plant"]["cells"]) == 5
     assert not audit(json.dumps(content))[1]
+
+
+def test_of_very_many_cells_no_tables_are_written_and_nothing_is_exported(tmp_path: Path) -> None:
+    """Two elements with 150 corners each, of two slopes: 22,801 cells with four different matrices."""
+    marks = ", ".join(str(k / 10) for k in range(150))
+    element = f"kind: piecewise_linear, breakpoints: [{marks}], slopes: [{', '.join(['0.1', '0.2'] * 75)}, 0.1]"
+    stops = [f"    - {{name: e{j}, of: {x}, {element}, into: {{v: -1}}}}" for j, x in enumerate("zv")]
+    rows = (("  A: [[0, 1], [-1, -1]]", "  B: [[0], [1]]", "  C: [[1, 0]]"), ("  nonlinearities:", *stops))
+    head = ("name: many", "system:", "  states: [z, v]", "  inputs: [u]", "  outputs: [y]")
+    tail = ("reference: {output: sin(t)}", "simulation: {duration: 1, sample_time: 0.1}")
+    (tmp_path / "s.yaml").write_text("\n".join((*head, *rows[0], *rows[1], *tail)) + "\n")
+    spec = load_spec(tmp_path / "s.yaml")
+    assert [remark for remark in spec.problem.plant.remarks if remark.startswith("22,801 cells, of which no tables")]
+    folder = write_design(spec, design(spec), tmp_path / "run")
+    assert not {"generator.json", "controller.json"} & {file.name for file in folder.iterdir()}
+    assert len((folder / "certificate.json").read_text()) < 30_000
+    assert verify(folder)[0] == "plant: 22801 cells cover the state space, the field is continuous"
+    with pytest.raises(InvalidSpec, match="the controller has 22,801 cells, too many for its tables"):
+        of_spec(spec, 0.1)
 
 
 def test_another_format_is_refused_by_the_names_of_both(stops: Path) -> None:

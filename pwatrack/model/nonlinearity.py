@@ -18,7 +18,8 @@ from pwatrack.real import Real
 
 Number = Real | Fraction | float
 
-_MOST_CELLS = 20_000  # that nonlinearities may make together
+MOST_LISTED = 20_000  # cells of which tables are written to files: 80 MB with ten states
+_MOST_CELLS = 100_000  # that nonlinearities may make together: a gigabyte with ten states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +219,7 @@ def generate_cells(
     breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
 
     Raises:
-        InvalidSpec: If there are more than 20,000 cells.
+        InvalidSpec: If there are more than 100,000 cells.
     """
     n = b.shape[0] if isinstance(b, BallMatrix) else len(b)
     constant = A if isinstance(A, BallMatrix) else BallMatrix.of(A, (n, n))

@@ -7,6 +7,7 @@ from typing import Any
 
 from pwatrack.control.controller import Controller
 from pwatrack.export.stored import content
+from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.certificate import design_certificate, generator_content
 from pwatrack.report.run_folder import json_text
 from pwatrack.result import Result
@@ -20,21 +21,32 @@ class Written:
     Attributes:
         certificate: What certificate.json holds, as text.
         generator: What generator.json holds, where there is a generator.
-        controller: What controller.json holds.
+        controller: What controller.json holds; None for either where there are too many cells for tables.
     """
 
     certificate: str
     generator: dict[str, Any] | None
-    controller: dict[str, Any]
+    controller: dict[str, Any] | None
 
 
 def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None) -> Written:
     """Return a design as its files tell it; `start` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
+<<<<<<< HEAD
     generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
+=======
+    if not has_tables(controller):
+        return Written(certificate, None, None)
+    generator = None if made is None else generator_content(made.form, made.shift)
+>>>>>>> lmi
     proof = hashlib.sha256(certificate.encode()).hexdigest()
     known = None if start is None else dict(start)
     return Written(certificate, generator, content(spec, controller, proof=proof, generator=generator, start=known))
+
+
+def has_tables(controller: Controller) -> bool:
+    """Say whether a controller has few enough cells for tables of them all."""
+    return max(len(controller.plant.A), len(controller.plant.model.A)) <= MOST_LISTED
 
 
 def starts(result: Result) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed, read
 from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
-from pwatrack.report.controller import starts, written
+from pwatrack.model.nonlinearity import MOST_LISTED
+from pwatrack.report.controller import has_tables, starts, written
 from pwatrack.report.run_folder import INDEX, json_text, named_spec
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
@@ -134,6 +135,9 @@ def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: 
         raise InvalidSpec(
             Problem(message=f"{spec.path}: the controller has no sample time", subject=None, hint="--sample-time")
         )
+    if not has_tables(controller):
+        message = f"{spec.path}: the controller has {len(controller.plant.A):,} cells, too many for its tables"
+        raise InvalidSpec(Problem(message=message, subject=None, hint=f"at most {MOST_LISTED:,} are exported"))
     h, end = sampling.sample_time, controller.trajectory.exosystem.end
     last = min(steps * h, np.inf if end is None else end)
     short = replace(spec, scenario=replace(spec.scenario, duration=float(last), sample_time=h))

@@ -214,7 +214,8 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dic
         run.json("generator.json", made.generator)
     if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
         run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
-    run.json("controller.json", made.controller)
+    if made.controller is not None:
+        run.json("controller.json", made.controller)
 
 
 def write_refusal(

@@ -350,6 +350,16 @@ def _indented(content: Any, line: str) -> str:
     if isinstance(content, dict) and content:
         parts = [f"{json.dumps(str(key))}: {_indented(value, deeper)}" for key, value in content.items()]
         return "{" + deeper + f",{deeper}".join(parts) + line + "}"
+    if _is_table(content):
+        whole = json.dumps(content, allow_nan=False)
+        if whole.count("[") == len(content) + 1 and '"' not in whole and "{" not in whole:  # faster, all rows at once
+            return "[" + deeper + whole[1:-1].replace("], [", f"],{deeper}[") + line + "]"
     if isinstance(content, list | tuple) and any(isinstance(value, dict | list | tuple) for value in content):
         return "[" + deeper + f",{deeper}".join(_indented(value, deeper) for value in content) + line + "]"
     return json.dumps(content, allow_nan=False)
+
+
+def _is_table(content: Any) -> bool:
+    """Say whether something may be a list of rows, by its first entry."""
+    rows = isinstance(content, list) and bool(content) and all(type(row) is list for row in content)
+    return rows and not (content[0] and isinstance(content[0][0], dict | list | tuple))

@@ -14,7 +14,7 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.course import Course
 from pwatrack.model.loads import Load, Loads
-from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, drives_away, generate_cells
+from pwatrack.model.nonlinearity import MOST_LISTED, Nonlinearity, ScalarForm, drives_away, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import (
     InputReference,
@@ -50,6 +50,10 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
         written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
         partition, A, b = generate_cells(*base, elements)
+        if len(A) > MOST_LISTED:
+            odd.append(
+                f"{len(A):,} cells, of which no tables are written: there is no generator.json and no controller.json"
+            )
         for section, element in zip(system.nonlinearities or [], elements, strict=True):
             odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
     else:
