@@ -21,8 +21,8 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, generate_cells, piecewise_linear
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate, refusal_certificate, subject_content
-from pwatrack.report.files import write_design
 from pwatrack.report.export import of_spec
+from pwatrack.report.files import write_design
 from pwatrack.report.verify import verify
 
 STOPS = """

@@ -32,13 +32,9 @@ class Written:
 def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None) -> Written:
     """Return a design as its files tell it; `start` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
-<<<<<<< HEAD
-    generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
-=======
     if not has_tables(controller):
         return Written(certificate, None, None)
-    generator = None if made is None else generator_content(made.form, made.shift)
->>>>>>> lmi
+    generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
     proof = hashlib.sha256(certificate.encode()).hexdigest()
     known = None if start is None else dict(start)
     return Written(certificate, generator, content(spec, controller, proof=proof, generator=generator, start=known))
