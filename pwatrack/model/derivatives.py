@@ -12,7 +12,7 @@ from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import Matrices, PWASystem
 
 STATE_TRACKING = "state tracking (Theorem 2) needs no form (11), only (8) and (9)"
-_ZERO = 0.25  # of the worst rounding error, below which an entry of c B counts as 0
+_ZERO = 0.5  # of the worst rounding error, below which an entry of c B counts as 0
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
 
