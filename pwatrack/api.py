@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -87,6 +87,33 @@ class Design(Controller):
 
         found = written(self.spec, self, known_start(self.spec, self)).controller
         return Program(parsed(found, self.spec.path))
+
+    def to_control(self, part: Literal["plant", "controller", "loop"] = "loop") -> Any:
+        """Return a system of python-control in continuous time, as the theorems have it: no limits, no sampling.
+
+        `params["start"]` is its state at t = 0, with zeros for what the problem does not say in numbers, and
+        `params["units"]` the units of its signals. `controller.to_control()` is the controller that is sampled.
+
+        Args:
+            part: The plant, the controller with its reference inside, or both connected.
+
+        Raises:
+            InvalidSpec: If python-control is not installed.
+        """
+        from pwatrack.export.c_source import prefix
+        from pwatrack.export.python_control import controller_system, loop_system, plant_system
+        from pwatrack.export.stored import known_start
+
+        spec, name, n = self.spec, prefix(self.spec.name), len(self.plant.B)
+        units = {label: str(unit) for label, unit in spec.problem.units.items()}
+        x = spec.scenario.initial.plant
+        plant = plant_system(self, f"{name}_plant", units, [0.0] * n if x is None else x.tolist())
+        if part == "plant":
+            return plant
+        nothing = {"x_hat": [0.0] * len(self.L), "eta_hat": [0.0] * len(self.trajectory.names)}
+        start = known_start(spec, self) or nothing
+        made = controller_system(self, f"{name}_controller", units, [*start["x_hat"], *start["eta_hat"]])
+        return made if part == "controller" else loop_system(plant, made, name)
 
     def save(self, folder: str | Path) -> Path:
         """Write the files of `pwatrack design` into a folder, which is made, and return it.

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pwatrack.arrays import Array
 from pwatrack.errors import InvalidSpec
+from pwatrack.export.c_source import prefix
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import read, runs
 from pwatrack.simulation.routine import COUNTS, memory, room, routine
@@ -93,8 +94,7 @@ class Controller:
             x_hat: x̂(0) and ŝ(0), (N,).
             eta_hat: η̂(0), (p,).
         """
-        start, of = self.file.start, self._programs[False].sizes
-        known = (start.x_hat, start.eta_hat) if start else (np.zeros(of["N"]), np.zeros(of["p"]))
+        known = self._start()
         self._x_hat = np.array(known[0] if x_hat is None else x_hat, dtype=np.float64)
         self._eta_hat = np.array(known[1] if eta_hat is None else eta_hat, dtype=np.float64)
         self._given, self.status = None, RAN
@@ -127,6 +127,36 @@ class Controller:
             )
         self.status = int(tick(self._routine, self._memory, self._counts, self._room, measured, wanted))
         return self.state("u")
+
+    def to_control(self, *, given: bool = False) -> Any:
+        """Return it as a system of python-control in discrete time, from what is measured to u.
+
+        Its step is this one, in every bit. `params["start"]` is its state at the start, and `params["units"]` the units
+        of its signals: `control.input_output_response(system, T, y, system.params["start"])`.
+
+        Args:
+            given: Whether the reference comes from outside: then its entries are inputs behind what is measured,
+                each with "_ref" behind its name.
+
+        Raises:
+            InvalidSpec: If python-control is not installed.
+        """
+        from pwatrack.export.python_control import sampled_system
+
+        plant, of = self.file.plant, self._programs[given]
+        labels = {
+            "name": prefix(self.file.name),
+            "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.reference)],
+            "outputs": plant.inputs,
+        }
+        return sampled_system(of, *self._start(), self._real, {**labels, "units": plant.units})
+
+    def _start(self) -> tuple[Array, Array]:
+        """Return x̂(0) with ŝ(0), and η̂(0), as the file says."""
+        start, of = self.file.start, self._programs[False].sizes
+        if start is None:
+            return np.zeros(of["N"]), np.zeros(of["p"])
+        return np.array(start.x_hat), np.array(start.eta_hat)
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real

@@ -1,0 +1,171 @@
+"""Plant, controller and closed loop as systems of python-control, with the names of their signals.
+
+What python-control has no field for is in `params` of a system: `units`, by signal, and `start`, its state at t = 0.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.control.controller import Controller
+from pwatrack.control.program import Program
+from pwatrack.errors import InvalidSpec
+from pwatrack.simulation.routine import COUNTS, memory, room, routine
+
+
+def plant_system(controller: Controller, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
+    """Return the plant (1): from its inputs, and the loads that are estimated, to what is measured and tracked.
+
+    Args:
+        controller: The design that it is for.
+        name: Of the system.
+        units: Of the signals.
+        start: x(0), (n,).
+
+    Raises:
+        InvalidSpec: If python-control is not installed.
+    """
+    plant, loads = controller.running, controller.plant.loads
+    m, A, b, B, H, h = plant.B.shape[1], plant.A, plant.b, plant.B, plant.partition.H, plant.partition.h
+    E = np.zeros((len(B), 0)) if loads is None else loads.E.floats[:, list(loads.where)]
+    names = dict(zip([*plant.outputs, *plant.tracked_names], np.vstack([plant.C, plant.tracked]), strict=True))
+    C = np.array(list(names.values()))
+
+    def rate(_: float, x: Array, u: Array, __: Any) -> Array:
+        i = _cell(plant.partition.signs, H @ x + h)
+        return np.asarray(A[i] @ x + b[i] + B @ u[:m] + E @ u[m:])
+
+    def output(_: float, x: Array, __: Array, ___: Any) -> Array:
+        return np.asarray(C @ x)
+
+    return _control().NonlinearIOSystem(
+        rate,
+        output,
+        name=name,
+        inputs=[*plant.inputs, *(() if loads is None else loads.names)],
+        outputs=list(names),
+        states=list(plant.states),
+        params=_known(units, start),
+    )
+
+
+def controller_system(controller: Controller, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
+    """Return observer (18), generator (15) and law (19) in continuous time, as they are proved: without any limit.
+
+    It goes from what is measured to u, x̂ and x_d. The reference is made inside, of t. Args and raises: as
+    `plant_system`; `start` is (x̂, ŝ, η̂)(0).
+    """
+    plant, L, K, trajectory = controller.plant, controller.design.L, controller.design.K, controller.trajectory
+    added, (n, N, p) = controller.compensation, (len(plant.B), len(L), len(trajectory.names))
+    A, C = np.array([matrix.floats for matrix in plant.observed.A]), plant.observed.C.floats
+
+    def on_estimates(rows: Array, more: Array) -> Array:
+        return np.concatenate([more, rows], axis=-1)  # on (ŝ, η̂, w, 1)
+
+    X = np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], N - n))
+    guards, generator = on_estimates(trajectory.guards, added.guards), on_estimates(trajectory.rate, added.rate)
+    x_d, u_ff = on_estimates(trajectory.x_d, X), on_estimates(trajectory.u_ff, added.u_ff)
+
+    @lru_cache(maxsize=8)
+    def reference(t: float) -> Array:
+        return np.asarray(trajectory.exosystem.states(np.array([t]))[0])
+
+    def wanted(t: float, z: Array) -> tuple[Array, Array, Array]:
+        s = np.concatenate([z[n:], reference(float(t)), [1.0]])
+        j = _cell(trajectory.signs, guards @ s)
+        desired = x_d[j] @ s
+        return K @ (z[:n] - desired) + u_ff[j] @ s, desired, generator[j] @ s
+
+    def rate(t: float, z: Array, y: Array, _: Any) -> Array:
+        u, _, eta = wanted(t, z)
+        i = _cell(plant.partition.signs, plant.partition.H @ z[:n] + plant.partition.h)
+        observed = A[i] @ z[:N] + L @ (C @ z[:N] - y)
+        observed[:n] += plant.b[i] + plant.B @ u
+        return np.concatenate([observed, eta])
+
+    def output(t: float, z: Array, _: Array, __: Any) -> Array:
+        u, desired, _ = wanted(t, z)
+        return np.concatenate([u, z[:n], desired])
+
+    hats = [f"{state}_hat" for state in plant.states]
+    return _control().NonlinearIOSystem(
+        rate,
+        output,
+        name=name,
+        inputs=list(plant.outputs),
+        outputs=[*plant.inputs, *hats, *(f"{state}_d" for state in plant.states)],
+        states=[*hats, *(f"s_hat_{k}" for k in range(N - n)), *(f"eta_hat_{k}" for k in range(p))],
+        params=_known(units, start),
+    )
+
+
+def loop_system(plant: Any, controller: Any, name: str) -> Any:
+    """Return a plant and its controller connected by names; inputs are loads that are estimated."""
+    control = _control()
+    free = [label for label in plant.input_labels if label not in controller.output_labels]
+    outputs = list(dict.fromkeys([*plant.output_labels, *controller.output_labels]))
+    params = _known(plant.params["units"], [*plant.params["start"], *controller.params["start"]])
+    return control.interconnect([plant, controller], inputs=free, outputs=outputs, name=name, params=params)
+
+
+def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, labels: Mapping[str, Any]) -> Any:
+    """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
+
+    Args:
+        program: What runs, with its reference inside, or given: then that is its input too.
+        x_hat, eta_hat: Where it starts.
+        real: Type of its floats.
+        labels: Its `name`, `inputs` and `outputs`, and the `units` of these.
+
+    Raises:
+        InvalidSpec: If python-control is not installed.
+    """
+    table, q, at = routine(program, real), program.sizes["q"], program.places
+    size = at["x_d"].stop
+
+    def ticked(z: Array, v: Array) -> tuple[Array, IntArray]:
+        from pwatrack.simulation.kernel import tick
+
+        numbers, counts = z[:size].astype(real), z[size:].astype(np.int64)
+        tick(table, numbers, counts, room(program, real), v[:q].astype(real), v[q:].astype(real))
+        return numbers, counts
+
+    start = [*memory(program, x_hat, eta_hat, real).tolist(), *[0.0] * COUNTS]
+
+    def after(_: float, z: Array, v: Array, __: Any) -> Array:
+        return np.concatenate(ticked(z, v), dtype=np.float64)
+
+    def output(_: float, z: Array, v: Array, __: Any) -> Array:
+        return np.asarray(ticked(z, v)[0][at["u"]], dtype=np.float64)
+
+    return _control().NonlinearIOSystem(
+        after,
+        output,
+        name=labels["name"],
+        inputs=labels["inputs"],
+        outputs=labels["outputs"],
+        states=len(start),
+        dt=program.sampling.sample_time,
+        params=_known(labels["units"], start),
+    )
+
+
+def _cell(signs: IntArray, g: Array) -> int:
+    """Return the first cell whose signs the guards contradict least."""
+    return int(np.maximum(-signs * g, 0.0).max(axis=1, initial=0.0).argmin())
+
+
+def _known(units: Mapping[str, str], start: Sequence[float]) -> dict[str, Any]:
+    return {"units": dict(units), "start": list(start)}
+
+
+def _control() -> Any:
+    try:
+        return import_module("control")
+    except ImportError:
+        message, hint = "to_control: the package control is not installed", "pip install 'pwatrack[control]'"
+        raise InvalidSpec(message, hint=hint) from None
