@@ -109,6 +109,10 @@ fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by covera
 batch-bench: $(READY) ## time batches against a process for each spec (ten minutes)
 	@$(BIN)/python -m benchmarks.batch
 
+.PHONY: sweep-bench
+sweep-bench: $(READY) ## sweep 1,000 points here and on two dask workers, one killed, against a formula (ten minutes)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sweep
+
 .PHONY: kills
 kills: $(READY) ## kill a batch at 200 random moments and look for harm (ten minutes)
 	@$(BIN)/python -m benchmarks.kills

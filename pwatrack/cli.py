@@ -249,12 +249,12 @@ def sweep(
     simulated: Annotated[bool, typer.Option("--simulate/--design", help="Whether to simulate too.")] = True,
     refine: Annotated[
         float | None,
-        typer.Option(min=1e-15, max=1, metavar="SHARE", help="Find where the proof ends, to a share of each range."),
+        typer.Option(min=1e-15, max=1, metavar="SHARE", help="Find where proofs end, to a share of each range."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Designs at a time, here.")] = 1,
     scheduler: Scheduler = None,
 ) -> None:
-    """Design a spec at many values of its parameters: a table, curves or maps, and where the proof ends."""
+    """Design a spec at many values of its parameters: a table, curves or maps, and where proofs end."""
     with refusals():
         from pwatrack.batch.command import swept
         from pwatrack.batch.find import run_name

@@ -79,10 +79,39 @@ def test_the_end_of_the_proof_is_where_the_theory_has_it(spec: Path) -> None:
             assert point.figures["controller_rate"] == pytest.approx(1 - total, rel=1e-3)
     assert {edge.name for edge in edges} == {"a", "b"}
     for edge in edges:
-        ends = [sum(point.values.values()) for point in (edge.proved, edge.refused)]
+        ends = [sum(point.values.values()) for point in (edge.inside, edge.beyond)]
         assert ends[0] < 1 <= ends[1] <= ends[0] + 2e-6
-        assert edge.proved.proved
-        assert not edge.refused.proved
+        assert edge.inside.proved
+        assert not edge.beyond.proved
+
+
+def test_the_common_P_of_the_example_ends_where_the_formula_says(specs: Path) -> None:
+    axes = [axis("k2=0.5:0.9:2"), axis("d1=0.15:0.25:2")]
+    with ThreadPoolExecutor(1) as executor:
+        points, edges = sweep(
+            specs / "two_mass_backlash.yaml",
+            axes,
+            executor,
+            at=places(axes),
+            fixed={"k3": "k2"},
+            simulated=False,
+            refine=1e-3,
+        )
+    assert [point.verdict == "proved" for point in points] == [True, True, False, False]
+    common = [edge for edge in edges if edge.inside.proof == "proved"]
+    assert [edge.name for edge in common] == ["k2", "k2"]
+    for edge in common:
+        ends = edge.inside.values["k2"], edge.beyond.values["k2"]
+        d1 = edge.inside.values["d1"]
+        assert ends[1] - ends[0] <= 4e-4
+        assert ends[0] <= (1 + d1 + 0.1) ** 2 - 1 <= ends[1]  # sqrt(k1 + k2) - sqrt(k1) = d1 + d2
+
+
+def test_merged_cells_are_another_kind_of_proof(specs: Path) -> None:
+    spec = specs / "two_mass_backlash.yaml"
+    found = [look(spec, {"k3": "k2"}, {"k2": k2}, simulated=False) for k2 in (0.4, 1.0, 1.5)]
+    assert [point.verdict for point in found] == ["proved", "proved by a polynomial", "practical"]
+    assert all(point.proved for point in found)
 
 
 def test_a_point_that_is_lost_is_said_to_be(spec: Path) -> None:
@@ -119,7 +148,7 @@ def test_the_command_line_writes_tables_and_a_picture(spec: Path, tmp_path: Path
     assert [row["verdict"] == "proved" for row in rows] == [True, True, False, False, False]
     with (tmp_path / "out" / "boundary.csv").open(encoding="utf-8", newline="") as file:
         (edge,) = csv.DictReader(file)
-    assert float(edge["a"]) < 1 <= float(edge["refused_at"]) <= float(edge["a"]) + 2e-3
+    assert float(edge["a"]) < 1 <= float(edge["beyond"]) <= float(edge["a"]) + 2e-3
     assert (tmp_path / "out" / "sweep.png").stat().st_size > 1_000
     run = CliRunner().invoke(app, [*arguments[:2], "--sweep", "nothing=0:1"])
     assert run.exit_code == 2

@@ -150,5 +150,5 @@ def swept(
     for verdict in dict.fromkeys(point.verdict for point in points):
         screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
     if edges:
-        screen.print(f"the proof ends at {len(edges):,} places: boundary.csv has both sides of each")
+        screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
     screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""A spec at many values of its parameters, and where on the way between two of them the proof ends."""
+"""A spec at many values of its parameters, and where on the way between two of them a kind of proof ends."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, as_completed
@@ -10,11 +10,15 @@ from typing import Any, Literal
 
 from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
+from pwatrack.control.controller import Controller
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.report.terminal import told
 from pwatrack.spec.axis import Axis
 
 Method = Literal["grid", "random", "lhs"]
+PROVED, POLYNOMIAL, PRACTICAL, NONE = "proved", "proved by a polynomial", "practical", "none"
+PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
+
 _MOST = 1_000_000  # points
 _HALVINGS = 60
 
@@ -28,30 +32,40 @@ class Point:
         exit: The exit code that a run there ends with; None if it did not end.
         said: Why it was refused, or did not end.
         figures: Those of the design, and of the run if it was simulated.
+        proof: Which kind of proof the design has there, one of `PROOFS`; the last one, none, if it is refused.
     """
 
     values: Mapping[str, float]
     exit: int | None
     said: str = ""
     figures: Mapping[str, float] = field(default_factory=dict)
+    proof: str = NONE
 
     @property
     def proved(self) -> bool:
         """Whether a design is proved there, whatever its simulation came to."""
-        return self.exit in (ExitCode.DONE, ExitCode.CHECK_FAILED)
+        return self.proof != NONE
 
     @property
     def verdict(self) -> str:
-        """The exit code in words."""
+        """The kind of proof, or else the exit code in words."""
+        if self.exit == ExitCode.DONE:
+            return self.proof
         return "lost" if self.exit is None else ExitCode(self.exit).verdict
 
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """Where the proof ends along one parameter: proved at one value, not at the other, each by a design of its own."""
+    """Where a kind of proof ends along one parameter, each side by a design of its own.
 
-    proved: Point
-    refused: Point
+    Attributes:
+        inside: The last place that is known to have this kind of proof.
+        beyond: The first one that has another kind, or none.
+        name: The parameter.
+    """
+
+    inside: Point
+    beyond: Point
     name: str
 
 
@@ -91,11 +105,11 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
     from pwatrack.spec.load import load_spec
 
     figures: dict[str, Any] = {}
-    code, said = int(ExitCode.DONE), ""
+    code, said, proof = int(ExitCode.DONE), "", NONE
     try:
         loaded = load_spec(spec, {**fixed, **{name: repr(value) for name, value in values.items()}})
         controller = pipeline.design(loaded, growing=simulated)
-        figures = gain_figures(controller)
+        figures, proof = gain_figures(controller), kind_of_proof(controller)
         if simulated:
             result = pipeline.simulate(loaded, controller)
             figures |= figure_content(measures(result))
@@ -108,20 +122,29 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
         number, lines = told(error)
         code, said = int(number), lines[0]
     numbers = {n: float(v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    return Point(values=values, exit=code, said=said, figures=numbers)
+    return Point(values=values, exit=code, said=said, figures=numbers, proof=proof)
+
+
+def kind_of_proof(controller: Controller) -> str:
+    """Return which kind of proof a design has: by common matrices P, by polynomials, or of practical tracking."""
+    if controller.practical is not None:
+        return PRACTICAL
+    promised = controller.guarantees
+    claims = [claim for claim in (promised.controller, promised.observer, promised.generator) if claim]
+    return PROVED if all(min(proof.degree for proof in claim) == 2 for claim in claims) else POLYNOMIAL
 
 
 def bisect(spec: Path, fixed: Mapping[str, str], one: Point, other: Point, name: str, width: float) -> Edge:
-    """Return where the proof ends between two places that differ in one parameter: closer than `width`."""
-    proved, refused = (one, other) if one.proved else (other, one)
+    """Return where the stronger kind of proof ends between two places that differ in one parameter: within `width`."""
+    inside, beyond = sorted((one, other), key=lambda point: PROOFS.index(point.proof))
     for _ in range(_HALVINGS):
-        low, high = proved.values[name], refused.values[name]
+        low, high = inside.values[name], beyond.values[name]
         middle = (low + high) / 2
         if abs(high - low) <= width or middle in (low, high):
             break
-        found = look(spec, fixed, {**proved.values, name: middle}, simulated=False)
-        proved, refused = (found, refused) if found.proved else (proved, found)
-    return Edge(proved=proved, refused=refused, name=name)
+        found = look(spec, fixed, {**inside.values, name: middle}, simulated=False)
+        inside, beyond = (found, beyond) if found.proof == inside.proof else (inside, found)
+    return Edge(inside=inside, beyond=beyond, name=name)
 
 
 def sweep(
@@ -135,7 +158,7 @@ def sweep(
     refine: float | None = None,
     progress: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[list[Point], list[Edge]]:
-    """Look at many places, and refine where the proof ends.
+    """Look at many places, and refine where a kind of proof ends.
 
     Args:
         spec: The file.
@@ -144,11 +167,11 @@ def sweep(
         at: Where to look, from `places`.
         fixed: Other parameters, as text.
         simulated: Whether to simulate too.
-        refine: Share of each range to which to find the ends, between neighbours of a grid; None: not at all.
+        refine: Share of each range within which to find the ends, between neighbours of a grid; None: not at all.
         progress: Is told how many places and ends are done, and how many there are.
 
     Returns:
-        The points in the order of `at`, and the ends of the proof in the order of the grid.
+        The points in the order of `at`, and the ends of proofs in the order of the grid.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
@@ -158,7 +181,7 @@ def sweep(
     pairs = [
         (one, other, axis)
         for one, other, axis in neighbours(points, axes)
-        if one.proved != other.proved and _told(one, other)
+        if one.proof != other.proof and _told(one, other)
     ]
     found = [
         executor.submit(

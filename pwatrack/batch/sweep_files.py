@@ -27,9 +27,10 @@ def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edg
     if edges:
         files.append(folder / "boundary.csv")
         ends = [
-            [e.name, *(e.proved.values[n] for n in names), e.refused.values[e.name], e.refused.verdict] for e in edges
+            [e.name, *(e.inside.values[n] for n in names), e.inside.proof, e.beyond.values[e.name], e.beyond.verdict]
+            for e in edges
         ]
-        _table(files[1], ["along", *names, "refused_at", "verdict_there"], ends)
+        _table(files[1], ["along", *names, "proof", "beyond", "verdict_beyond"], ends)
     with suppress(ImportError):
         import pyarrow as arrow
         import pyarrow.parquet as parquet
@@ -57,7 +58,7 @@ def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Po
     at = [np.array([point.values[name] for point in points]) for name in names]
     known = dict.fromkeys(name for point in points for name in point.figures)
     figures = {n: np.array([p.figures.get(n, np.nan) if p.proved else np.nan for p in points]) for n in known}
-    ends = [tuple((e.proved.values[n] + e.refused.values[n]) / 2 for n in names) for e in edges]
+    ends = [tuple((e.inside.values[n] + e.beyond.values[n]) / 2 for n in names) for e in edges]
     if len(axes) == 1:
         figure = curves(title, names[0], at[0], figures, [end[0] for end in ends])
     else:

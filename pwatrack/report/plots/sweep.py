@@ -16,6 +16,8 @@ _SHOWN = {"rate": "proved decay rate (1/s)", "norm_K": "‖K‖ in sizes", "fina
 _LOGARITHMIC = ("final_error",)
 _VERDICTS = (
     "proved",
+    "proved by a polynomial",
+    "practical",
     "check failed",
     "infeasible",
     "outside the theory",
@@ -24,7 +26,18 @@ _VERDICTS = (
     "lost",
     "crashed",
 )
-_COLOURS = ("#12355b", "#4f83b5", "#e08e2b", "#c9c9c9", "#f2d7a8", "#8f8f8f", "#000000", "#b42318")
+_COLOURS = (
+    "#12355b",
+    "#2f7f86",
+    "#8cc5a4",
+    "#4f83b5",
+    "#e08e2b",
+    "#c9c9c9",
+    "#f2d7a8",
+    "#8f8f8f",
+    "#000000",
+    "#b42318",
+)
 
 
 def curves(title: str, name: str, at: Array, figures: Mapping[str, Array], ends: Sequence[float]) -> Figure:
