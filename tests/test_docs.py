@@ -85,6 +85,25 @@ def test_every_command_and_option_is_in_the_reference() -> None:
     assert {"check", "design", "simulate", "verify", "batch", "init", "export", "explain"} <= commands
 
 
+def test_commands_that_pages_name_are_commands_with_these_options() -> None:
+    from typer.main import get_command
+
+    page = made("command_line")
+    count = 0
+    for path in [*PAGES, ROOT / "README.md", ROOT / "CHANGELOG.md"]:
+        for line in re.findall(r"(?m)^(?: {4}|\$ )?pwatrack ([a-z][^\n]*)$|`pwatrack ([a-z][^`\n]*)`", text(path)):
+            said = re.sub(r"^ *#.*| #.*|[|>].*", "", line[0] or line[1])
+            words, command, name = said.split(), get_command(app), "pwatrack"
+            while words and words[0] in getattr(command, "commands", {}):
+                command, name = command.commands[words[0]], f"{name} {words.pop(0)}"  # type: ignore[attr-defined]
+            assert name != "pwatrack", f"{path.name}: {said}"
+            section = page.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
+            for option in re.findall(r"--[a-z][a-z0-9-]*", " ".join(words)):
+                assert option in section, f"{path.name}: {said}: {option}"
+            count += 1
+    assert count > 60
+
+
 def test_every_code_of_an_error_is_in_the_reference() -> None:
     page = made("error_codes")
     for kind in CODES:
