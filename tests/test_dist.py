@@ -32,7 +32,7 @@ def test_the_wheel_designs_the_example_away_from_its_sources(built: Path, tmp_pa
     (wheel,) = built.glob("*.whl")
     assert __version__ in wheel.name
     venv.create(tmp_path / "empty", symlinks=True)
-    python = tmp_path / "empty" / "bin" / "python"
+    python = str(tmp_path / "empty" / "bin" / "python")
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     packages = Path(subprocess.run([python, "-c", where], check=True, capture_output=True, text=True).stdout.strip())
     with zipfile.ZipFile(wheel) as content:
