@@ -6,6 +6,7 @@ import re
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
 
 import pytest
 from typer.testing import CliRunner
@@ -189,6 +190,20 @@ def test_blocks_show_what_came_out_and_a_page_that_fails_is_an_error(tmp_path: P
         page.expand("```{run} exit=3\ntrue\n```\n")
     with pytest.raises(cells.PageError, match="no picture"):
         page.expand("```{picture} none.png\n```\n")
+
+
+@pytest.mark.skipif(which("make") is None or which("cc") is None, reason="no C compiler: `make docs` runs these pages")
+@pytest.mark.parametrize("name", ["tutorial/index", "howto/cells"])
+def test_pages_for_newcomers_run_in_an_empty_folder(name: str, tmp_path: Path) -> None:
+    """The build runs every page; these are run by the tests too."""
+    page = cells.Page(name, cells.prepared(tmp_path / "page"), {}, tmp_path / "pictures")
+    shown = page.expand(text(DOCS / f"{name}.md"))
+    asked = [block for block in cells.blocks(text(DOCS / f"{name}.md")) if block.kind in ("run", "picture")]
+    assert shown.count("{container} output") + len(page.made) == len(asked)
+    if name == "tutorial/index":  # what its words say
+        assert "ends below 0.00633 rad" in shown
+        assert "3 of 3 met" in shown
+        assert "1000 steps, 0 wrong" in shown
 
 
 @pytest.mark.parametrize("module", [cells, gallery, reference], ids=lambda module: module.__name__)
