@@ -50,6 +50,23 @@ docs: $(DOCS) ## build the documentation, and run all that it shows (five minute
 	@OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -W --keep-going -n -q docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
 
+TRY := dist/.try
+
+.PHONY: dist
+dist: $(READY) ## build wheel and sdist, and run the example with each from an empty environment
+	@rm -rf dist && $(BIN)/python -m hatchling build -d dist
+	@for package in dist/*.whl dist/*.tar.gz; do \
+	  echo "Trying $$package" && rm -rf $(TRY) \
+	  && if command -v uv >/dev/null 2>&1; then \
+	    uv venv -q --python $(BIN)/python $(TRY) && uv pip install -q --python $(TRY)/bin/python "$$package" ; \
+	  else \
+	    $(BIN)/python -m venv $(TRY) && $(TRY)/bin/python -m pip install -qq --disable-pip-version-check "$$package" ; \
+	  fi \
+	  && (cd $(TRY) && bin/pwatrack init --from example && bin/pwatrack simulate spec.yaml -q && bin/pwatrack verify runs/spec) \
+	  || exit 1; \
+	done
+	@rm -rf $(TRY) && ls -l dist
+
 .PHONY: batch
 batch: $(READY) ## design and simulate every spec in specs/
 	@$(BIN)/pwatrack batch specs --jobs 2

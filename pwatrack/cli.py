@@ -319,7 +319,8 @@ def init(
         "spec.yaml"
     ),
     kind: Annotated[
-        Literal["output", "state", "backlash", "cells"], typer.Option("--from", help="What to start from.")
+        Literal["output", "state", "backlash", "cells", "example"],
+        typer.Option("--from", help="What to start from; example is that of the paper."),
     ] = "output",
 ) -> None:
     """Write a spec to start from, with comments, and the schema that editors complete it with."""

@@ -6,6 +6,7 @@ import re
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
 
 import pytest
 from typer.testing import CliRunner
@@ -83,6 +84,25 @@ def test_every_command_and_option_is_in_the_reference() -> None:
     commands = {name for said in asked.values() for name in re.findall(r"(?m)^│ ([a-z]+) {2,}\w", said)}
     assert commands <= {word for path in paths for word in path.split()}
     assert {"check", "design", "simulate", "verify", "batch", "init", "export", "explain"} <= commands
+
+
+def test_commands_that_pages_name_are_commands_with_these_options() -> None:
+    from typer.main import get_command
+
+    page = made("command_line")
+    count = 0
+    for path in [*PAGES, ROOT / "README.md", ROOT / "CHANGELOG.md"]:
+        for line in re.findall(r"(?m)^(?: {4}|\$ )?pwatrack ([a-z][^\n]*)$|`pwatrack ([a-z][^`\n]*)`", text(path)):
+            said = re.sub(r"^ *#.*| #.*|[|>].*", "", line[0] or line[1])
+            words, command, name = said.split(), get_command(app), "pwatrack"
+            while words and words[0] in getattr(command, "commands", {}):
+                command, name = command.commands[words[0]], f"{name} {words.pop(0)}"  # type: ignore[attr-defined]
+            assert name != "pwatrack", f"{path.name}: {said}"
+            section = page.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
+            for option in re.findall(r"--[a-z][a-z0-9-]*", " ".join(words)):
+                assert option in section, f"{path.name}: {said}: {option}"
+            count += 1
+    assert count > 60
 
 
 def test_every_code_of_an_error_is_in_the_reference() -> None:
@@ -170,6 +190,20 @@ def test_blocks_show_what_came_out_and_a_page_that_fails_is_an_error(tmp_path: P
         page.expand("```{run} exit=3\ntrue\n```\n")
     with pytest.raises(cells.PageError, match="no picture"):
         page.expand("```{picture} none.png\n```\n")
+
+
+@pytest.mark.skipif(which("make") is None or which("cc") is None, reason="no C compiler: `make docs` runs these pages")
+@pytest.mark.parametrize("name", ["tutorial/index", "howto/cells"])
+def test_pages_for_newcomers_run_in_an_empty_folder(name: str, tmp_path: Path) -> None:
+    """The build runs every page; these are run by the tests too."""
+    page = cells.Page(name, cells.prepared(tmp_path / "page"), {}, tmp_path / "pictures")
+    shown = page.expand(text(DOCS / f"{name}.md"))
+    asked = [block for block in cells.blocks(text(DOCS / f"{name}.md")) if block.kind in ("run", "picture")]
+    assert shown.count("{container} output") + len(page.made) == len(asked)
+    if name == "tutorial/index":  # what its words say
+        assert "ends below 0.00633 rad" in shown
+        assert "3 of 3 met" in shown
+        assert "1000 steps, 0 wrong" in shown
 
 
 @pytest.mark.parametrize("module", [cells, gallery, reference], ids=lambda module: module.__name__)

@@ -19,7 +19,11 @@ def test_the_spec_in_the_readme_is_a_whole_one_and_tracks(tmp_path: Path) -> Non
     assert result.spec.problem.plant.cell_names == ("stop off", "stop on")
 
 
-def test_the_summary_in_the_readme_is_what_is_printed(tmp_path: Path) -> None:
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 150
+
+
+def test_the_summary_in_the_readme_is_how_what_is_printed_begins(tmp_path: Path) -> None:
     """All but the digits, which differ between machines."""
 
     def words(text: str) -> list[str]:
@@ -28,7 +32,9 @@ def test_the_summary_in_the_readme_is_what_is_printed(tmp_path: Path) -> None:
     shown = re.search(r"(?m)^    Two masses with backlash\n(?:    .*\n)+", README)
     printed = call("simulate", "specs/two_mass_backlash.yaml", "--out", tmp_path / "run").stdout
     assert shown is not None
-    assert words(shown.group()) == words(printed.split("Results in")[0])
+    beginning = words(shown.group())
+    assert len(beginning) > 100
+    assert beginning == words(printed)[: len(beginning)]
 
 
 def test_every_yaml_in_the_description_of_the_format_is_of_the_format() -> None:

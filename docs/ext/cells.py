@@ -9,7 +9,7 @@
 | ```` ```{equation} NUMBER ```` | a formula; lines `modules:` and `tests:` name what carries it |
 | ```` ```{generated} NAME ```` | what a function of `docs.ext.reference` or `docs.ext.gallery` returns |
 
-Each page has a folder of its own, empty but for a link to `specs/`. Nothing here knows Sphinx: the tests run pages too.
+Each page has a folder of its own, empty but for a copy of `specs/`. Nothing here knows Sphinx: the tests run pages too.
 """
 
 import os
@@ -144,10 +144,13 @@ class Page:
 
 
 def prepared(folder: Path) -> Path:
-    """Return a folder for a page: empty, but for a link to the specs of this project."""
+    """Return a folder for a page: empty, but for the specs of this project.
+
+    They are copied: a link would have a build of the package pass by the real ones, which it has seen then.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / "specs").symlink_to(ROOT / "specs")
+    shutil.copytree(ROOT / "specs", folder / "specs")
     return folder
 
 

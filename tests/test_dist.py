@@ -1,0 +1,82 @@
+"""The package that is built is whole: it designs the example in an environment that has nothing else of this folder."""
+
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pwatrack.version import __version__
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the wheel and the sdist."""
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", folder], cwd=ROOT, check=True, capture_output=True
+    )
+    return folder
+
+
+def test_the_wheel_designs_the_example_away_from_its_sources(built: Path, tmp_path: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    assert __version__ in wheel.name
+    venv.create(tmp_path / "empty", symlinks=True)
+    python = str(tmp_path / "empty" / "bin" / "python")
+    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    packages = Path(subprocess.run([python, "-c", where], check=True, capture_output=True, text=True).stdout.strip())
+    with zipfile.ZipFile(wheel) as content:
+        content.extractall(packages)
+    (packages / "libraries.pth").write_text(sysconfig.get_path("purelib"))  # what pip would have fetched
+
+    def call(*arguments: str) -> str:
+        command = [python, "-m", "pwatrack", *arguments]
+        env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        run = subprocess.run(command, cwd=tmp_path, env=env, check=False, capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr
+        return run.stdout
+
+    home = subprocess.run(
+        [python, "-c", "import pwatrack; print(pwatrack.__file__)"], cwd=tmp_path, capture_output=True
+    )
+    assert str(packages) in home.stdout.decode()
+    call("init", "--from", "example")
+    assert "Theorem 3" in call("design", "spec.yaml")
+    assert "fractions only" in call("verify", "runs/spec")
+
+
+def test_every_module_and_data_file_is_in_the_wheel_and_all_else_in_the_sdist(built: Path) -> None:
+    (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, check=False, capture_output=True, text=True).stdout.split()
+    if not tracked:
+        pytest.skip("no clone of the repository: what belongs to it is not known")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {name for name in tracked if name.startswith("pwatrack/") and (ROOT / name).is_file()} <= names
+    with tarfile.open(sdist) as content:
+        inside = {name.partition("/")[2] for name in content.getnames()}
+    assert {name for name in tracked if name[0] != "." and (ROOT / name).is_file()} <= inside
+    assert not any(name.startswith(("docs/_build", "docs/generated", "runs/", ".venv")) for name in inside)
+
+
+def test_the_packaged_example_is_that_of_the_specs() -> None:
+    def told(path: Path) -> str:
+        return re.sub(r"(?m)^#.*\n", "", path.read_text(encoding="utf-8"))
+
+    assert told(ROOT / "pwatrack" / "starters" / "example.yaml") == told(ROOT / "specs" / "two_mass_backlash.yaml")
+
+
+def test_citation_changelog_and_package_tell_one_version() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == __version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"(?m)^## (\S+)", changes)[0] == __version__
