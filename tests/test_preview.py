@@ -11,10 +11,11 @@ from scipy.integrate import solve_bvp
 from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.control import generator as generator_module
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import Infeasible, OutsideTheory
+from pwatrack.errors import Infeasible, OutsideTheory, Undecided
 from pwatrack.how_far import how_far
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy
@@ -289,6 +290,14 @@ def test_that_no_P_of_any_sign_does_is_proved_and_audited(
         spoiled += [{"P": {**proof["P"], one: P}}, {"P": {one: proof["P"][one]}}, {"P": {"0": P, "1": P}}]
     for change in spoiled:
         assert audit(json.dumps(content | {"proofs": [proof | change]}))[1], change
+
+
+def test_where_neither_is_found_it_is_undecided(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = load_spec(doubled(tmp_path))
+    monkeypatch.setattr(generator_module, "refute_dichotomy", lambda *_, **__: None)
+    with pytest.raises(Undecided, match=r"whether a P of any sign does, \(17±\), .* is undecided") as refusal:
+        design(spec)
+    assert refusal.value.evidence is None
 
 
 def test_how_far_it_is_from_a_P_of_any_sign(tmp_path: Path) -> None:

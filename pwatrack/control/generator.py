@@ -121,7 +121,7 @@ def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) ->
         against = refute_dichotomy(GENERATOR, exact, solver=solver)
         told = [problem.followed(_no_preview(against, form.plant.cell_names)) for problem in refusal.problems]
         if against is None:
-            raise Undecided(*told, evidence=evidence) from None
+            raise Undecided(*told) from None
         raise Infeasible(*told, evidence=Impossibility(role=GENERATOR, rate=0.0, refutation=against)) from None
 
 
