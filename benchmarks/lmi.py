@@ -2,8 +2,9 @@
 
     make lmi-bench
 
-Random plants: (8) with a margin, as large as it can be, and where there is none, the least violation. Then a whole
-default design, K and L with all proofs, beside what the fastest other solver needs for one such margin. Each solver
+Random plants: (8) with a margin, as large as it can be, and where there is none, the least violation; and how long it
+takes to know that there is none, where Clarabel is asked for any solution and ends with its proof. Then a whole default
+design, K and L with all proofs, beside what the fastest other solver needs for one such margin. Each solver
 runs alone in a process of its own on one thread, which is ended after --limit seconds; times are processor times, the
 smallest of --repeat for us and one for the others. One that has been ended once is not asked for more of its kind, and
 one that is not installed is left out.
@@ -37,6 +38,7 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import solve
 
 GAP = 1e-6
+_KNOWN = 0.9  # gap at which the least violation is known to be above 0
 BOUND_OF_Y = 10.0  # relative to ‖A‖ / ‖B‖
 CELLS, STATES = (8, 16, 32, 64, 128), (8, 12, 20, 30, 50)
 LARGEST = 50, 128
@@ -114,6 +116,22 @@ def picos(program: Program) -> float:
 
 def clarabel(program: Program) -> float:
     """Return the objective that Clarabel finds; its matrices are made without a modelling language."""
+    return float(_clarabel(program).obj_val)
+
+
+def clarabel_refutes(program: Program) -> float:
+    """Return 1 if Clarabel proves that all constraints without t have no solution."""
+    rest = replace(program, constraints=tuple(replace(c, T=None) for c in program.constraints), price=0.0)
+    return float(str(_clarabel(rest).status) == "PrimalInfeasible")
+
+
+def refuted(program: Program) -> float:
+    """Return 1 if our multipliers bound the least violation away from 0."""
+    found = solve(program, gap=_KNOWN, against=0.0)
+    return np.nan if found is None else float(found.bound > found.dual_off)
+
+
+def _clarabel(program: Program) -> Any:
     import clarabel as cl
 
     rows, sides, cones = [], [], []
@@ -136,11 +154,10 @@ def clarabel(program: Program) -> float:
     settings = cl.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_gap_rel, settings.tol_gap_abs = GAP, GAP * 1e-3
-    cost = program.price * np.eye(size)[-1]
+    cost = program.price * np.eye(size)[-1]  # none where t is in no constraint: any solution will do
     nothing = sparse.csc_matrix((size, size))
     G = sparse.vstack(rows, format="csc")
-    answer = cl.DefaultSolver(nothing, cost, G, np.concatenate(sides), cones, settings).solve()
-    return float(answer.obj_val)
+    return cl.DefaultSolver(nothing, cost, G, np.concatenate(sides), cones, settings).solve()
 
 
 def _images(program: Program, c: Any) -> Array:
@@ -154,6 +171,7 @@ def _images(program: Program, c: Any) -> Array:
     return np.stack(parts, axis=1)
 
 
+REFUTERS = {"ours": refuted, "Clarabel": clarabel_refutes}
 SOLVERS: dict[str, tuple[Callable[[Program], float], tuple[str, ...]]] = {
     "ours": (ours, ()),
     "Clarabel": (clarabel, ("clarabel",)),
@@ -206,6 +224,14 @@ def alone(name: str, kind: str, n: int, cells: int, repeat: int) -> None:
     objective_by(program_of(kind, 3, 2))
     program = program_of(kind, n, cells)
     _report(lambda: objective_by(program), repeat, certain(program) if objective_by is ours else np.nan)
+
+
+def decided(by: str, n: int, cells: int, repeat: int) -> None:
+    """Print what `timed` reads, of a program without solutions."""
+    run = REFUTERS[by]
+    run(program_of("infeasible", 3, 2))
+    program = program_of("infeasible", n, cells)
+    _report(lambda: run(program), repeat)
 
 
 def designed(n: int, cells: int, repeat: int) -> None:
@@ -309,6 +335,12 @@ def main() -> None:
         if max(options.states) >= LARGEST[0]:
             measured.row(*LARGEST)
         if kind != "feasible":
+            console.print("\nto know that there is no solution")
+            for n in options.states:
+                times = [timed(f"decided({by!r}, {n}, 64, {options.repeat})", options.limit) for by in REFUTERS]
+                (ours_, yes, _), (peer, also, _) = times
+                said = f"ours {ours_:.3f} s, Clarabel {peer:.3f} s" if yes == also == 1 else "not known by both"
+                console.print(f"  n = {n:3} l =  64  {said}: {peer / ours_:.1f} times as fast")
             continue
         console.print("\na whole default design, K and L with proofs, beside one margin program")
         for n, cells in (size for size in DESIGNS if size[0] <= max(options.states)):

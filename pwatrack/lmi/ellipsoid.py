@@ -68,6 +68,22 @@ class Inner:
     Q: Array
     most: float
 
+    def near(self, M: Array) -> tuple[Array, Array] | None:
+        """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular.
+
+        Example:
+            >>> V, seen = Inner(Q=np.diag([4.0, 1.0]), most=1.0).near(np.array([[[0.0, 1.0], [-1.0, 0.0]]]))
+            >>> V.tolist(), seen.tolist()
+            ([[2.0, 0.0], [0.0, 1.0]], [[[0.0, 0.5], [-2.0, 0.0]]])
+        """
+        try:
+            V = np.linalg.cholesky(self.Q)
+        except np.linalg.LinAlgError:
+            return None
+        N = len(V)
+        rows = solve_triangular(V, np.swapaxes(M @ V, 0, 1).reshape(N, -1), lower=True).reshape(N, -1, N)
+        return np.asarray(V), np.asarray(np.swapaxes(rows, 0, 1))
+
 
 def ellipsoid(
     M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner], *, tries: int = 3
@@ -132,18 +148,17 @@ def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners
         return None
     inner = inners[-1]
     a = _short(_LASTING * inner.most)
-    try:
-        V = np.linalg.cholesky(inner.Q)
-    except np.linalg.LinAlgError:
+    near = inner.near(matrices)
+    if near is None:
         return None
-    inside = np.linalg.solve(V, matrices @ V) / a
+    V, inside = near
     within = solve_triangular(V, start, lower=True)
     size = float(np.linalg.norm(within, 2)) ** 2
     seen = rows @ V
     squares = (seen**2).sum(axis=1)
     W = (seen.T / np.maximum(squares, _FLAT * squares.max(initial=1e-300))) @ seen
     W = W / max(float(np.trace(W)), 1e-300) + 1e-9 * np.eye(len(V)) / len(V)
-    found = solve(least_sizes(lyapunov(inside, 0.5), W, above=within @ within.T / size), gap=_NEAR)
+    found = solve(least_sizes(lyapunov(inside / a, 0.5), W, above=within @ within.T / size), gap=_NEAR)
     far = 2 * size * inner.Q
     return _proved(M, G, forms, far if found is None else size * V @ found.P @ V.T, far, a, start=True)
 
@@ -169,13 +184,11 @@ def _smallest(
 
     In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1.
     """
-    N, speed = len(g), inner.most / 2
-    try:
-        V = np.linalg.cholesky(inner.Q)
-    except np.linalg.LinAlgError:
+    N, speed, near = len(g), inner.most / 2, inner.near(M)
+    if near is None:
         return np.full_like(inner.Q, np.inf), inner.Q, 1 / a
-    inside = solve_triangular(V, np.swapaxes(M @ V, 0, 1).reshape(N, -1), lower=True).reshape(N, -1, N)
-    scaled, column = np.swapaxes(inside, 0, 1) / speed, solve_triangular(V, g, lower=True) / speed
+    V, inside = near
+    scaled, column = inside / speed, solve_triangular(V, g, lower=True) / speed
     short = a / speed
     slack = -float(np.linalg.eigvalsh(symmetric_part(scaled) + short * np.eye(N)).max())
     forms = rows @ V

@@ -30,6 +30,7 @@ _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
 _STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
 _PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
+_SIGN, _SOON = 0.5, 0.1  # gap above which a sign is all that is asked for, and the one that leads to it soonest
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 60  # iterations: answers that count take at most 50
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
@@ -71,7 +72,8 @@ def solve(
     Args:
         program: What is asked.
         gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
-        against: A number; ends where the objective is less, and where it cannot be: `gap` is a share of the distance.
+        against: A number; ends where the objective is less, and where it cannot be, of which P and Y need not be exact:
+            `gap` is a share of the distance.
         after: The answer to a program with constraints of the same shapes and nearly the same entries. It is begun
             there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
 
@@ -132,6 +134,7 @@ def _minimise(
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
     best, gaps = None, list[float]()
+    aim = 1.0 if share <= _SIGN else _SOON / share
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings = _scalings(linear, at)
     for number in range(_MOST):
@@ -149,6 +152,8 @@ def _minimise(
             best = at, number, False
             if against is not None and rest.objective < against:
                 return best
+        if against is not None and off[1] <= _OFF and _beyond(_value(linear, at), rest, against, share):
+            return at, number, False
         slight = abs(float(rest.slope @ at.v)) <= wanted or gap <= _STALLED * wanted
         flat = off[1] <= _OFF or (off[1] <= _ROUNDED and slight)
         if off[0] <= _OFF and off[1] <= _ROUNDED:
@@ -160,7 +165,7 @@ def _minimise(
         moved = None
         with suppress(np.linalg.LinAlgError):  # a scaling is singular to working precision
             step = _Step(linear, scalings, rest)
-            move, reach = step.corrected(mu, wanted / 2 / linear.blocks.order)
+            move, reach = step.corrected(mu, wanted * aim / 2 / linear.blocks.order)
             moved = step.taken(at, move, reach)
         if moved is None:
             break
@@ -192,6 +197,11 @@ class _Rest:
     def missed(self) -> float:
         """The largest of what v lacks."""
         return float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+
+
+def _beyond(value: float, rest: _Rest, against: float, share: float) -> bool:
+    """Say whether the dual objective alone keeps the objective above a number, by all but a share of the distance."""
+    return against < value <= rest.objective and rest.gap <= share * (value + rest.gap - against)
 
 
 def _impossible(linear: LinearMap, at: _Iterate) -> bool:

@@ -109,13 +109,10 @@ def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> 
 
     In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1.
     """
-    try:
-        V = np.linalg.cholesky(inner.Q)
-    except np.linalg.LinAlgError:
+    near = inner.near(M)
+    if near is None:
         return None
-    N, speed = len(V), inner.most / 2
-    inside = solve_triangular(V, np.swapaxes(M @ V, 0, 1).reshape(N, -1), lower=True).reshape(N, -1, N)
-    scaled, forms = np.swapaxes(inside, 0, 1) / speed, rows @ V
+    V, scaled, forms = near[0], near[1] / (inner.most / 2), rows @ near[0]
     directions = solve_triangular(V, G, lower=True) / np.sqrt(weights)
     starts = directions @ directions.T
     starts = starts / float(np.linalg.norm(starts, 2))
