@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
+from scipy.linalg import expm
 
 from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
@@ -25,13 +26,16 @@ from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.fmu_description import Version
 from pwatrack.export.fmu_plant import plant_parts
 from pwatrack.export.schema import ControllerFile
+from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.model.pwa import PWASystem
 from pwatrack.report.export import of_spec
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.spec import InitialStates
 from tests.conftest import SPECS
 from tests.fmus import BINARIES, NEEDED, Block, missing
+from tests.grazing import near_grazing
 from tests.plants import random_plant
 from tests.precise import precise
 from tests.scenarios import in_scenario
@@ -261,6 +265,89 @@ def test_a_plant_is_exact_however_many_crossings_a_step_has(seed: int, version: 
         assert np.abs(block.get(of.states) - wanted[k, :n]).max() <= 1e-11 * np.abs(wanted[: k + 1]).max()
         block.step(float(k), 1.0)
     block.close()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_dip_below_a_border_is_seen_and_a_pass_above_it_is_none(seed: int, tmp_path: Path) -> None:
+    """By 1e-11 to 1e-2 of the state, in one step to the lowest point and one from there."""
+    near = near_grazing(seed)
+    F, guard, z0 = near.flow.F0, near.flow.parts[0].guards[0], near.z0
+    low, high = 0.0, near.duration
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if guard @ F @ expm(F * middle) @ z0 < 0 else (low, middle)
+    partition = Partition.create(H=[guard[:4]], h=[guard[4]], signs=[[-1], [1]], names=["below", "above"])
+    A = F[:4, :4]
+    of = PWASystem.create(partition=partition, A=[A, A], b=np.zeros((2, 4)), B=np.eye(4, 1), C=np.eye(1, 4))
+    spec = in_scenario(exact("two_mass_machine"), conditions=Conditions(plant=of), initial=InitialStates(plant=z0[:4]))
+    path = tmp_path / "plant.fmu"
+    write_fmu(packed(plant_parts(spec, "loop"), 3, COMPILER), path)
+    block = Block(path, tmp_path)
+    cells = [block.get(["diagnosis.cell"])[0]]
+    for start, end in ((0.0, low), (low, near.duration)):
+        block.step(start, end - start)
+        cells.append(block.get(["diagnosis.cell"])[0])
+    assert cells == [1, 0 if near.crossings else 1, 1]
+    assert np.abs(block.get(of.states) - (expm(F * near.duration) @ z0)[:4]).max() < 1e-12
+    block.close()
+
+
+FAULTS = """
+#include "loop.h"
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+int main(void)
+{
+    double x[LOOP_STATES], u[LOOP_INPUTS], size;
+    loop_state state, before;
+    long k, wrong = 0;
+    int a, q;
+
+    for (k = 0; k < 400; k++) {
+        size = pow(10.0, (double)(rand() % 13) - 6.0);
+        for (a = 0; a < LOOP_STATES; a++) {
+            x[a] = (k % 7 == 0) ? 0.0 : size * ((double)rand() / RAND_MAX - 0.5);
+        }
+        for (a = 0; a < LOOP_INPUTS; a++) {
+            u[a] = size * ((double)rand() / RAND_MAX - 0.5);
+        }
+        x[0] = (k == 5) ? NAN : (k == 6) ? INFINITY : x[0];
+        u[0] = (k == 8) ? NAN : u[0];
+        for (a = 0; (k == 9) && (a < LOOP_STATES); a++) {
+            x[a] = 1.7e308;
+        }
+        loop_start(&state, x);
+        for (q = 0; q < 20; q++) {
+            before = state;
+            if (loop_advance(&state, u, pow(10.0, -(double)(rand() % 6))) != LOOP_OK) {
+                wrong += (k < 5) || (k == 7) || (k > 9) || (memcmp(before.x, state.x, sizeof state.x) != 0);
+            }
+            wrong += (state.cell >= CELLS);
+        }
+    }
+    printf("%ld", wrong);
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_nothing_is_undefined_from_any_state(name: str, tmp_path: Path) -> None:
+    """At rest, on a facet, far away, beyond all numbers: a step is done, or the state is kept."""
+    spec = exact(name)
+    for file, text in plant_parts(spec, "loop").sources.items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    cells = f"#define CELLS {len(spec.problem.plant.A)}u"
+    (tmp_path / "main.c").write_text(cells + FAULTS, encoding="utf-8")
+    assert COMPILER is not None
+    sane = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command = [COMPILER, "-std=c99", *sane, "-o", "faults", "main.c", "loop.c", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    ran = subprocess.run([tmp_path / "faults"], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout) == (0, "0"), ran.stderr
 
 
 @both
