@@ -38,10 +38,10 @@ def test_the_summary_in_the_readme_is_how_what_is_printed_begins(tmp_path: Path)
 
 
 def test_every_yaml_in_the_description_of_the_format_is_of_the_format() -> None:
-    """Each key shown in SPEC.md is a key of the schema."""
+    """Each key shown in docs/reference/spec_file.md is a key of the schema."""
     from pwatrack.spec.problems import known_keys
 
-    text = (Path(__file__).parent.parent / "SPEC.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "docs" / "reference" / "spec_file.md").read_text(encoding="utf-8")
     shown = {
         key for block in re.findall(r"```yaml\n(.*?)```", text, re.S) for key in re.findall(r"(?m)^ *(\w+):", block)
     }

@@ -16,7 +16,7 @@ from pwatrack.report.codes import CODES, explanation
 from pwatrack.spec.json_schema import json_schema
 from pwatrack.spec.requirement import QUANTITIES
 
-SPEC = Path(__file__).parents[2] / "SPEC.md"
+SPEC = Path(__file__).parents[1] / "reference" / "spec_file.md"
 _METHODS = (FunctionType, classmethod, staticmethod, property, cached_property)
 _TYPES = {
     "string": "text",

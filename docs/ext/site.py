@@ -33,7 +33,7 @@ def expanded(name: str, text: str) -> str:
 def _program() -> str:
     """Return what changes with the program, its specs, and how pages are made."""
     digest = hashlib.sha256()
-    for pattern in ("pwatrack/**/*.py", "specs/**/*.yaml", "docs/ext/*.py", "SPEC.md"):
+    for pattern in ("pwatrack/**/*.py", "specs/**/*.yaml", "docs/ext/*.py", "docs/reference/spec_file.md"):
         for path in sorted(ROOT.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -126,7 +126,7 @@ def swept(
     fixed = assignments(parameters)
     axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
     if not axes:
-        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file: see SPEC.md")
+        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
     at = places(axes, method, count, seed)
     name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
     with (

@@ -25,12 +25,12 @@ def _kind(code: str, like: str, title: str, text: str) -> Explained:
 
 CODES = (
     _kind("P201", r"not valid YAML|not UTF-8 text", "The file is not YAML", "The place is where reading stopped. Often a quote, bracket or colon above it is missing; text with ': ' or '#' in it needs quotes."),
-    _kind("P202", r"unknown key", "A key that specs do not have", "SPEC.md has all keys; 'pwatrack schema' writes a schema with which editors complete and check them. A key may also stand in the wrong section."),
-    _kind("P203", r"unknown name", "A name that is not declared", "Expressions know the names under 'parameters' and, where they speak of them, the states. Functions are listed in SPEC.md."),
+    _kind("P202", r"unknown key", "A key that specs do not have", "docs/reference/spec_file.md has all keys; 'pwatrack schema' writes a schema with which editors complete and check them. A key may also stand in the wrong section."),
+    _kind("P203", r"unknown name", "A name that is not declared", "Expressions know the names under 'parameters' and, where they speak of them, the states. Functions are listed in docs/reference/spec_file.md."),
     _kind("P204", r"is not a number or an expression", "No number", "Write a number or an expression such as 2*pi or k/m. Units are not read, a decimal comma is not either."),
     _kind("P205", r"(entry|entries|rows?), expected", "A matrix of the wrong shape", "Rows and columns follow the names under states, inputs and outputs, in their order: A has a row and a column for each state, B a column for each input, C a row for each output."),
     _kind("P206", r"at most .* (is|are) (read|taken|looked at|walked)", "More than is read", "The limit is in the message. It is there so that a file cannot take all memory and time."),
-    _kind("P207", r"^table ", "A table that cannot be used", "A table is a text file with a header, a column of times that increase, and a column of values, in the folder of the spec; SPEC.md says how columns, units and decimal commas are given."),
+    _kind("P207", r"^table ", "A table that cannot be used", "A table is a text file with a header, a column of times that increase, and a column of values, in the folder of the spec; docs/reference/spec_file.md says how columns, units and decimal commas are given."),
     _kind("P208", r"^cannot write", "A place that cannot be written", "Nothing was changed there. Look for a full disk, missing rights, or a file where a folder should be; choose another --out."),
     _kind("P209", r"^cannot read|is no folder and no file", "A file that cannot be read", "Paths are relative to the folder that the program was started in; those in a spec to the folder of the spec."),
     _kind("P210", r"is missing", "Something that every spec has is missing", "A spec has at least name, system, reference and simulation. 'pwatrack init' writes one to start from."),

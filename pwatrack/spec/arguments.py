@@ -136,7 +136,8 @@ def problem(
 ) -> Spec:
     """Return a tracking problem: what `design` and `simulate` take, and `load_spec` reads from a file.
 
-    Every argument is a section of a file, or an entry of its section `design`, and takes the same: see SPEC.md.
+    Every argument is a section of a file, or an entry of its section `design`, and takes the same:
+    see docs/reference/spec_file.md.
 
     Args:
         plant: What `plant` returned.

@@ -48,8 +48,8 @@ def load_spec(
     """Read a spec: a file, or a mapping with the sections of one.
 
     Args:
-        source: The YAML file, or its sections as mappings of numbers, texts, lists and arrays: see SPEC.md, which has
-            shapes and units of all of them. A number means the shortest decimal that is read as the same double.
+        source: The YAML file, or its sections as mappings of numbers, texts, lists and arrays.
+            docs/reference/spec_file.md has shapes and units of all of them. A number means the shortest decimal that is read as the same double.
         parameters: Values that replace those of the spec, as numbers or expressions.
         outside: Whether it may refer to files outside of its folder; for a mapping, outside of the working directory.
 
