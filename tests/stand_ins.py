@@ -7,7 +7,9 @@ import time
 from pathlib import Path
 
 from pwatrack.batch.job import Ended, Fault, Job
-from pwatrack.report.run_folder import read_index
+from pwatrack.batch.work import refused
+from pwatrack.errors import InvalidSpec
+from pwatrack.report.run_folder import read_index, run_folder
 from tests.runs import record
 
 NOISE = "\x1b[31mred\x00 \udcff <&>]]>"
@@ -55,6 +57,18 @@ def written(job: Job) -> Ended:
     faults = (Fault(message="no", hint="yes"),) if ended.exit else ()
     index = read_index(job.out) or {}
     return Ended(exit=ended.exit, messages="said", faults=faults, index=index)
+
+
+def bulky(job: Job) -> Ended:
+    """End so, and leave a run folder of 100 kB, where there is room."""
+    try:
+        with run_folder(job.out) as run:
+            run.text("trace.csv", "x" * 100_000)
+            run.commit({"verdict": "proved", "exit": 0})
+    except InvalidSpec as error:
+        code, lines, faults = refused(error)
+        return Ended(exit=code, messages="\n".join(lines), faults=faults)
+    return Ended(exit=0, index=read_index(job.out) or {})
 
 
 def count(out: Path) -> int:

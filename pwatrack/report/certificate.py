@@ -78,7 +78,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     if controller.practical is not None:
         spec = merged_spec(spec, controller.practical.merges, watched=controller.plant.watched is not None)
     listed = practical is not None or uncertain is not None or any("degree" in proof for proof in proofs)
-    content = _content(spec, controller.design.K, controller.design.L, proofs, listed=listed)
+    form = controller.form if practical is None else None  # it is that of the spec
+    content = _content(spec, controller.design.K, controller.design.L, proofs, listed=listed, form=form)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
     content["eta_with_loads"] = _with_loads(controller)
     return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain, "practical": practical}
@@ -131,15 +132,19 @@ def merged_content(spec: Spec, merges: Sequence[Merge]) -> dict[str, Any]:
     }
 
 
-def subject_content(spec: Spec, directions: Any = None, *, listed: bool = False) -> dict[str, Any]:
+def subject_content(
+    spec: Spec, directions: Any = None, *, listed: bool = False, form: NormalForm | None = None
+) -> dict[str, Any]:
     """Return the part of either that the spec alone decides: what is proved something of.
 
     Args:
         spec: What was asked.
         directions: Of the inputs, where they are given: see `NormalForm`.
         listed: Whether all cells are listed, also those of nonlinearities: what is not affine in A_i needs them.
+        form: The normal form of the spec, if it is known already.
     """
-    form = output_form(spec, directions) if spec.problem.tracking == "output" else None
+    if form is None and spec.problem.tracking == "output":
+        form = output_form(spec, directions)
     plant = spec.problem.plant if form is None else form.plant
     listed = listed or plant.written is None or not plant.written.product
     listed = listed or (form is not None and any(X is not form.exact.T[0] for X in form.exact.T))
@@ -214,15 +219,13 @@ def decimals(X: Array | None) -> list[list[str]] | None:
     return None if X is None else BallMatrix.of(X, (X.shape[0], X.shape[1])).texts
 
 
-def _content(
-    spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any], *, listed: bool = False
-) -> dict[str, Any]:
+def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any], **known: Any) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "claim": CLAIM,
         "spec_sha256": spec.sha256,
         "set": {name: str(value) for name, value in spec.overrides.items()},
-        **subject_content(spec, listed=listed),
+        **subject_content(spec, **known),
         "K": decimals(K),
         "L": decimals(L),
         "proofs": list(proofs),
