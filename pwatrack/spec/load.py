@@ -49,7 +49,8 @@ def load_spec(
 
     Args:
         source: The YAML file, or its sections as mappings of numbers, texts, lists and arrays.
-            docs/reference/spec_file.md has shapes and units of all of them. A number means the shortest decimal that is read as the same double.
+            docs/reference/spec_file.md has shapes and units of all of them. A number means
+            the shortest decimal that is read as the same double.
         parameters: Values that replace those of the spec, as numbers or expressions.
         outside: Whether it may refer to files outside of its folder; for a mapping, outside of the working directory.
 
