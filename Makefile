@@ -47,7 +47,7 @@ $(DOCS): $(READY) docs/requirements.lock
 
 .PHONY: docs
 docs: $(DOCS) ## build the documentation, and run all that it shows (five minutes)
-	@OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -W --keep-going -n -q -j 2 docs docs/_build/html
+	@OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -a -W --keep-going -n -q -j 2 docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
 
 TRY := dist/.try
