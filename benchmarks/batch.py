@@ -6,6 +6,7 @@ Prints seconds of wall time: run it on an idle machine.
 """
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
+from statistics import median
 
 from pwatrack.batch.find import find_specs
 
@@ -21,11 +23,12 @@ SMALL = 500
 
 
 def timed(what: str, call: Callable[[], object]) -> float:
-    """Print how long a call took, and return it."""
-    start = time.perf_counter()
+    """Print how long a call took, and what the command itself took of it without its workers; return the first."""
+    start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     call()
-    wall = time.perf_counter() - start
-    sys.stdout.write(f"{what:48} {wall:7.1f} s\n")
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    own = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    sys.stdout.write(f"{what:48} {wall:7.1f} s   CPU of the command {own:5.1f} s\n")
     sys.stdout.flush()
     return wall
 
@@ -52,13 +55,38 @@ def main(folder: Path) -> None:
         sys.stdout.write(f"  {once / now:.1f} times as fast\n")
         small.mkdir()
         text = files("pwatrack.starters").joinpath("output.yaml").read_text(encoding="utf-8")
+        short = text.replace("duration: 20", "duration: 1").replace("\nrequire:", "\n#")  # too short for it
         for k in range(SMALL):
-            (small / f"{k}.yaml").write_text(text.replace("duration: 20", "duration: 1"))
+            (small / f"{k}.yaml").write_text(short)
         options = ("--plots", "none", "--out")
         one = timed(f"{SMALL} small specs, one core", lambda: pwatrack("batch", small, *options, out / "3"))
         two = timed(f"{SMALL} small specs, two", lambda: pwatrack("batch", small, "--jobs", 2, *options, out / "4"))
         sys.stdout.write(f"  {one / two:.2f} times as fast\n")
         timed("again, nothing changed", lambda: pwatrack("batch", small, "--resume", *options, out / "4"))
+        overhead(small, out / "5")
+
+
+def overhead(small: Path, out: Path) -> None:
+    """Print what a spec of a batch costs beyond its own design, with what the certificate proves, and simulation."""
+    import pwatrack.batch.warm  # noqa: F401
+    from pwatrack import pipeline
+    from pwatrack.batch.elsewhere import done
+    from pwatrack.batch.job import Job
+    from pwatrack.batch.work import simulate
+    from pwatrack.spec.load import load_spec
+
+    own, whole = list[float](), list[float]()
+    for k, spec in enumerate(sorted(small.iterdir())[:40]):
+        read, start = load_spec(spec), time.process_time()
+        controller = pipeline.design(read, growing=True)
+        pipeline.simulate(read, controller)
+        _ = controller.bounds, controller.starts
+        own.append(time.process_time() - start)
+        start = time.process_time()
+        done(simulate, Job(spec=spec, out=out / str(k), plots="none"))
+        whole.append(time.process_time() - start)
+    beyond = median(w - o for w, o in zip(whole[1:], own[1:], strict=True))
+    sys.stdout.write(f"CPU of a small spec: {1e3 * median(own):.0f} ms, and {1e3 * beyond:.1f} ms beyond that\n")
 
 
 def _again(folder: Path, out: Path) -> None:

@@ -196,6 +196,36 @@ def test_what_nobody_waits_for_any_more_is_ended(scheduler: str, tmp_path: Path)
     assert not (tmp_path / "2").exists()
 
 
+def test_an_interruption_ends_with_130_and_what_was_completed(scheduler: str, folder: Path, tmp_path: Path) -> None:
+    many = tmp_path / "many"
+    many.mkdir()
+    for k in range(60):
+        (many / f"{k}.yaml").write_text((folder / "drive0.yaml").read_text())
+    options = ["--scheduler", scheduler, "--plots", "none", "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "pwatrack",
+        "batch",
+        str(many),
+        *options,
+        "--report",
+        str(tmp_path / "ended.jsonl"),
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        first = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read().decode()
+    assert process.returncode == 128 + signal.SIGINT
+    assert b"pass" in first
+    assert "Traceback" not in said
+    ended = [json.loads(line) for line in (tmp_path / "ended.jsonl").read_text().splitlines()]
+    assert 0 < len(ended) < 60
+    assert not list((tmp_path / "out").glob("*/.*"))
+
+
 def test_what_comes_back_and_cannot_be_written_fails_that_spec(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "drive1").touch()
