@@ -61,7 +61,11 @@ def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
     scenario = replace(spec.scenario, conditions=conditions, duration=300 * h, sample_time=h)
     result = simulate(replace(spec, scenario=scenario), design(spec))
     folder = write_result(result, tmp_path / "run")
-    assert_the_same_bits(Controller.load(folder / "controller.json"), result, h)
+    controller = Controller.load(folder / "controller.json")
+    assert_the_same_bits(controller, result, h)
+    (of_x_hat, of_x_d), names = controller.cells, controller.file.plant.cells
+    assert of_x_hat in names
+    assert of_x_d in (("1",) if name == "carriage_on_slack_rope" else names)
 
 
 def assert_the_same_bits(controller: Controller, result: Result, h: float) -> None:

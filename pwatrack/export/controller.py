@@ -79,9 +79,13 @@ class Controller:
 
     @property
     def cells(self) -> tuple[str, str]:
-        """The cells of x̂ and of x_d, at the last step."""
-        names = self.file.plant.cells
-        return names[int(self._counts[4])], names[int(self._counts[5])]
+        """The cells of x̂ and of x_d, at the last step.
+
+        Where x_d has other cells than x̂, since cells are merged, they are counted: "1", "2", …
+        """
+        names, (i, j) = self.file.plant.cells, self._counts[4:6].tolist()
+        same = len(self._programs[bool(self._given)].sides) == len(names)
+        return names[i], names[j] if same else str(j + 1)
 
     def state(self, name: str) -> NDArray[Any]:
         """Return a part of the state: y, u, x_hat, s_hat, eta_hat, w, late, before, wanted or x_d."""
