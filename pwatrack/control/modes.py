@@ -35,7 +35,7 @@ def check_modes(plant: PWASystem, controller: Goal, observer: Goal, sizes: Sizes
         try:
             if isinstance(goal, Given):
                 K = role.oriented(goal.gain)
-                if np.linalg.eigvals(task.closed(K)).real.max() >= 0:
+                if np.linalg.eigvals(task.unlike(K)).real.max() >= 0:
                     given(task, K)
             else:
                 _check(task, demands(goal)[0])

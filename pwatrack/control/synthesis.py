@@ -208,7 +208,7 @@ class Search:
 
     def proved(self, candidate: Candidate, rate: float, *, soon: bool = False) -> Proved | None:
         """Prove the best rate of a candidate, if it reaches the rate that is asked; soon, or not at all."""
-        closed = self.task.closed(candidate.K)
+        closed = self.task.unlike(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
         certificate = best_certificate(

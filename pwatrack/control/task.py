@@ -12,6 +12,7 @@ from pwatrack.causes import Part, Subject
 from pwatrack.lmi.certificate import Certificate, likely_rate, prove
 from pwatrack.lmi.exact import RATE_GIVEN, prove_exactly
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -102,6 +103,14 @@ class Task:
         """Return A_i + B K, (l, n, n)."""
         return np.asarray(self.A + self.B @ K)
 
+    @cached_property
+    def _different(self) -> Array:
+        return distinct(self.A)[0]
+
+    def unlike(self, K: Array) -> Array:
+        """Return the different ones of these, (d, n, n), in an order of their own."""
+        return np.asarray(self._different + self.B @ K)
+
     def exactly_closed(self, K: Array) -> list[BallMatrix]:
         """Return A_i + B K in the numbers that proofs are about, K as printed."""
         A, B = self.exact or ([BallMatrix.of(A_i) for A_i in self.A], BallMatrix.of(self.B))
@@ -110,7 +119,7 @@ class Task:
 
     def reached(self, K: Array, P: Array, rate: float) -> Certificate | None:
         """Return the certificate that P gives for a gain, if it shows a rate (1/s)."""
-        found = prove(self.closed(K), P) if np.isfinite(K).all() else None
+        found = prove(self.unlike(K), P) if np.isfinite(K).all() else None
         return found if found is not None and reaches(found, rate) else None
 
     def reached_exactly(self, K: Array, P: Array) -> Certificate | None:

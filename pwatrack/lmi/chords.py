@@ -21,7 +21,7 @@ from pwatrack.lmi.exact import BITS, unpacked
 from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, rational
 
 _STEP, _TAIL = 1e-5, 1e-3  # of the ellipsoid's size: what one step, and the end, may be off
-_MOST_STEPS, _MOST_ORDER = 2500, 16
+_MOST_STEPS, _MOST_ORDER = 2500, 16  # of a walk: some seconds in the auditor
 _PRECISION = 300  # bits of the balls
 _DIGITS = 110  # bits of P
 _INSIDE = Fraction(1, 2**60)  # of the square of w: by so much P is inside its inequality

@@ -21,7 +21,7 @@ import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix
 
-_BITS = 192
+_BITS = 192  # of the balls: modes far apart in speed lose many of them
 _LONG = 24.0  # time constants of the slowest mode: what comes after is e^−24 of it
 _NEAR = 2e-3  # of the gain, how far its bounds may be apart
 _MOST = 400  # times that intervals are halved

@@ -14,7 +14,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
 
 _HALVINGS = 40  # of a sample time that is too long, until none is found that does
-_BISECTIONS = 12
+_BISECTIONS = 12  # of a sample time: to a part in 4,000
 _SHORTER = 16  # times below one that does which must do too
 _SURE = 1 + 1e-9  # the eigenvalues of a map are known to less
 

@@ -10,7 +10,7 @@ from .balls import Ball
 from .matrices import Fault, rank
 from .reading import matrix, number, place
 
-_MOST_CORNERS = 2**16
+_MOST_CORNERS = 2**16  # that are decided one by one
 Segments = tuple[int, ...]  # one of each element: a cell
 
 
