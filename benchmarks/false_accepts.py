@@ -42,12 +42,13 @@ PLACES = (*PLANT, "K", "L", "A_eta", "T", "rate", "margin", "radius", "integers"
 def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
     """Return a certificate with one number changed."""
     changed = copy.deepcopy(content)
-    where = str(random.choice(PLACES))
     proof = changed["proofs"][random.integers(len(changed["proofs"]))]
+    homes = (changed["plant"], changed, changed["generator"], proof["P"])
+    there = [where for where in PLACES if any(where in home for home in (*homes, proof))]  # some list no cells
+    where = str(random.choice(there))
     if where in ("rate", "margin", "radius"):
         proof[where] = repr(float(proof[where]) * float(10 ** random.uniform(-1, 3)))
         return changed
-    homes = (changed["plant"], changed, changed["generator"], proof["P"])
     entry: Any = next(home[where] for home in homes if where in home)
     while isinstance(entry[0], list):
         entry = entry[random.integers(len(entry))]
