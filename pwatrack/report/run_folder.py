@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
@@ -169,18 +169,15 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
     """
     path, left = Path(path), _LEFT.get()
     try:
-        if left is not None:
-            with TemporaryDirectory(prefix=_STAGE) as temporary:
-                yield RunFolder(path, Path(temporary), left)
-            return
-        path.mkdir(parents=True, exist_ok=True)
-        stage = path / f"{_STAGE}{secrets.token_hex(8)}"
-        with _alone(path):  # or another run would take the stage for one that nobody owns
-            sweep(path)
+        home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
+        home.mkdir(parents=True, exist_ok=True)
+        stage = home / f"{_STAGE}{secrets.token_hex(8)}"
+        with _alone(home):  # or another run would take the stage for one that nobody owns
+            sweep(home)
             stage.mkdir()
             owner = _locked(os.open(stage, os.O_RDONLY | os.O_DIRECTORY))
         try:
-            yield RunFolder(path, stage)
+            yield RunFolder(path, stage, left)
         finally:
             shutil.rmtree(stage, ignore_errors=True)
             os.close(owner)
