@@ -451,7 +451,7 @@ def test_check_speaks_json_for_machines(spec: Path) -> None:
     assert len(content["facets"]) == 2
     assert content["zero_dynamics"]["gap"][0] == pytest.approx([-0.15, 0.98869], abs=1e-4)
     assert content["routes"]["Theorem 2"] == "needs (8) and (9), and an x_d that satisfies (3)"
-    assert content["design_takes"] == "Theorem 3"
+    assert content["design_takes"] == "Theorem 3, else practical tracking"
 
 
 def test_check_takes_a_plant_for_state_tracking(specs: Path) -> None:
