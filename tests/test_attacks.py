@@ -262,7 +262,7 @@ def test_a_fifo_is_no_certificate_and_is_not_waited_for(tmp_path: Path) -> None:
     "change",
     [
         *({"": key} for key in ("plant", "generator", "K", "L", "proofs", "bounds", "tracking", "set", "spec_sha256")),
-        *({"plant": key} for key in ("cells", "H", "signs", "A", "radius")),
+        *({"plant": key} for key in ("elements", "A", "b", "radius")),
         *({"proofs": key} for key in ("of", "rate", "P", "margin")),
         {"rate": "as text"},
         {"A_eta": [[]]},
