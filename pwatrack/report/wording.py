@@ -67,8 +67,8 @@ def down(value: float) -> str:
     """Return a number in four digits, not larger: what is said must be proved too.
 
     Example:
-        >>> down(0.0826799), up(1.4001)
-        ('0.08267', '1.41')
+        >>> down(0.0826799), down(1.4009)
+        ('0.08267', '1.4')
     """
     return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
 
