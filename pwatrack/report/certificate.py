@@ -81,7 +81,8 @@ def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
     form = controller.form if practical is None else None  # it is that of the spec
     content = _content(spec, controller.design.K, controller.design.L, proofs, listed=listed, form=form)
     limits = [_limit(promise) for promise in controller.promises if promise.held is not None]
-    content["eta_with_loads"] = _with_loads(controller)
+    if (shifted := _with_loads(controller)) is not None:
+        content["eta_with_loads"] = shifted
     return content | {"bounds": bounds, "limits": limits, "uncertain": uncertain, "practical": practical}
 
 
