@@ -8,7 +8,6 @@ deviation from MISRA C:2012 than docs/misra.md lists.
 """
 
 import ctypes
-import re
 import shutil
 import subprocess
 import sys
@@ -34,6 +33,7 @@ from pwatrack.pipeline import design
 from pwatrack.report.export import Subject, of_spec
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.spec.spec import Spec
+from tests.misra import checked, listed
 
 LEVELS = ("-O0", "-O2", "-O3")
 SANE = "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
@@ -73,16 +73,6 @@ def compiled(folder: Path, compiler: str, options: str, *, shared: bool) -> Path
     command = [compiler, *FLAGS.split(), *options.split(), *kind, "-o", target.name, *sources, "-lm"]
     subprocess.run(command, cwd=folder, check=True)
     return target
-
-
-def deviations(folder: Path) -> set[str]:
-    """Return the rules of MISRA C:2012 that cppcheck finds broken, without those that docs/misra.md lists."""
-    if not shutil.which("cppcheck"):
-        return set()
-    listed = set(re.findall(r"^\| ([0-9.]+) \|", Path("docs/misra.md").read_text(encoding="utf-8"), re.MULTILINE))
-    command = ["cppcheck", "--addon=misra", "--std=c99", "loop.c", "main.c"]
-    found = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stderr
-    return set(re.findall(r"misra-c2012-([0-9.]+)", found)) - listed
 
 
 def python_steps(controller: Controller, y: Any) -> tuple[Any, Any]:
@@ -130,7 +120,7 @@ def judged(name: str, subject: Subject, compilers: list[str], steps: int) -> int
             (folder / "all_steps.c").write_text(ALL_STEPS, encoding="utf-8")
             y = np.ascontiguousarray(repeated.astype(real))
             expected = python_steps(Controller(subject.file, single=single), y)
-            rules = deviations(folder)
+            rules = checked(folder).broken - listed() if shutil.which("cppcheck") else frozenset()
             if rules:
                 say(f"{name:40} breaks MISRA C:2012 {', '.join(sorted(rules))}")
                 wrong += len(rules)

@@ -16,6 +16,7 @@ from pwatrack.export.c_source import CSource, header
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
+from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
 
@@ -84,14 +85,9 @@ def test_specs_of_all_kinds_give_the_same_bits(name: str, tmp_path: Path) -> Non
 def test_misra_finds_only_the_deviations_that_are_listed(
     machine: Subject, tmp_path: Path, single: bool, given: bool
 ) -> None:
-    text = (SPECS.parent / "docs/misra.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"^\| ([0-9.]+) \|", text, re.MULTILINE))
-    folder = written(machine, tmp_path, single=single, given=given)
-    command = ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,portability,performance", "."]
-    found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stderr
-    assert set(re.findall(r"misra-c2012-([0-9.]+)", found)) == listed
-    others = [line for line in re.findall(r"\[(\w+)\]$", found, re.MULTILINE) if not line.startswith("misra")]
-    assert not others, found
+    found = checked(written(machine, tmp_path, single=single, given=given))
+    assert found.broken == listed()
+    assert not found.others, found.said
 
 
 MACHINE = """controller: {sample_time: 0.01, delay: 2}

@@ -36,12 +36,19 @@ Target = Literal["c", "st", "mat"]
 
 @dataclass(frozen=True)
 class Subject:
-    """What is exported: a controller, what of it is not proved, and what it reads in a test."""
+    """What is exported: a controller, what of it is not proved, what it reads in a test, its spec if that is there."""
 
     file: ControllerFile
     certificate: str
     unproved: tuple[str, ...]
     vector: Vector
+    spec: Spec | None
+
+    @property
+    def beside(self) -> dict[str, str]:
+        """The files that go with every export: the controller, and its proof if there is one."""
+        files = {CONTROLLER: json_text(self.file.model_dump()), CERTIFICATE: self.certificate}
+        return {name: text for name, text in files.items() if text}
 
 
 def export(
@@ -84,14 +91,17 @@ def export(
             names = write_c(code, subject.vector, out)
         else:
             names = write_matlab(code, subject.vector, out) if to == "mat" else write_structured_text(code, out)
-        beside = {CONTROLLER: json_text(subject.file.model_dump()), CERTIFICATE: subject.certificate}
-        for file, text in beside.items():
-            if text:
-                (out / file).write_text(text, encoding="utf-8")
-                names.append(file)
+        for file, text in subject.beside.items():
+            (out / file).write_text(text, encoding="utf-8")
+            names.append(file)
         return names
     except OSError as error:
-        raise InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}")) from None
+        raise unwritable(out, error) from None
+
+
+def unwritable(out: Path, error: OSError) -> InvalidSpec:
+    """Return the refusal of a folder that cannot be written to."""
+    return InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}"))
 
 
 def subject_of(target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool) -> Subject:
@@ -146,7 +156,7 @@ def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: 
     file = parsed(made.controller, spec.path)
     y, t = z[:steps, at.y], h * np.arange(min(steps, len(z)))
     w = _outside(controller, file, t) if given else np.zeros((len(y), 0))
-    return Subject(file, made.certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"))
+    return Subject(file, made.certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"), spec)
 
 
 def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
@@ -181,11 +191,11 @@ def _stored(path: Path, given: bool) -> Subject:
         controller = pipeline.design(again, growing=True)
         again, runs = check_same(again, controller, file)
         found = _simulated(again, controller, runs, given, _STEPS)
-        return Subject(file, text.decode(), tuple(unproved), found.vector)
+        return Subject(file, text.decode(), tuple(unproved), found.vector, spec)
     q, s = len(file.plant.outputs), len(file.program.outside.reference)
     t = np.arange(_STEPS)[:, None]
     y, w = 0.1 * np.sin(0.01 * t * (1 + np.arange(q))), 0.1 * np.cos(0.01 * t * (1 + np.arange(s)))
-    return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"))
+    return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"), None)
 
 
 def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:

@@ -11,9 +11,7 @@ from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.fmu_description import Version
 from pwatrack.export.fmu_plant import plant_parts
 from pwatrack.export.stored import read
-from pwatrack.report.export import CONTROLLER, its_spec, subject_of
-from pwatrack.report.run_folder import json_text
-from pwatrack.report.verify import CERTIFICATE
+from pwatrack.report.export import CONTROLLER, its_spec, subject_of, unwritable
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 
@@ -53,13 +51,15 @@ def export_fmu(
         InvalidSpec: If there is no sample time, too many cells, or something cannot be read or written.
         CheckFailed: If the controller is not proved, unless `unproved`; if a compiler that is there makes no binary.
     """
-    spec, made = _spec(target, parameters), dict[str, Parts]()
-    if "controller" in of:
+    made = dict[str, Parts]()
+    if "controller" not in of:
+        spec = _spec(target, parameters)
+    else:
         subject = subject_of(target, parameters, sample_time, given, unproved)
         called = prefix(name or subject.file.name)
         code = CSource(file=subject.file, name=called, single=False, given=given, unproved=subject.unproved)
-        beside = {CONTROLLER: json_text(subject.file.model_dump()), CERTIFICATE: subject.certificate}
-        resources = {file: text.encode() for file, text in beside.items() if text}
+        resources = {file: text.encode() for file, text in subject.beside.items()}
+        spec = subject.spec
         duration = _RUNS if spec is None else spec.scenario.duration
         made["controller"] = controller_parts(code, duration, resources)
     if "plant" in of:
@@ -85,7 +85,7 @@ def _written(made: Mapping[str, Parts], versions: Sequence[Version], out: Path) 
     except RuntimeError as error:
         raise CheckFailed(Problem(message=f"the FMU's own sources were not compiled: {error}", subject=None)) from None
     except OSError as error:
-        raise InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}", subject=None)) from None
+        raise unwritable(out, error) from None
     return [f"FMI {version}.0 of the {part} in {path}, {inside}" for path, (version, part, _) in paths.items()]
 
 
