@@ -1,11 +1,14 @@
 """The sizes of a spec's signals: those that the file gives, and those that follow from what else it says."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.errors import OutsideTheory
+from pwatrack.control.goal import DEFAULT
+from pwatrack.control.modes import check_modes
+from pwatrack.errors import Infeasible, OutsideTheory
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
 from pwatrack.model.sizes import Origin, Sizes
@@ -55,11 +58,22 @@ def spec_form(spec: Spec) -> NormalForm:
     """Return the normal form (11) of a spec's plant; of more inputs than outputs, u_ff takes the least in their sizes.
 
     Raises:
-        OutsideTheory: If there is none.
+        OutsideTheory: If there is none; state tracking is advised only where no eigenvalue decides against it.
     """
     plant = spec.problem.plant
     several = plant.B.shape[1] > len(plant.tracked)
-    return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
+    try:
+        return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
+    except OutsideTheory as refusal:
+        raise _without_vain_advice(refusal, spec) from None
+
+
+def _without_vain_advice(refusal: OutsideTheory, spec: Spec) -> OutsideTheory:
+    try:
+        check_modes(spec.problem.plant, DEFAULT, DEFAULT, spec_sizes(spec))
+    except Infeasible:
+        return OutsideTheory(*(replace(problem, remedy=None) for problem in refusal.problems))
+    return refusal
 
 
 def _given(spec: Spec) -> Iterator[Known]:

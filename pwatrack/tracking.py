@@ -16,7 +16,7 @@ from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.course import Table
-from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.reference import (
     InputReference,
     OutputReference,
@@ -56,7 +56,7 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     with spec.located():
         check_loads(problem.plant, output=problem.tracking == "output")
         if isinstance(problem.reference, OutputReference):
-            form = form or normal_form(problem.plant)
+            form = form or spec_form(spec)
             _output_signals(problem.reference, form)
             return f"y_d is bounded and smooth enough for relative degree {form.degrees_text}"
         _state_desired(spec)

@@ -8,6 +8,7 @@ from pwatrack import PwatrackError, design, load_spec
 from pwatrack.control.applicability import ROUTES, Applicability, applicability
 from pwatrack.control.route import Needs, No
 from pwatrack.sizing import spec_sizes
+from pwatrack.tracking import check_reference
 from tests.conftest import SPECS
 
 TAKEN = {
@@ -56,6 +57,30 @@ def test_where_there_is_no_route_each_says_why_and_design_refuses(name: str, rea
     assert reason[1] in found.routes()[reason[0]]
     with pytest.raises(PwatrackError):
         design(load_spec(SPECS / f"{name}.yaml"))
+
+
+ROPE = """
+system:
+  states: [xw, vw, xl, vl]
+  A: [[0, 1, 0, 0], [0, -2, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]]
+  B: [[0], [1], [0], [0]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+  track: {load: xl}
+  nonlinearities: [{name: rope, kind: spring, of: xw - xl, slope: 9, into: {vw: -1, vl: 1}}]
+reference: {output: 0.1*sin(t)}
+simulation: {duration: 1, sample_time: 0.1}
+"""
+
+
+def test_state_tracking_is_advised_only_where_no_eigenvalue_decides_against_it(tmp_path: Path) -> None:
+    """Of a load on a rope that is slack no gain moves the eigenvalue 0; in `kink_upstream` nothing is stuck."""
+    (tmp_path / "rope.yaml").write_text(ROPE)
+    for path, state in ((tmp_path / "rope.yaml", False), (SPECS / "refused/kink_upstream.yaml", True)):
+        with pytest.raises(PwatrackError) as refusal:
+            check_reference(load_spec(path))
+        hint = refusal.value.problems[0].hint
+        assert "another output may" in hint
+        assert ("write 'tracking: state'" in hint) == state
 
 
 @pytest.mark.parametrize(

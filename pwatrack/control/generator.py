@@ -107,8 +107,7 @@ def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) ->
             role=GENERATOR,
             subject=(Part.CELLS,),
             solver=solver,
-            hint="the zero dynamics do not converge (non-minimum phase): another output may do, or "
-            "state tracking (Theorem 2), which needs only (8) and (9)",
+            hint="the zero dynamics do not converge (non-minimum phase): another output may do",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     except Infeasible as refusal:

@@ -8,7 +8,7 @@ from pwatrack.arrays import TINY, Array, balancing, number_text
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
-from pwatrack.model.derivatives import STATE_TRACKING, Derivatives, exact_rows, last_rows, unsure
+from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, unsure
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import is_positive_definite, stacked
 
@@ -109,7 +109,7 @@ def _dependent(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, ce
             message=f"not of form (11): the inputs do not act on {_listed(names)} independently{where}: {rows}, so the "
             "decoupling matrix is singular",
             subject=(Part.B,),
-            hint=f"track another output, or add an actuator; {STATE_TRACKING}",
+            hint="track another output or add an actuator",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     )
@@ -129,7 +129,7 @@ def _folded(plant: PWASystem, found: Sequence[Derivatives], D: Sequence[BallMatr
             f"the same way in all: {what} is {figures[0]} in cell '{plant.cell_names[low]}' and {figures[1]} in "
             f"'{plant.cell_names[high]}', {turned}",
             subject=(Part.B,),
-            hint=f"track another output; {STATE_TRACKING}",
+            hint="track another output",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     )

@@ -11,7 +11,6 @@ from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import Matrices, PWASystem
 
-STATE_TRACKING = "state tracking (Theorem 2) needs no form (11), only (8) and (9)"
 _ZERO = 0.5  # of the worst rounding error, below which an entry of c B counts as 0
 _ROUNDING = 1e-10  # relative size below which an entry computed from the data counts as zero
 
@@ -75,7 +74,7 @@ def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
         Problem(
             message=f"no relative degree in cell '{plant.cell_names[0]}': no input ever reaches the output '{name}'",
             subject=(Part.B,),
-            hint=f"track another output or add an actuator; {STATE_TRACKING}",
+            hint="track another output or add an actuator",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     )
@@ -114,7 +113,7 @@ def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: 
             f"'{names[other]}' {reach}: entry '{plant.states[column]}' is {entries}, so derivative "
             f"{order + 1} of '{name}' jumps on {plant.hyperplane_text(facet.k)}, whatever the input does",
             subject=(Part.C if plant.tracked_names == plant.outputs else Part.TRACKED,),
-            hint=f"another output may have the same derivatives in every cell; {STATE_TRACKING}",
+            hint="another output may have the same derivatives in every cell",
             remedy=Remedy(Way.STATE_TRACKING),
         )
     )

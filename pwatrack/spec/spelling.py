@@ -33,8 +33,9 @@ _PATHS: Mapping[Part, Subject] = {
     Part.BOUND: ("gain",),
     Part.COST: ("cost",),
 }
+_STATE_TRACKING = "{hint}; state tracking (Theorem 2) needs no form (11) and no (17), only (8) and (9)"
 _WORDS: Mapping[Way, str] = {
-    Way.STATE_TRACKING: "{hint}: write 'tracking: state'",
+    Way.STATE_TRACKING: f"{_STATE_TRACKING}: write 'tracking: state'",
     Way.TRACKED: "{hint}: for example track: [{0}] under system",
     Way.OFFSET: "b: [{0}] in cell '{1}' would make it continuous there",
     Way.TOLERANCE: "correct the cell; for data rounded in print, 'tolerance: {{continuity: …}}' accepts a larger jump "
@@ -51,7 +52,7 @@ _WORDS: Mapping[Way, str] = {
     Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s) or less: it is stable in all cells",
 }
 _IN_PYTHON: Mapping[Way, str] = {
-    Way.STATE_TRACKING: "{hint}: tracking='state'",
+    Way.STATE_TRACKING: f"{_STATE_TRACKING}: tracking='state'",
     Way.TRACKED: "{hint}: for example track=['{0}']",
     Way.OFFSET: "b = [{0}] in cell '{1}' would make it continuous there",
     Way.TOLERANCE: "correct the cell; for data rounded in print, tolerance=… accepts a larger jump (in force: {0:g})",
