@@ -28,7 +28,7 @@ from pwatrack.control.synthesis import Design
 from pwatrack.errors import Problem
 from pwatrack.lmi.chords import PeakGain, peak_gain
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.model.merging import Merge, merges
+from pwatrack.model.merging import Merge, merges, widest
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -109,12 +109,6 @@ def least_merges(
                 chosen = trial
                 break
     return dict(sorted(chosen.items()))
-
-
-def widest(form: ScalarForm) -> dict[int, Merge]:
-    """Return each element merged whole, where it can be."""
-    ways = {k: found for k in range(len(form.elements)) if (found := merges(form, k))}
-    return {k: max(found, key=lambda merge: merge.last - merge.first) for k, found in ways.items()}
 
 
 def deviation_bounds(
