@@ -57,7 +57,7 @@ def _with_norms(most: dict[Form, Array], loop: ClosedLoop, response: Response, s
     promised, sizes, n = loop.controller.guarantees, loop.controller.sizes.state, len(loop.controller.plant.B)
     if start[2 * n :].any():
         return  # they are about loads that are known
-    output = loop.controller.generator is not None
+    output = loop.controller.tracking == "output"
     tracking = promised.tracking_error(response.t, start[:n], start[n : 2 * n], output=output)
     observer, counted = promised.observer_error(response.t, start[n : 2 * n]), sizes if n > 1 else np.ones(1)
     for form in list(most):

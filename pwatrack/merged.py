@@ -124,9 +124,7 @@ def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> 
 def tracked_bound(controller: Controller) -> float:
     """Return below what the tracking error ends, of several entries in sizes."""
     assert controller.practical is not None
-    return controller.practical.norm(
-        "state" if controller.generator is None else "output", controller.error_sizes.tolist()
-    )
+    return controller.practical.norm(controller.tracking, controller.error_sizes.tolist())
 
 
 def _solve(spec: Spec) -> None:
@@ -157,7 +155,7 @@ def _bounded(
         controller.proofs,
         controller.compensation.X,
         [way.column for way in ways],
-        output=controller.generator is not None,
+        output=controller.tracking == "output",
         states=given,
     )
     if bounds is None:

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -253,11 +253,11 @@ def _practical(spec: Spec, controller: Controller) -> list[dict[str, Any]] | Non
     """Return below what each tracked signal ends, where that is all that is proved of it."""
     if controller.practical is None:
         return None
-    plant, units = controller.plant, spec.problem.units
-    names = plant.states if controller.generator is None else plant.tracked_names
-    kind: Literal["state", "output"] = "state" if controller.generator is None else "output"
-    final = controller.practical.final
-    return [{"signal": name, "below": final[kind, k], "unit": str(units.get(name, ""))} for k, name in enumerate(names)]
+    units, final = spec.problem.units, controller.practical.final
+    return [
+        {"signal": name, "below": final[controller.tracking, k], "unit": str(units.get(name, ""))}
+        for k, name in enumerate(controller.error_names)
+    ]
 
 
 def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
