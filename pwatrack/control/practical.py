@@ -22,6 +22,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pwatrack.arrays import OVER_SUMS
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak
 from pwatrack.control.synthesis import Design
@@ -69,7 +70,7 @@ class Practical:
     def norm(self, kind: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
         """Return below what the norm of all signals of a kind ends, each counted in its size."""
         each = [self.final[kind, k] / size for k, size in enumerate(sizes)]
-        return float(np.linalg.norm(each)) * (1 + 1e-12)
+        return float(np.linalg.norm(each)) * OVER_SUMS
 
 
 def least_merges(

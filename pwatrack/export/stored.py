@@ -18,7 +18,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.tracking import starts_periodic
 
-_LARGEST = 2**28  # bytes of a file that is read
+LARGEST = 2**28  # bytes of a file that is read
 
 
 def content(
@@ -92,8 +92,8 @@ def read(path: Path) -> ControllerFile:
         InvalidSpec: If it cannot be read, is of another version, has been changed, or is not as its schema says.
     """
     try:
-        if path.stat().st_size > _LARGEST:
-            raise _refused(path, f"it has more than {_LARGEST:,} bytes")
+        if path.stat().st_size > LARGEST:
+            raise _refused(path, f"it has more than {LARGEST:,} bytes")
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise _refused(path, f"it cannot be read: {error}") from None
