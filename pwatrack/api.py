@@ -206,8 +206,7 @@ class Result(Simulated):
     def names(self) -> dict[str, tuple[str, ...]]:
         """Names of the columns of x, y, u and e; those of x_hat, x_d, y_d and u_ff are of the same signals."""
         plant = self.spec.problem.plant
-        of_e = plant.states if self.controller.generator is None else plant.tracked_names
-        return {"x": plant.states, "y": plant.outputs, "u": plant.inputs, "e": of_e}
+        return {"x": plant.states, "y": plant.outputs, "u": plant.inputs, "e": self.controller.error_names}
 
     @property
     def units(self) -> Mapping[str, str]:

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 EPS = float(np.finfo(np.float64).eps)  # relative distance from 1 to the next double; a rounding is half of it
 TINY = float(np.finfo(np.float64).tiny)  # the least double that keeps all digits
+OVER_SUMS = 1 + 1e-12  # more than the rounding of a sum of products
+OVER_POWERS = 1 + 1e-9  # more than the rounding of a few operations and exponentials
 
 
 def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: str = "array") -> Array:

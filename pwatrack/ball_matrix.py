@@ -6,6 +6,8 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any
 
+import flint
+
 from pwatrack.arrays import Array, readonly
 from pwatrack.rational import Rational, floats, fraction_of, identity, on_entries, rational, stacked
 from pwatrack.real import Real
@@ -178,8 +180,6 @@ def text(value: Fraction) -> str:
 
 def absolute(X: Rational) -> Rational:
     """Return the sizes of all entries."""
-    import flint
-
     return flint.fmpq_mat(X.nrows(), X.ncols(), [abs(v) for v in X.entries()])
 
 

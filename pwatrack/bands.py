@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.envelope import from_start, with_acting
 from pwatrack.model.conditions import Conditions
@@ -57,15 +57,15 @@ def _with_norms(most: dict[Form, Array], loop: ClosedLoop, response: Response, s
     promised, sizes, n = loop.controller.guarantees, loop.controller.sizes.state, len(loop.controller.plant.B)
     if start[2 * n :].any():
         return  # they are about loads that are known
-    output = loop.controller.generator is not None
+    output = loop.controller.tracking == "output"
     tracking = promised.tracking_error(response.t, start[:n], start[n : 2 * n], output=output)
     observer, counted = promised.observer_error(response.t, start[n : 2 * n]), sizes if n > 1 else np.ones(1)
     for form in list(most):
         kind, k = form
         if kind in ("output", "state"):
-            most[form] = np.minimum(most[form], tracking * loop.controller.error_sizes[k] * (1 + 1e-12))
+            most[form] = np.minimum(most[form], tracking * loop.controller.error_sizes[k] * OVER_SUMS)
         elif kind == "estimate" and k < n:
-            most[form] = np.minimum(most[form], observer * counted[k] * (1 + 1e-12))
+            most[form] = np.minimum(most[form], observer * counted[k] * OVER_SUMS)
 
 
 def _limited(loop: ClosedLoop, response: Response) -> bool:

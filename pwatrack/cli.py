@@ -92,7 +92,7 @@ def check(
                     uncertain=bool(spec.objectives.uncertain),
                 ),
             )
-            reference, sizes = checked(spec, report.form)
+            reference, sizes = checked(spec, report)
             remarks = reference_remarks(spec, report.form)
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error

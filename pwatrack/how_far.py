@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.control.convergence import FEW_ROWS
 from pwatrack.control.feasible import common_P, polynomial, some_gain
 from pwatrack.control.goal import Given
 from pwatrack.control.task import Task
@@ -29,7 +30,6 @@ _ROOM = 1.003  # times the rate asked: so that a design, in other sizes, finds a
 _MOST_PROOFS, _LEAST_PROOFS = 250, 40  # that are tried, for all parameters; with fewer it is not looked for
 _EACH = 30  # that a parameter, or the rate, may take, or more where there are few parameters
 _MOST_WORK = 200_000  # different cells · order³, of all proofs together: some seconds
-_MOST_ROWS = 250  # of the programs for a polynomial
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +170,7 @@ class _Inequality:
 
         def proved(value: float) -> bool:
             M = self._matrices(name, value) if self._paid() else None
-            proof = None if M is None else polynomial(self._role, M, most_rows=_MOST_ROWS)
+            proof = None if M is None else polynomial(self._role, M, most_rows=FEW_ROWS)
             if proof is not None:
                 seen[value] = proof.degree
             return proof is not None

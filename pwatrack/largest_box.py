@@ -11,7 +11,7 @@ from pwatrack.spec.spec import Spec
 
 _NEAR = 0.01  # of the factor: where the search ends
 _MOST = 64.0  # times
-_TRIALS = 16
+_TRIALS = 16  # from 1 up to the largest factor in doublings, then ten halvings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 from pwatrack.control.controller import Controller
 from pwatrack.control.modes import check_modes
-from pwatrack.control.practical import Practical, deviation_bounds, least_merges, widest
+from pwatrack.control.practical import Practical, deviation_bounds, least_merges
+from pwatrack.control.route import Facts
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.merging import Merge, merged
-from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
@@ -34,12 +34,12 @@ def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
     return isinstance(refusal.evidence, Impossibility) and not refusal.evidence.rate
 
 
-def checked(spec: Spec, form: NormalForm | None = None) -> tuple[str, Sizes]:
+def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     """Check what can be known before anything is solved; of the merged plant where practical tracking is to be tried.
 
     Args:
         spec: What is asked.
-        form: The normal form of its plant, where it is at hand.
+        facts: What is known of its plant, as from `applicability`.
 
     Returns:
         What is known of the reference, and the sizes in force.
@@ -48,22 +48,21 @@ def checked(spec: Spec, form: NormalForm | None = None) -> tuple[str, Sizes]:
         PwatrackError: As `check_reference` and `check_modes`, where merging cells does not help.
     """
     try:
-        return _checked(spec, form)
+        return _checked(spec, facts)
     except PwatrackError as refusal:
-        scalar = scalar_form(spec.problem.plant) if may_merge(spec, refusal) else None
-        ways = [] if scalar is None else [*widest(scalar).values()]
-        if not ways:
+        if facts.merged is None or not may_merge(spec, refusal):
             raise
+        less = replace(spec, problem=replace(spec.problem, plant=facts.merged.plant))
         try:
-            said, sizes = _checked(merged_spec(spec, ways), None)
+            said, sizes = _checked(less, facts.merged)
         except PwatrackError:
             raise refusal from None
         why = "; ".join(problem.short or problem.message for problem in refusal.problems)
         return f"{said}, with cells merged; exact tracking is refused: {why}", sizes
 
 
-def _checked(spec: Spec, form: NormalForm | None) -> tuple[str, Sizes]:
-    said, sizes = check_reference(spec, form), spec_sizes(spec)
+def _checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
+    said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
     return said, sizes
@@ -125,9 +124,7 @@ def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> 
 def tracked_bound(controller: Controller) -> float:
     """Return below what the tracking error ends, of several entries in sizes."""
     assert controller.practical is not None
-    return controller.practical.norm(
-        "state" if controller.generator is None else "output", controller.error_sizes.tolist()
-    )
+    return controller.practical.norm(controller.tracking, controller.error_sizes.tolist())
 
 
 def _solve(spec: Spec) -> None:
@@ -158,7 +155,7 @@ def _bounded(
         controller.proofs,
         controller.compensation.X,
         [way.column for way in ways],
-        output=controller.generator is not None,
+        output=controller.tracking == "output",
         states=given,
     )
     if bounds is None:

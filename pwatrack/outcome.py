@@ -109,9 +109,8 @@ class Watch:
     """
 
     def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str], box: Box = ()) -> None:
-        plant, self._output = loop.controller.plant, loop.controller.generator is not None
-        self._loop, self._units = loop, units
-        self._names = plant.tracked_names if self._output else plant.states
+        self._loop, self._units, self._tracked = loop, units, loop.controller.tracking
+        self._names = loop.controller.error_names
         self._edges, self._number = tenths(samples), 0
         self._error = _Envelope(len(self._names))
         self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
@@ -122,7 +121,7 @@ class Watch:
         self._end = 0.0  # time of the last sample so far in s
         self._broken = ""
         self._robust = loop.controller.robust if covered(box, loop.conditions) else None
-        self._deviation = np.zeros(len(plant.B))  # largest size so far by which plants of the box differ along x_d
+        self._deviation = np.zeros(len(loop.plant.B))  # largest size so far by which plants of the box differ along x_d
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -132,7 +131,7 @@ class Watch:
         for k, (start, end) in enumerate(pairwise(self._edges)):
             self._error.see(k, block.tracking_error[max(start - number, 0) : max(end - number, 0)])
         self._reference = np.maximum(
-            self._reference, np.abs(block.tracked_d if self._output else block.x_d).max(axis=0)
+            self._reference, np.abs(block.tracked_d if self._tracked == "output" else block.x_d).max(axis=0)
         )
         self._norm = max(self._norm, float(norm.max()))
         self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
@@ -177,7 +176,7 @@ class Watch:
         self._deviation = np.maximum(self._deviation, robust.deviations(block.x_d, block.u_ff).max(axis=0))
         most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self._deviation)
         for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
-            signal: Form = ("output" if self._output else "state", k)
+            signal: Form = (self._tracked, k)
             error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]
             if len(above := np.flatnonzero(error > bound + rounding)):
                 return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
@@ -201,7 +200,7 @@ class Watch:
         It is counted as part of what an error may be anyway: a disturbance that comes late makes an error that comes
         late and is the largest so far, and does not grow without bound.
         """
-        signal: Form = ("output" if self._output else "state", k)
+        signal: Form = (self._tracked, k)
         return sum(
             bounds.sizes.get(signal, 0.0) * self._acting.get(bounds.channel, 0.0)
             for bounds in (self._loop.controller.bounds if any(self._acting.values()) else ())
@@ -229,7 +228,7 @@ class Watch:
         practical = self._loop.controller.practical
         if practical is None or not self._loop.conditions.nominal:
             return None
-        bound = practical.norm("output" if self._output else "state", self._loop.controller.error_sizes.tolist())
+        bound = practical.norm(self._tracked, self._loop.controller.error_sizes.tolist())
         if self._final_norm > bound:
             return None
         unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
@@ -259,7 +258,7 @@ class Watch:
     def _expected(self) -> Array:
         """The size of reference and start of each entry of the error, in its unit: no error above it is a surprise."""
         assert self._first is not None
-        actual = self._first.tracked if self._output else self._first.x
+        actual = self._first.tracked if self._tracked == "output" else self._first.x
         start = np.maximum(np.abs(actual[0]), np.abs(self._first.tracking_error[0]))
         return np.asarray(np.maximum(self._reference, start))
 
@@ -269,7 +268,7 @@ class Watch:
 
     @property
     def _norm_name(self) -> str:
-        letter = "y" if self._output else "x"
+        letter = "y" if self._tracked == "output" else "x"
         return f"|{self._names[0]} − {self._names[0]}_d|" if len(self._names) == 1 else f"‖{letter} − {letter}_d‖"
 
     def _rounding_of_x(self, t: float) -> Array:
@@ -279,7 +278,7 @@ class Watch:
     def _rounding(self, t: float) -> Array:
         """Likewise in each entry of the tracking error."""
         of_x = self._rounding_of_x(t)
-        return np.asarray(np.abs(self._loop.plant.tracked) @ of_x if self._output else of_x)
+        return np.asarray(np.abs(self._loop.plant.tracked) @ of_x if self._tracked == "output" else of_x)
 
     def _with_unit(self, value: float, name: str) -> str:
         return f"{value:.3g} {self._units.get(name, '')}".rstrip()

@@ -9,6 +9,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
+import flint
 import numpy as np
 
 from pwatrack.arrays import Array
@@ -31,22 +32,18 @@ def decimals(X: Array) -> Rational:
 
 def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rational:
     """Return a matrix with these entries."""
-    import flint
-
     return flint.fmpq_mat(*shape, [flint.fmpq(v.numerator, v.denominator) for row in rows for v in row])
 
 
-def let_travel() -> None:
-    """Let exact matrices be pickled from now on, and with them a plant and all that is made from it."""
-    import flint
+def _taken_apart(X: Rational) -> tuple[Any, tuple[int, int, list[Any]]]:
+    return flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())
 
-    copyreg.pickle(flint.fmpq_mat, lambda X: (flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())))
+
+copyreg.pickle(flint.fmpq_mat, _taken_apart)  # and with it a plant, and all that is made from one
 
 
 def scalar(value: float) -> Any:
     """Return a number as the decimal that it is printed as."""
-    import flint
-
     exact = Fraction(repr(float(value)))
     return flint.fmpq(exact.numerator, exact.denominator)
 
@@ -58,8 +55,6 @@ def fraction_of(value: Any) -> Fraction:
 
 def identity(n: int) -> Rational:
     """Return I of order n."""
-    import flint
-
     return flint.fmpq_mat(n, n, [int(j == k) for j in range(n) for k in range(n)])
 
 
@@ -71,15 +66,11 @@ def floats(X: Rational) -> Array:
 
 def stacked(blocks: Sequence[Rational]) -> Rational:
     """Return matrices with the same number of columns, one below the other."""
-    import flint
-
     return flint.fmpq_mat(sum(X.nrows() for X in blocks), blocks[0].ncols(), [v for X in blocks for v in X.entries()])
 
 
 def on_entries(X: Rational, rows: Sequence[int], columns: Sequence[int]) -> Rational:
     """Return the entries of some rows and columns."""
-    import flint
-
     return flint.fmpq_mat(len(rows), len(columns), [X[j, k] for j in rows for k in columns])
 
 
@@ -95,8 +86,6 @@ def column_space(X: Rational) -> Rational:
         >>> column_space(decimals(np.array([[2.0, 0.0, 4.0], [0.0, 0.0, 0.0]]))).tolist()
         [[1], [0]]
     """
-    import flint
-
     reduced, rank = X.transpose().rref()
     rows = reduced.tolist()[:rank]
     return flint.fmpq_mat(rank, X.nrows(), [v for row in rows for v in row]).transpose()
@@ -114,8 +103,6 @@ def left_null_space(X: Rational) -> Rational:
         >>> left_null_space(decimals(np.array([[1.0], [2.0]]))).tolist()
         [[-2, 1]]
     """
-    import flint
-
     reduced, rank = X.transpose().rref()
     n, rows = X.nrows(), reduced.tolist()[:rank]
     pivots = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
@@ -138,8 +125,6 @@ def is_hurwitz(M: Rational) -> bool:
         >>> is_hurwitz(decimals(np.array([[0.0, 1.0], [-1.0, 0.0]])))
         False
     """
-    import flint
-
     polynomial = M.charpoly()
     falling = [polynomial[k] for k in range(M.nrows(), -1, -1)]
     above, here = falling[0::2], falling[1::2]
@@ -179,8 +164,6 @@ def on_rows(A: Rational, N: Rational) -> Rational:
 
 def is_positive_definite(X: Rational) -> bool:
     """Decide X ≻ 0 by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
-    import flint
-
     n = X.nrows()
     before, bits = flint.ctx.prec, 128
     try:
@@ -231,8 +214,6 @@ def is_positive_semidefinite(X: Rational, kernel: Rational | None = None) -> boo
 
 def _looks_definite(X: Rational) -> bool:
     """Say whether ball arithmetic will show soon that X ≻ 0, whose entries may be too large for floats."""
-    import flint
-
     size = max((abs(v) for v in X.entries()), default=flint.fmpq(1))
     if not size > 0:
         return False

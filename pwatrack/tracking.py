@@ -147,16 +147,16 @@ def check_breaks(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
 ) -> None:
     """Refuse a reference whose breaks cannot be timed well enough."""
-    plant, reference = spec.problem.plant, spec.problem.reference
+    plant, reference, tracking = spec.problem.plant, spec.problem.reference, spec.problem.tracking
     smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
     try:
         check_timing(
             plant,
             gains.K,
             trajectory,
-            outputs=np.eye(len(plant.states)) if generator is None else plant.tracked,
+            outputs=np.eye(len(plant.states)) if tracking == "state" else plant.tracked,
             smooth=None if smooth is None else (smooth, 1 if generator is None else min(generator.form.degrees)),
-            subject=("reference", "state" if generator is None else "output"),
+            subject=("reference", tracking),
         )
     except InvalidSpec as fast:
         said = "" if smooth is None else f"smooth: {smooth:g} s is too short: "

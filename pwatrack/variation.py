@@ -11,7 +11,6 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.causes import Subject
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.outcome import Outcome, Watch
-from pwatrack.rational import let_travel
 from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
@@ -101,25 +100,16 @@ def ensemble(
     executor: Executor | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> EnsembleResult:
-    """Run a simulated closed loop again in many variations, each as exactly as `simulate` does.
+    """Run a simulated closed loop again in many variations: what `pwatrack.api.ensemble` does, which says the rest.
 
     Args:
-        result: What `simulate(spec)` returned.
-        count: How many members; the first members of a larger ensemble are the same.
+        result, count, seed, workers, progress: As there.
         over: What differs. "initial": the initial states, drawn uniformly from the regions of the spec; where it
             says none, each state of the plant starts within the largest size it has in `result` of its nominal start.
             "parameters": those of the plant, drawn uniformly from the intervals of the spec; where it says none, from
             5 % around each value that matters to the plant. "noise": the seed of the noise.
-        seed: Of the random numbers, at least 0.
-        workers: Threads; None for one on each core. The result does not depend on it.
         executor: Who does the work instead of threads here, `workers` parts at a time. The result does not depend on
             it either.
-        progress: Called with the number of members done, now and then.
-
-    Raises:
-        InvalidSpec: If there is too much to keep, nothing to vary, or a region does not fit the generator.
-        OutsideTheory: If the plant of a member is not of class (1).
-        CheckFailed: If a member chatters or grows without bound.
 
     Example:
         >>> from pwatrack import load_spec, simulate
@@ -171,12 +161,10 @@ def _handed_on(
     progress: Callable[[int], object] | None,
 ) -> Ensemble:
     """Return all members; others simulate them, in parts, each from the run and the random numbers that it draws."""
-    let_travel()
-    count = drawn[1]
+    count, known = drawn[1], replace(result, spool=None)  # which no member needs
     size = max(1, -(-count // (_PARTS * workers)))
     futures = [
-        executor.submit(_part, result, *drawn, range(first, min(first + size, count)))
-        for first in range(0, count, size)
+        executor.submit(_part, known, *drawn, range(first, min(first + size, count))) for first in range(0, count, size)
     ]
     parts = list[Ensemble]()
     try:
@@ -191,7 +179,6 @@ def _handed_on(
 
 
 def _part(result: Result, over: Over, count: int, seed: int, which: range) -> Ensemble:
-    let_travel()
     return _simulated(result.spec, _VARIED[over](result, count, seed), which, 1)
 
 

@@ -4,6 +4,7 @@ import ast
 import doctest
 import json
 import math
+import pickle
 import re
 import subprocess
 import sys
@@ -447,6 +448,31 @@ def test_the_program_of_a_design_is_that_of_its_run() -> None:
     assert program.K.tolist() == made.K.tolist()
     with pytest.raises(InvalidSpec, match="has no sample time"):
         _ = design(problem(plant(**STOP), **ASKED)).controller
+
+
+def test_problems_designs_and_runs_can_be_pickled_and_are_the_same_elsewhere(tmp_path: Path) -> None:
+    asked = problem(plant(**STOP), reference="0.1*sin(t)", simulation={"duration": 5, "sample_time": 0.01})
+    run = simulate(asked)
+    spec, made, again = pickle.loads(pickle.dumps((asked, design(asked), run)))
+    assert not differences(spec, asked)
+    assert not differences(again.spec, asked)
+    assert np.array_equal(simulate(made).e, run.e)
+    assert np.array_equal(again.e, run.e)
+    (tmp_path / "design").write_bytes(pickle.dumps(made))
+    program = f"import pickle; print(pickle.load(open({str(tmp_path / 'design')!r}, 'rb')).K.tolist())"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert json.loads(found.stdout) == run.controller.K.tolist()
+
+
+def test_a_long_run_takes_its_samples_along_when_it_is_pickled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pwatrack.pipeline.MOST_KEPT", 100)
+    asked = problem(plant(**STOP), reference="0.1*sin(t)", simulation={"duration": 5, "sample_time": 0.01})
+    run = simulate(asked)
+    again = pickle.loads(pickle.dumps(run))
+    assert len(run.e) < 501
+    whole = [np.concatenate([block.tracking_error for block in one.blocks()]) for one in (run, again)]
+    assert len(whole[0]) == 501
+    assert np.array_equal(whole[0], whole[1])
 
 
 def test_what_is_refused_in_a_design_is_said_by_argument() -> None:

@@ -60,12 +60,12 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     console = Console(file=io.StringIO(), width=200)
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
-        try:
-            reference, _ = known(spec)
-        except PwatrackError as error:
-            reference = str(error)
         sizes, tracking = spec_sizes(spec), spec.problem.tracking
         report = applicability(spec.problem.plant, tracking=tracking, sizes=sizes)
+        try:
+            reference, _ = known(spec, report)
+        except PwatrackError as error:
+            reference = str(error)
         print_plant(console, spec.name, report, reference, sizes)
         controller = design(spec, growing=True)
         result = simulate(spec, controller)

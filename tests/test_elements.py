@@ -24,6 +24,7 @@ from pwatrack.report.certificate import design_certificate, refusal_certificate,
 from pwatrack.report.export import of_spec
 from pwatrack.report.files import write_design
 from pwatrack.report.verify import verify
+from tests.conftest import designed
 
 STOPS = """
 name: stops
@@ -45,10 +46,7 @@ simulation: {duration: 1, sample_time: 0.1}
 
 @pytest.fixture(scope="module")
 def stops(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("stops")
-    (folder / "stops.yaml").write_text(STOPS)
-    spec = load_spec(folder / "stops.yaml")
-    return write_design(spec, design(spec), folder / "run")
+    return designed(tmp_path_factory.mktemp("stops"), STOPS)
 
 
 def certificate(folder: Path) -> dict[str, Any]:
@@ -131,7 +129,7 @@ def test_a_plant_of_nonlinearities_is_proved_as_it_is_written(stops: Path) -> No
     said = verify(stops)
     assert said[0] == "plant: 9 cells cover the state space, the field is continuous"
     assert "generator.json beside it tells the same" in said
-    listed = certificate(stops) | subject_content(load_spec(stops.parent / "stops.yaml"), listed=True)
+    listed = certificate(stops) | subject_content(load_spec(stops.parent / "plant.yaml"), listed=True)
     assert len(listed["plant"]["A"]) == 9
     found, faults = audit(json.dumps(listed))
     assert not faults
@@ -186,7 +184,7 @@ def test_generator_json_is_not_vouched_for_where_neither_spec_nor_cells_are_at_h
     generator["A_eta"][4][0][0] += 1.0
     (run / "generator.json").write_text(json.dumps(generator))
     with pytest.raises(CheckFailed, match=r"generator\.json is not that of this plant"):
-        verify(run, stops.parent / "stops.yaml")
+        verify(run, stops.parent / "plant.yaml")
 
 
 @pytest.mark.parametrize(

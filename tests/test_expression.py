@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from flint import arb, fmpq
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pwatrack.real import Real
@@ -356,8 +356,8 @@ def test_arithmetic_with_decimals_is_that_of_fractions(text: str) -> None:
     except ZeroDivisionError:
         with pytest.raises(ExpressionError, match="divides by zero"):
             real(text, {"k": 1.75})
-        return
-    assert real(text, {"k": 1.75}) == Real(expected)
+    else:
+        assert real(text, {"k": 1.75}) == Real(expected)
 
 
 _PLAIN = {"abs": abs, "min": min, "max": max}
@@ -413,14 +413,18 @@ def test_a_linear_form_has_the_value_that_python_computes_at_every_point(text: s
 def test_an_inequality_holds_exactly_where_its_form_is_not_negative(
     left: str, right: str, comparison: str, point: list[int]
 ) -> None:
-    try:
-        (form,) = inequalities(f"{left} {comparison} {right}", ["z1", "z2", "z3"], {})
-    except ExpressionError as error:
-        assert "does not depend on any state" in str(error)  # noqa: PT017
-        return
+    names = ["z1", "z2", "z3"]
+    assume(linear_form(f"({left}) - ({right})", names, {}).row.any())  # else it is refused
+    (form,) = inequalities(f"{left} {comparison} {right}", names, {})
     states = {f"z{k + 1}": float(v) for k, v in enumerate(point)}
     held = eval(f"{left} {comparison[0]}= {right}", {"__builtins__": {}}, states)
     assert (float(form.row @ np.array(point, dtype=float)) + form.constant >= 0) == held
+
+
+@pytest.mark.parametrize("text", ["1 < 2", "z1 - z1 >= 0", "0*z2 > -1"])
+def test_an_inequality_without_a_state_is_refused(text: str) -> None:
+    with pytest.raises(ExpressionError, match="does not depend on any state"):
+        inequalities(text, ["z1", "z2", "z3"], {})
 
 
 @pytest.mark.parametrize("text", ["8.6e-05", "1e+07", "2.E-010", "z - 3e-05"])

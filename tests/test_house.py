@@ -43,11 +43,47 @@ def test_no_function_is_long() -> None:
     assert not found
 
 
+def number(node: ast.AST | None) -> bool:
+    """Whether it is a number, or made of numbers alone."""
+    if isinstance(node, ast.Tuple):
+        return bool(node.elts) and all(map(number, node.elts))
+    if isinstance(node, ast.BinOp):
+        return number(node.left) and number(node.right)
+    if isinstance(node, ast.Call):
+        return ast.unparse(node.func) in ("Fraction", "range") and all(map(number, node.args))
+    node = node.operand if isinstance(node, ast.UnaryOp) else node
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+
+
+def test_every_number_that_a_module_decides_by_has_its_reason_beside_it() -> None:
+    for module in MODULES:
+        rows = module.read_text(encoding="utf-8").splitlines()
+        for node in ast.parse("\n".join(rows)).body:
+            if isinstance(node, ast.Assign) and number(node.value):
+                around = [*rows[node.lineno - 1 : node.end_lineno], rows[node.lineno - 2][:1]]
+                assert any("#" in row for row in around), f"{name(module)}:{node.lineno}"
+
+
 def test_tests_and_benchmarks_call_nothing_private() -> None:
-    private = re.compile(r"(?<!self)(?<!cls)\._(?!replace\b|asdict\b|fields\b|_)\w|import .*(?<=[ ,])_[a-z]")
+    private = re.compile(
+        r"(?<!self)(?<!cls)\._(?!replace\b|asdict\b|fields\b|_)\w|import .*(?<=[ ,])_[a-z]|attr\(.*\"_[A-Za-z]"
+    )
     for file in [*Path(__file__).parent.glob("*.py"), *(HOUSE.parent / "benchmarks").glob("*.py")]:
         for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
             assert not private.search(line), f"{file.name}:{number}: {line.strip()}"
+
+
+def test_properties_end_early_by_assume_alone() -> None:
+    """A `return` for what does not apply would count as passed."""
+    found = [
+        f"{file.name}:{inner.lineno}"
+        for file in Path(__file__).parent.glob("*.py")
+        for test in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(test, ast.FunctionDef) and any("given(" in ast.unparse(each) for each in test.decorator_list)
+        for inner in ast.walk(test)
+        if isinstance(inner, ast.Return) and inner.value is None
+    ]
+    assert not found
 
 
 def test_the_tree_of_architecture_is_true() -> None:

@@ -11,7 +11,14 @@ from pwatrack import load_spec
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
 from pwatrack.model.merging import merged, merges
-from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm, dead_zone, piecewise_linear
+from pwatrack.model.nonlinearity import (
+    Nonlinearity,
+    PiecewiseLinear,
+    ScalarForm,
+    dead_zone,
+    generate_cells,
+    piecewise_linear,
+)
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.real import Real
@@ -135,6 +142,63 @@ def test_cells_that_are_no_sum_of_elements_are_left_alone() -> None:
         C=[[1, 0]],
     )
     assert scalar_form(plant) is None
+
+
+def test_a_border_that_ends_inside_a_cell_is_no_element() -> None:
+    """min(x, y) in the first quadrant, 0 elsewhere: x = 0 bends wherever it is a border, and not below y = 0."""
+    corner = Partition.create(
+        H=[[1, 0], [0, 1], [1, -1], [2, -1]],
+        h=[0, 0, 0, 0],
+        signs=[[0, 1, 1, 0], [1, 0, -1, 0], [0, -1, 0, 1], [-1, 0, 0, -1]],
+        names=["a", "b", "below", "left"],
+    )
+    plant = PWASystem.create(
+        partition=corner,
+        A=[[[0, 1], [0, 0]], [[1, 0], [0, 0]], [[0, 0], [0, 0]], [[0, 0], [0, 0]]],
+        b=[[0, 0]] * 4,
+        B=[[0], [1]],
+        C=[[1, 0]],
+    )
+    assert len(plant.partition.facets) == 4
+    assert scalar_form(plant) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_cells_that_name_only_their_borders_are_read_too(seed: int) -> None:
+    """A dead zone along each of two rows; of parallel borders a cell outside needs only one."""
+    random = np.random.default_rng(seed)
+    rows = np.round(random.normal(size=(2, 3)), 2)
+    elements = tuple(
+        Nonlinearity(
+            name=f"e{k}",
+            function=dead_zone(lower=-1, upper=2, lower_slope=0.5, upper_slope=3),
+            row=rows[k].tolist(),
+            constant=0,
+            direction=np.round(random.normal(size=3), 2).tolist(),
+        )
+        for k in range(2)
+    )
+    A, b, sides = random.integers(-3, 4, size=(3, 3)), [[0], [1], [0]], ((-1, 0), (1, -1), (0, 1))
+    _, fields, offsets = generate_cells(BallMatrix.of(A), BallMatrix.of(b), elements)
+    plant = PWASystem.create(
+        partition=Partition.create(
+            H=np.repeat(rows, 2, axis=0),
+            h=[1, -2, 1, -2],
+            signs=[i + j for i in sides for j in sides],
+            names="abcdefghi",
+        ),
+        A=fields,
+        b=offsets,
+        B=np.ones((3, 1)),
+        C=np.eye(3)[:1],
+    )
+    read = scalar_form(plant)
+    assert read is not None
+    assert len(read.elements) == 2
+    again = merged(plant, read, {})
+    for x in random.integers(-40, 40, size=(40, 3)):
+        point = tuple(Fraction(int(v), 7) for v in x)
+        assert field(again, point) == field(plant, point)
 
 
 def test_what_cells_say_is_what_was_written(specs: Path) -> None:

@@ -95,6 +95,32 @@ def test_where_cells_are_merged_check_names_that_route_too(name: str) -> None:
     assert found.taken.split(", else ")[-1] == "practical tracking"
 
 
+def test_of_many_cells_too_it_says_whether_merging_helps(tmp_path: Path) -> None:
+    """81 cells: two staircases of eight corners, each of which could be one line."""
+    marks, slopes = ", ".join(str(k / 8) for k in range(8)), ", ".join(["0.1, 0.2"] * 4)
+    stairs = f"kind: piecewise_linear, breakpoints: [{marks}], slopes: [{slopes}, 0.1]"
+    (tmp_path / "stairs.yaml").write_text(
+        f"""\
+name: stairs
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities: [{{name: one, of: z, {stairs}, into: {{v: -1}}}}, {{name: two, of: v, {stairs}, into: {{v: -1}}}}]
+reference: {{output: "0.1*sin(t)"}}
+simulation: {{duration: 1, sample_time: 0.1}}
+"""
+    )
+    plant = load_spec(tmp_path / "stairs.yaml").problem.plant
+    found = applicability(plant)
+    assert (len(plant.A), found.taken) == (81, "Theorem 3, else practical tracking")
+    assert found.merged is not None
+    assert len(found.merged.plant.A) == 1
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

@@ -13,14 +13,13 @@ from pwatrack.batch.pool import Lost
 from pwatrack.control.controller import Controller
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.report.terminal import told
-from pwatrack.spec.axis import Axis
+from pwatrack.spec.axis import MOST, Axis
 
 Method = Literal["grid", "random", "lhs"]
 PROVED, POLYNOMIAL, PRACTICAL, NONE = "proved", "proved by a polynomial", "practical", "none"
 PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 
-_MOST = 1_000_000  # points
-_HALVINGS = 60
+_HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +83,8 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
     if len(set(names)) < len(names):
         raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")
     total = prod(one.points for one in axes) if method == "grid" else count
-    if total > _MOST:
-        raise InvalidSpec(f"--sweep: {total:,} points, at most {_MOST:,} are looked at")
+    if total > MOST:
+        raise InvalidSpec(f"--sweep: {total:,} points, at most {MOST:,} are looked at")
     if method == "grid":
         return [dict(zip(names, row, strict=True)) for row in product(*(one.grid for one in axes))]
     import numpy as np

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
-_MEGABYTE = 2**20
+_MEGABYTE = 2**20  # bytes
 
 
 class OutOfMemory(Exception):

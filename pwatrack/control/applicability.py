@@ -6,10 +6,9 @@ import numpy as np
 
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
-from pwatrack.control.practical import widest
 from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, stable
 from pwatrack.errors import OutsideTheory, PwatrackError
-from pwatrack.model.merging import merged
+from pwatrack.model.merging import merged, widest
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
@@ -17,7 +16,6 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.rational import is_hurwitz
 
 _OUTPUT: frozenset[Tracking] = frozenset({"output"})
-_MERGED_HERE = 50  # cells at most: of more, which can be merged is a search of its own
 
 
 def _alone(facts: Facts) -> Answer:
@@ -94,8 +92,6 @@ def _practical(facts: Facts) -> Answer:
     """Judge whether merging cells leaves a plant that can be tracked exactly: see `control.practical`."""
     if facts.uncertain:
         return No("its bounds are not proved with uncertain parameters")
-    if facts.many:
-        return Needs("a look at which cells can be merged, which is not taken here", f"more than {_MERGED_HERE} cells")
     if facts.merged is None:
         return No("no scalar nonlinearity has two corners that could become one or none")
     if facts.tracking == "output" and facts.form is None and not facts.asked:
@@ -175,15 +171,13 @@ def applicability(
         ((2,), 'Theorem 3, else practical tracking')
     """
     sizes = sizes or Sizes.of(plant)
-    many = len(plant.A) > _MERGED_HERE
-    scalar = None if many else scalar_form(plant)
+    scalar = scalar_form(plant)
     ways = {} if scalar is None else widest(scalar)
     less = merged(plant, scalar, ways) if scalar is not None and ways else None
     facts = replace(
         _facts(plant, sizes, tracking),
         asked=asked,
         uncertain=uncertain,
-        many=many,
         merged=None if less is None else _facts(less, sizes, tracking),
     )
     answers = tuple((route, route.judge(facts)) for route in ROUTES)

@@ -37,7 +37,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag, eigh
 
-from pwatrack.arrays import Array, symmetric_part
+from pwatrack.arrays import OVER_SUMS, Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside
 from pwatrack.control.compensation import coupling
 from pwatrack.lmi.chords import PeakGain
@@ -51,8 +51,6 @@ from pwatrack.rational import floats, identity
 
 MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
-_KEPT = 0.97  # of the rates of the proofs that an ellipsoid starts from
-_ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation"], int]
@@ -251,7 +249,7 @@ class Loops:
         total = {signal: feedback[0].get(signal, 0.0) for signal in seen}
         for signal in seen:
             total[signal] += sum(drive * sizes.get(signal, np.inf) for drive, (sizes, _) in steps if drive)
-        sizes = {signal: size * _ABOVE for signal, size in total.items() if np.isfinite(size)}
+        sizes = {signal: size * OVER_SUMS for signal, size in total.items() if np.isfinite(size)}
         proofs = (part for drive, (_, parts) in steps if drive for part in parts)
         return sizes, (*feedback[1], *proofs) if sizes else ()
 
@@ -320,7 +318,7 @@ class Loops:
 def _inner(proof: Proof, *, invert: bool) -> Inner:
     """Return the Q of a proof: (8) is stated for it, (9) for its inverse."""
     P = proof.P
-    return Inner(Q=floats(P.inv() if invert else P), most=2 * _KEPT * proof.rate)
+    return Inner.proved(floats(P.inv() if invert else P), proof.rate)
 
 
 def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:

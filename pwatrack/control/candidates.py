@@ -21,6 +21,7 @@ from pwatrack.lmi.program import (
     smallest_gain,
 )
 from pwatrack.lmi.solve import solve
+from pwatrack.lmi.starts import WEIGHINGS, weighed
 
 _FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
@@ -29,8 +30,6 @@ _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / �
 _RECENTRED = 6  # times at most that the largest margin is looked for in the coordinates of its last answer
 _CLOSER = 3  # times that the bound of the norm is drawn closer
 _NEAR = 1e-3  # gap of each of them: a part of that is lost of the norm, and the next one can begin where it ended
-_WEIGHINGS = 3  # times that an ellipsoid around a box is chosen
-_LEAST_WEIGHT = 1e-4  # of a direction of that box
 _SPARED = 1e-3  # of the bounds of inputs, for the exact proof
 _WORTH_IT = 0.95  # of the norm: while a closer bound makes it smaller than that share, another one follows
 
@@ -108,7 +107,7 @@ class Candidates:
         box = _Box.of(at, starts, left)
         inequality = bounded_cost(at.system(self.A) + shift, at.input(self.task.B), at.rows(rows), R)
         found, least = list[Candidate](), np.inf
-        for _ in range(_WEIGHINGS):
+        for _ in range(WEIGHINGS):
             solution = solve(least_worst_cost(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
             if solution is None or solution.impossible or not _definite(solution.P) or not solution.t < least:
                 break
@@ -122,7 +121,7 @@ class Candidates:
         at = self._regulated(shift)
         inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
         box, best, most = _Box.of(at, starts, left), None, 0.0
-        for _ in range(_WEIGHINGS):
+        for _ in range(WEIGHINGS):
             solution = solve(gain_from_starts(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
             if solution is None or not _definite(solution.P) or not solution.t > most:
                 break
@@ -244,9 +243,7 @@ class _Box:
 
     def weighed(self, P: Array) -> "_Box":
         """Return the same with an ellipsoid that is more like that of P."""
-        shares = np.abs(self.G.T @ np.linalg.solve(P, self.G)).sum(axis=1)
-        weights = np.maximum(shares / shares.sum(), _LEAST_WEIGHT)
-        return replace(self, weights=weights / weights.sum())
+        return replace(self, weights=weighed(self.G, P))
 
 
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:

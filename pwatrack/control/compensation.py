@@ -26,6 +26,7 @@ right. It has one solution, as no eigenvalue of A_ηi is on the imaginary axis a
 from dataclasses import dataclass
 from functools import reduce
 
+import flint
 import numpy as np
 
 from pwatrack.arrays import Array
@@ -157,8 +158,6 @@ def resting(loads: Loads, form: NormalForm) -> Rational:
 
     It is that of the first cell, for numbers that are exact.
     """
-    import flint
-
     r, n, p = form.r, form.r + len(form.eta_names), loads.S.shape[0]
     q, nothing = n - r, flint.fmpq_mat(n - r, p)
     if not q or not form.plant.exact.exact or loads.E.radius is not None or loads.S.radius is not None:

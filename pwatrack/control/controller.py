@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -54,6 +55,16 @@ class Controller:
     practical: Practical | None = None
 
     @property
+    def tracking(self) -> Literal["output", "state"]:
+        """What goes to 0: y − y_d of what is tracked (Theorem 3), or x − x_d (Theorem 2)."""
+        return "state" if self.generator is None else "output"
+
+    @property
+    def error_names(self) -> tuple[str, ...]:
+        """Names of what the tracking error has entries for."""
+        return self.plant.states if self.generator is None else self.plant.tracked_names
+
+    @property
     def running(self) -> PWASystem:
         """The plant that it controls."""
         return self.plant if self.practical is None else self.practical.plant
@@ -76,9 +87,8 @@ class Controller:
     @cached_property
     def compensation(self) -> Compensation:
         """What the estimates of loads add to the desired trajectory."""
-        form = None if self.generator is None else self.generator.form
         played_back = self.trajectory.preview is not None
-        return compensation(self.plant, form, self.trajectory.rate.shape[1], played_back=played_back)
+        return compensation(self.plant, self.form, self.trajectory.rate.shape[1], played_back=played_back)
 
     @cached_property
     def guarantees(self) -> Guarantees:
@@ -90,11 +100,10 @@ class Controller:
 
         With merged cells what these leave in the end comes on top of it.
         """
-        output = self.generator is not None
-        bound = self.guarantees.tracking_error(t, start, observer_start, output=output)
+        bound = self.guarantees.tracking_error(t, start, observer_start, output=self.tracking == "output")
         if self.practical is None:
             return bound
-        return bound + self.practical.norm("output" if output else "state", self.error_sizes.tolist())
+        return bound + self.practical.norm(self.tracking, self.error_sizes.tolist())
 
     def observer_bound(self, t: Array, start: Array) -> Array:
         """Return what is proved of |x̂ − x|, likewise."""
@@ -106,7 +115,7 @@ class Controller:
     @property
     def error_sizes(self) -> Array:
         """What each entry of the tracking error counts in a norm of them all: its size; 1 where it is the only one."""
-        sizes = self.sizes.state if self.generator is None else self.sizes.tracked
+        sizes = self.sizes.state if self.tracking == "state" else self.sizes.tracked
         return np.ones(1) if len(sizes) == 1 else sizes
 
     @property
@@ -128,7 +137,7 @@ class Controller:
     @cached_property
     def _loops(self) -> Loops:
         K, L = self.design.exact
-        return Loops(self.plant, K, L, self.proofs, self.compensation.X, output=self.generator is not None)
+        return Loops(self.plant, K, L, self.proofs, self.compensation.X, output=self.tracking == "output")
 
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:

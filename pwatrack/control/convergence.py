@@ -28,7 +28,7 @@ _CONVERGED = 1e-4  # relative distance to the next rate to try at which the sear
 _NEAR = 1e-2  # gap of the margins: the next one can begin where such a one ended, and P is well inside
 _ENCLOSED = 1e-3  # of a rate that is out of reach: where the best one is that near, the search ends
 _CLOSE = 1e-4  # gap of the least condition number, whose root is the overshoot
-_FEW_ROWS = 250  # of a program for a polynomial, up to which one more costs next to nothing
+FEW_ROWS = 250  # of a program for a polynomial, up to which one more costs next to nothing
 _WORTH_IT = 1.1  # times the rate of a polynomial, for which one of a higher degree is taken
 _RECENTRED = 4  # so often the coordinates are improved while no P is found
 _SOON = 1  # the same for one gain of many
@@ -249,7 +249,7 @@ def _polynomial(
         return None, ()
     numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
     near, tried = near_polynomial(A, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
-    best, small = None, degrees(A.shape[1], len(A), _FEW_ROWS)
+    best, small = None, degrees(A.shape[1], len(A), FEW_ROWS)
     for degree in degrees(A.shape[1], len(A)):
         if best is not None and degree not in small:
             break

@@ -10,13 +10,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.lmi.exact import unpacked
 from pwatrack.lmi.norm import root_above
 from pwatrack.rational import rational
-
-_ABOVE = 1 + 1e-9  # more than the rounding of the few operations and exponentials of a bound
 
 
 def from_start(
@@ -48,14 +46,14 @@ def from_start(
         if all(signal in bounds.sizes for bounds in starts):
             groups = zip(starts, np.split(start, first[1:]), strict=True)
             total = sum(bounds.sizes[signal] * float(np.linalg.norm(entries)) for bounds, entries in groups)
-            most[signal] = np.full(len(t), total * _ABOVE)
+            most[signal] = np.full(len(t), total * OVER_POWERS)
     for part in (part for bounds in (*found, *starts) for part in bounds.parts):
         if part.loop == "controller":
             continue  # e by itself is driven by Δ
         size = _norm(
             part.ellipsoid.integers, part.ellipsoid.exponents, start if part.loop == "joint" else start[states:]
         )
-        decay = size * np.exp(-part.ellipsoid.a / 2 * t) * _ABOVE
+        decay = size * np.exp(-part.ellipsoid.a / 2 * t) * OVER_POWERS
         for signal, bound in zip(part.signals, part.ellipsoid.sizes, strict=True):
             if part.loop == "joint" or signal[0] == "estimate":  # the observer's loop has its half of others
                 most[signal] = np.minimum(most.get(signal, np.inf), bound * decay)
@@ -77,7 +75,7 @@ def with_acting(
     """
     by_channel = {bounds.channel: bounds.sizes for bounds in found}
     return {
-        signal: values + sum(by_channel[channel][signal] * size * _ABOVE for channel, size in acting.items())
+        signal: values + sum(by_channel[channel][signal] * size * OVER_POWERS for channel, size in acting.items())
         for signal, values in most.items()
         if all(signal in by_channel[channel] for channel in acting)
     }

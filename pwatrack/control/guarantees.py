@@ -19,7 +19,7 @@ from fractions import Fraction
 import numpy as np
 from scipy.special import exprel
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
@@ -32,8 +32,6 @@ from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import Rational, floats, identity, scalar
-
-_ABOVE = 1 + 1e-9  # more than the rounding of the few operations and exponentials of a bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +83,7 @@ class Guarantees:
         """
         start = np.pad(start, (0, self.loads))
         bounds = [o.from_norm * o.gauge.above(start) * np.exp(-o.rate * t) for o in self.observer]
-        return np.asarray(np.min(bounds, axis=0) * _ABOVE)
+        return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
 
     def tracking_error(self, t: Array, start: Array, observer_start: Array, *, output: bool) -> Array:
         """Return a bound of |x − x_d| or |y − y_d|, in sizes where there are several states or outputs, at the times t.
@@ -103,7 +101,7 @@ class Guarantees:
             own = c.gauge.above(start) * np.exp(-c.rate * t)
             for o, drive in zip(self.observer, drives, strict=True):
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
-        return np.asarray(np.min(bounds, axis=0) * _ABOVE)
+        return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
 
     def left(self, driven: Array) -> float:
         """Return a bound of |y − y_d| in the end where e' has more terms, Σ d_k driven_k, |d_k| ≤ 1.
@@ -115,7 +113,7 @@ class Guarantees:
             size / c.rate * sum(map(c.gauge.driven, driven.T))
             for c, size in zip(self.controller, self.output, strict=True)
         )
-        return float(min(found)) * _ABOVE
+        return float(min(found)) * OVER_POWERS
 
     @property
     def rate(self) -> float:
@@ -205,7 +203,7 @@ def _size(X: BallMatrix, of: Norm, to: Norm) -> float:
     rows, n = X.shape
     away = float(np.linalg.norm(floats(X.radius)))
     lengths = largest_gain(identity(n), of, Norm.euclidean(n)) * largest_gain(identity(rows), Norm.euclidean(rows), to)
-    return (gain + away * lengths) * _ABOVE
+    return (gain + away * lengths) * OVER_POWERS
 
 
 def _convolution(a: float, b: float, t: Array) -> Array:

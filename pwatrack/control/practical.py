@@ -22,13 +22,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pwatrack.arrays import OVER_SUMS
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak
 from pwatrack.control.synthesis import Design
 from pwatrack.errors import Problem
 from pwatrack.lmi.chords import PeakGain, peak_gain
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.model.merging import Merge, merges
+from pwatrack.model.merging import Merge, merges, widest
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -69,7 +70,7 @@ class Practical:
     def norm(self, kind: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
         """Return below what the norm of all signals of a kind ends, each counted in its size."""
         each = [self.final[kind, k] / size for k, size in enumerate(sizes)]
-        return float(np.linalg.norm(each)) * (1 + 1e-12)
+        return float(np.linalg.norm(each)) * OVER_SUMS
 
 
 def least_merges(
@@ -109,12 +110,6 @@ def least_merges(
                 chosen = trial
                 break
     return dict(sorted(chosen.items()))
-
-
-def widest(form: ScalarForm) -> dict[int, Merge]:
-    """Return each element merged whole, where it can be."""
-    ways = {k: found for k in range(len(form.elements)) if (found := merges(form, k))}
-    return {k: max(found, key=lambda merge: merge.last - merge.first) for k, found in ways.items()}
 
 
 def deviation_bounds(

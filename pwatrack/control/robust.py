@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import OVER_SUMS, Array, number_text
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
@@ -35,9 +35,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity
 
-_KEPT = 0.97  # of the rate of the P that ellipsoids start from
 _CLAIM = "the proof for the uncertain parameters"
-_ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +80,7 @@ class Robust:
         for bounds in self.bounds:
             for signal in total:
                 total[signal] += bounds.sizes[signal] * float(deviation[bounds.channel[1]])
-        return {signal: size * _ABOVE for signal, size in total.items()}
+        return {signal: size * OVER_SUMS for signal, size in total.items()}
 
     @cached_property
     def _differences(self) -> list[tuple[Array, Array, Array]]:
@@ -142,7 +140,7 @@ def prove_box(
     n = len(plant.B)
     no_loads = BallMatrix.of(np.zeros((n, 0)), (n, 0))
     loops = Loops(plant, K, L, proofs, no_loads, output=output)
-    loops.M["joint"], loops.inners["joint"] = M, [Inner(Q=found.P, most=2 * _KEPT * found.rate)]
+    loops.M["joint"], loops.inners["joint"] = M, [Inner.proved(found.P, found.rate)]
     bounds = []
     for k in varying_rows(plant.exact, corners):
         channel: Channel = ("disturbance", k)

@@ -28,8 +28,7 @@ class Facts:
         tracking: What was asked for.
         asked: Whether practical tracking is asked for, after any refusal of the theory.
         uncertain: Whether only intervals of some parameters are known.
-        merged: The same of the plant with all cells merged that can be; None where none can, or it is not worked out.
-        many: Whether there are so many cells that it is not.
+        merged: The same of the plant with all cells merged that can be; None where none can.
     """
 
     plant: PWASystem
@@ -41,7 +40,6 @@ class Facts:
     asked: bool = False
     uncertain: bool = False
     merged: "Facts | None" = None
-    many: bool = False
 
 
 @dataclass(frozen=True)

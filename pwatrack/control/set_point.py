@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import flint
 import numpy as np
 import scipy
 
@@ -86,8 +87,6 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
 
 def _solved(E: Rational, r: Rational) -> _Solutions | None:
     """Return all solutions of E z = r; equations that follow from the others need to agree to rounding only."""
-    import flint
-
     count, k = E.nrows(), E.ncols()
     kept = _pivots(E.transpose())
     rows, right = E.tolist(), r.tolist()
@@ -115,8 +114,6 @@ def _pivots(X: Rational) -> list[int]:
 
 def _inside(rows: Rational, offsets: Rational, z: Rational) -> bool:
     """Decide rows z + offsets ≥ 0, to rounding."""
-    import flint
-
     entries, point = rows.tolist(), z.entries()
     tolerance = flint.fmpq(1, round(1 / _ROUNDING))
     for row, offset in zip(entries, offsets.entries(), strict=True):

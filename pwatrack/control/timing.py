@@ -9,7 +9,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 
-_ALLOWED = 1e-9  # of the size of the reference: as exact as everything else that is shown
+ALLOWED = 1e-9  # of the size of the reference: as exact as everything else that is shown
 _MOST_DOUBLINGS = 60  # of a fraction of the fastest time constant: no plant has slower ones
 
 
@@ -33,14 +33,14 @@ def check_timing(
         InvalidSpec: With the time, the error to expect, and the shortest rounding that would do.
     """
     worst, time = timing_error(plant, K, trajectory, outputs=outputs)
-    if worst <= _ALLOWED:
+    if worst <= ALLOWED:
         return
-    shortest = None if smooth is None else smooth[0] * (worst / _ALLOWED) ** (1 / smooth[1])
+    shortest = None if smooth is None else smooth[0] * (worst / ALLOWED) ** (1 / smooth[1])
     raise InvalidSpec(
         Problem(
             message=f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
             f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
-            f"up to {_ALLOWED:g} is taken",
+            f"up to {ALLOWED:g} is taken",
             subject=subject,
             hint="round its corners over a longer time",
             remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),

@@ -3,6 +3,8 @@
 from fractions import Fraction
 from math import lcm
 
+import flint
+
 from pwatrack.causes import Part
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, OutsideTheory, Problem
@@ -121,8 +123,6 @@ def _check_between(plant: PWASystem, loads: Loads, members: list[int]) -> None:
 
 def _pencil(A: Rational, E: Rational, C: Rational, frequency: Fraction, *, loads: bool = True) -> Rational:
     """Return [A − jωI, E; C, 0] as a real matrix of twice the size: on real and imaginary parts."""
-    import flint
-
     (n, p), q = (A.nrows(), E.ncols() if loads else 0), C.nrows()
     X = flint.fmpq_mat(2 * (n + q), 2 * (n + p))
     w = flint.fmpq(frequency.numerator, frequency.denominator)

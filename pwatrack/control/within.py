@@ -16,8 +16,6 @@ from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.starts import held
 
-_KEPT = 0.97  # of the rate of the proof that an ellipsoid starts from
-
 
 @dataclass(frozen=True, kw_only=True)
 class Within:
@@ -51,7 +49,7 @@ class Within:
             return np.inf
         limited = np.flatnonzero(np.isfinite(self.left))
         rows = BallMatrix.of(K[limited], (len(limited), K.shape[1]))
-        inner = Inner(Q=proof.P, most=2 * _KEPT * proof.rate)
-        found = held(different(task.exactly_closed(K)), self.starts, rows, self.left[limited], inner)
+        closed, inner = different(task.exactly_closed(K)), Inner.proved(proof.P, proof.rate)
+        found = held(closed, self.starts, rows, self.left[limited], inner)
         sizes = np.zeros(0) if found is None else np.array(found.sizes)
         return 0.0 if found is None else float(1 / (sizes / self.left[limited]).max())

@@ -13,7 +13,7 @@ from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import read, runs
 from pwatrack.simulation.routine import COUNTS, memory, room, routine
 
-RAN, ENDED, REFUSED = 0, 1, -1
+_RAN = 0  # status before any step, and after one that was no fault: see `kernel.tick`
 
 
 class Controller:
@@ -47,7 +47,7 @@ class Controller:
                 hint="design it with a sample time: simulation.controller.sample_time",
             )
         self.file = file
-        self.status = RAN
+        self.status = _RAN
         self._real: Any = np.float32 if single else np.float64
         self._programs = {given: runs(file, given=given) for given in (False, True)}
         self._given: bool | None = None
@@ -101,7 +101,7 @@ class Controller:
         known = self._start()
         self._x_hat = np.array(known[0] if x_hat is None else x_hat, dtype=np.float64)
         self._eta_hat = np.array(known[1] if eta_hat is None else eta_hat, dtype=np.float64)
-        self._given, self.status = None, RAN
+        self._given, self.status = None, _RAN
         self._prepare(False)
 
     def step(self, y: ArrayLike, y_d: ArrayLike | None = None) -> NDArray[Any]:

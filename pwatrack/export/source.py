@@ -14,7 +14,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import runs
 
-_LAST_TICK = 2**32 - 2
+_LAST_TICK = 2**32 - 2  # that 32 bits count, with one to spare
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.tracking import starts_periodic
 
-_LARGEST = 2**28  # bytes of a file that is read
+LARGEST = 2**28  # bytes of a file that is read
 
 
 def content(
@@ -92,8 +92,8 @@ def read(path: Path) -> ControllerFile:
         InvalidSpec: If it cannot be read, is of another version, has been changed, or is not as its schema says.
     """
     try:
-        if path.stat().st_size > _LARGEST:
-            raise _refused(path, f"it has more than {_LARGEST:,} bytes")
+        if path.stat().st_size > LARGEST:
+            raise _refused(path, f"it has more than {LARGEST:,} bytes")
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise _refused(path, f"it cannot be read: {error}") from None
@@ -253,11 +253,11 @@ def _practical(spec: Spec, controller: Controller) -> list[dict[str, Any]] | Non
     """Return below what each tracked signal ends, where that is all that is proved of it."""
     if controller.practical is None:
         return None
-    plant, units = controller.plant, spec.problem.units
-    names = plant.states if controller.generator is None else plant.tracked_names
-    kind: Literal["state", "output"] = "state" if controller.generator is None else "output"
-    final = controller.practical.final
-    return [{"signal": name, "below": final[kind, k], "unit": str(units.get(name, ""))} for k, name in enumerate(names)]
+    units, final = spec.problem.units, controller.practical.final
+    return [
+        {"signal": name, "below": final[controller.tracking, k], "unit": str(units.get(name, ""))}
+        for k, name in enumerate(controller.error_names)
+    ]
 
 
 def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from fractions import Fraction
 from itertools import groupby
 from typing import Any
 
+import flint
 import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 
@@ -120,8 +121,6 @@ def _plan(M: Array, g: Array, c: Array, Q: Array, ellipsoid: Ellipsoid) -> tuple
 
 def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
     """Return P with MᵀP + P M + wᵀw a little below 0, w = c M², and the power of 4 that makes its entries whole."""
-    import flint
-
     n, w = M.nrows(), c * M * M
     square = w.transpose() * w
     more = _INSIDE * sum((fraction_of(square[j, j]) for j in range(n)), Fraction(0))
@@ -152,8 +151,6 @@ def _enclosed(
     M: Rational, g: Rational, c: Rational, P: Rational, Q: Rational, a: Fraction, unit: int, steps: list[int]
 ) -> Fraction:
     """Return an upper bound of the integral, by balls."""
-    import flint
-
     before = flint.ctx.prec
     flint.ctx.prec = _PRECISION
     try:
@@ -185,8 +182,6 @@ def _dyadic(value: Any) -> Fraction:
 
 def _chord(one: Any, other: Any) -> Any:
     """Return the mean size of a line from one value to another: (x² + y²) / (|x| + |y|) / 2 where it crosses 0."""
-    import flint
-
     x, y = flint.arb(one.mid()), flint.arb(other.mid())
     mean = (abs(x) + abs(y)) / 2 if not x * y < 0 else (x * x + y * y) / (abs(x) + abs(y)) / 2
     return mean + (flint.arb(one.rad()) + flint.arb(other.rad())) / 2

@@ -10,6 +10,11 @@ from scipy import sparse
 from pwatrack.arrays import Array
 
 
+def positive(order: int) -> Any:
+    """Return the cone of X ⪰ 0 of an order: its upper triangle by columns, what is off the diagonal times √2."""
+    return clarabel.PSDTriangleConeT(order)
+
+
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any]) -> Any:
     """Return Clarabel's answer, whatever its status.
 

@@ -37,6 +37,7 @@ from pwatrack.rational import Rational, is_positive_definite, scalar
 
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
+_KEPT = 0.97  # of a proved rate: with the rest an ellipsoid is strictly inside
 _NEAR = 0.01  # what the cost may be off: Q is that far inside
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
@@ -67,6 +68,11 @@ class Inner:
 
     Q: Array
     most: float
+
+    @classmethod
+    def proved(cls, Q: Array, rate: float) -> "Inner":
+        """Return a Q with which a rate (1/s) is proved, M_p Q + Q M_pᵀ + 2 rate Q ⪯ 0."""
+        return cls(Q=Q, most=2 * _KEPT * rate)
 
     def near(self, M: Array) -> tuple[Array, Array] | None:
         """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular.

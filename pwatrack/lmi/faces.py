@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
+import flint
 import numpy as np
 from scipy.linalg import qr
 
@@ -53,8 +54,6 @@ def _candidates(A: Sequence[Rational], R: Rational, N: Sequence[Rational]) -> li
 
 def _factor(y: Rational, x: Rational) -> Any:
     """Return c with y = c x, or None."""
-    import flint
-
     if not any(y.entries()):
         return flint.fmpq(0)
     at = next((k for k, v in enumerate(x.entries()) if v != 0), None)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from math import comb, factorial, prod
 
+import flint
 import numpy as np
 from scipy import sparse
 
@@ -87,8 +88,6 @@ class Monomials:
         return BallMatrix(self._lifted(A.centre), None if A.radius is None else self._lifted(A.radius))
 
     def _lifted(self, A: Rational) -> Rational:
-        import flint
-
         found = flint.fmpq_mat(len(self), len(self))
         for row, column, j, k, times in self._moves.tolist():
             found[row, column] += times * A[j, k]

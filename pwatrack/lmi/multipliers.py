@@ -12,6 +12,7 @@ from fractions import Fraction
 from math import lcm
 from typing import Any
 
+import flint
 import numpy as np
 
 from pwatrack.arrays import Array
@@ -75,8 +76,6 @@ def denominator(matrices: Iterable[Rational]) -> int:
 
 def symmetric(upper: Sequence[Any], n: int) -> Rational:
     """Return the symmetric matrix with this upper triangle, row by row."""
-    import flint
-
     X, entries = flint.fmpq_mat(n, n), iter(upper)
     for j in range(n):
         for k in range(j, n):
@@ -94,6 +93,4 @@ def total_of(terms: Sequence[Rational]) -> Rational:
 
 def column(entries: Sequence[Any]) -> Rational:
     """Return entries as a column."""
-    import flint
-
     return flint.fmpq_mat(len(entries), 1, list(entries))

@@ -21,13 +21,12 @@ P + N_0 has the same V, and the difference in sym(P 𝒜_i) is half of d/dt mᵀ
 
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
 
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.lmi.clarabel_solver import minimise
+from pwatrack.lmi.clarabel_solver import minimise, positive
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.monomials import Monomials, symmetric_of, upper
 
@@ -160,7 +159,7 @@ class _Sought:
         cost[0] = -1.0
         rows = sparse.csc_matrix(G.reshape(-1, len(cost)))
         try:
-            answer = minimise(cost, rows, h, [clarabel.PSDTriangleConeT(self.order)] * (cells + 2))
+            answer = minimise(cost, rows, h, [positive(self.order)] * (cells + 2))
         except ArithmeticError:
             return None
         x = np.array(answer.x)

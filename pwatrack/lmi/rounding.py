@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import flint
 import numpy as np
 from scipy.linalg import qr
 
@@ -29,8 +30,6 @@ def exact_multipliers(
 
 def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational], R: Rational) -> bool:
     """Change as few entries of the V_i as it takes that Σ (Z_i A_i + A_iᵀ Z_i) R = 0, and say whether that worked."""
-    import flint
-
     ends = [(N_i * A_i, N_i * A_i * R, N_i * R) for N_i, A_i in zip(N, A, strict=True)]
     unknowns = [(i, j, k) for i, V_i in enumerate(V) for j in range(V_i.nrows()) for k in range(j, V_i.nrows())]
     residual = total_of(

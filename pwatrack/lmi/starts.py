@@ -29,7 +29,7 @@ from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite
 
 _DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
-_WEIGHINGS = 3  # times that the weights of the directions are chosen anew
+WEIGHINGS = 3  # times that the weights of the directions are chosen anew
 _LEAST = 1e-4  # of a weight
 _NEAR = 1e-3  # what the scale may be off
 _ROOM = (1e-9, 1e-7, 1e-5, 1e-3)  # by which Q is enlarged, until it is proved
@@ -80,7 +80,7 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         return None
     matrices, best, least = np.array([M_p.floats for M_p in M]), None, np.inf
     weights = np.full(len(acts), 1 / len(acts))
-    for _ in range(_WEIGHINGS):
+    for _ in range(WEIGHINGS):
         Q = _smallest(matrices, G[:, acts], rows, inner, weights)
         if Q is None:
             break
@@ -88,14 +88,25 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         if not largest < least:
             break
         best, least = (Q, weights), largest
-        within = np.abs(G[:, acts].T @ np.linalg.solve(Q, G[:, acts])).sum(axis=1)
-        weights = np.maximum(within / within.sum(), _LEAST)
-        weights = weights / weights.sum()
+        weights = weighed(G[:, acts], Q)
     if best is None:
         return None
     all_weights = np.full(G.shape[1], _LEAST / G.shape[1])
     all_weights[acts] = best[1]
     return _proved(M, G, forms, best[0], np.array([*_short(all_weights / all_weights.sum())]), inner.Q)
+
+
+def weighed(G: Array, Q: Array) -> Array:
+    """Return the weights (k,) with which G diag(1 / w) Gᵀ is more like Q: by what each direction needs of it.
+
+    Example: along the longer axis of Q there is more room.
+
+        >>> weighed(np.eye(2), np.diag([1.0, 3.0])).tolist()
+        [0.75, 0.25]
+    """
+    needed = np.abs(G.T @ np.linalg.solve(Q, G)).sum(axis=1)
+    weights = np.maximum(needed / needed.sum(), _LEAST)
+    return np.asarray(weights / weights.sum())
 
 
 def _short(weights: Array) -> Iterator[float]:

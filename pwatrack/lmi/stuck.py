@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Sequence
 
+import flint
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
@@ -73,8 +74,6 @@ def _instability(M: Rational) -> Rational:
 
 def symmetric_part_of_spectrum(M: Rational) -> Rational:
     """Return rows that span the left invariant subspace of the eigenvalues λ of M for which −λ is one too."""
-    import flint
-
     falling = M.charpoly()
     mirrored = flint.fmpq_poly([c * (-1) ** k for k, c in enumerate(falling.coeffs())])
     common = falling.gcd(mirrored)
@@ -88,8 +87,6 @@ def symmetric_part_of_spectrum(M: Rational) -> Rational:
 
 def _lyapunov_map(M: Rational) -> Rational:
     """Return the matrix of Z ↦ Z M + Mᵀ Z on the upper triangles of symmetric matrices."""
-    import flint
-
     n = M.nrows()
     pairs = [(j, k) for j in range(n) for k in range(j, n)]
     place = {pair: at for at, pair in enumerate(pairs)}

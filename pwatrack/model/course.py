@@ -12,7 +12,7 @@ from pwatrack.model.lowpass import low_passed
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 
 _SLOW = 0.05  # of the rate of the rows: what is slower was meant, if a table has noise
-_ROUGH, _ALIKE = 10.0, 0.05
+_ROUGH, _ALIKE = 10.0, 0.05  # noise: so many times the derivative of what is slow, which differs so little from it
 _FEWEST = 40  # rows: two windows of that filter
 
 

@@ -10,6 +10,7 @@ somewhere: no other corner and offset has less than w̄ = D / 2.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import chain
 
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm
@@ -56,25 +57,41 @@ def merges(form: ScalarForm, element: int) -> list[Merge]:
         >>> float(merge.largest), [float(slope) for slope in merge.function.slopes], merge.function(0.25)
         (2.0, [4.0, 4.0], 1.0)
     """
-    nonlinearity = form.elements[element]
-    function, count = nonlinearity.function, len(nonlinearity.function.breakpoints)
-    found = []
-    for first in range(count):
-        for last in range(first + 1, count):
-            other = _merged(function, first, last)
-            if other is not None:
-                largest = _deviation(function, other, (*function.breakpoints, *other.breakpoints))
-                found.append(
-                    Merge(
-                        element=element,
-                        nonlinearity=nonlinearity,
-                        first=first,
-                        last=last,
-                        function=other,
-                        largest=largest,
-                    )
+    count = len(form.elements[element].function.breakpoints)
+    found = (_ways(form, element, width) for width in range(1, count))
+    return sorted(chain.from_iterable(found), key=lambda merge: (merge.largest, merge.last - merge.first, merge.first))
+
+
+def widest(form: ScalarForm) -> dict[int, Merge]:
+    """Return each element merged whole, or as much of it as can be, where it can be."""
+    chosen = dict[int, Merge]()
+    for k, element in enumerate(form.elements):
+        widths = (_ways(form, k, width) for width in reversed(range(1, len(element.function.breakpoints))))
+        ways = next(filter(None, widths), [])
+        if ways:
+            chosen[k] = min(ways, key=lambda merge: merge.largest)
+    return chosen
+
+
+def _ways(form: ScalarForm, element: int, width: int) -> list[Merge]:
+    """Return all ways to merge so many cells of an element, and the next one."""
+    nonlinearity, found = form.elements[element], list[Merge]()
+    function = nonlinearity.function
+    for first in range(len(function.breakpoints) - width):
+        other = _merged(function, first, first + width)
+        if other is not None:
+            marks = (*function.breakpoints, *other.breakpoints)
+            found.append(
+                Merge(
+                    element=element,
+                    nonlinearity=nonlinearity,
+                    first=first,
+                    last=first + width,
+                    function=other,
+                    largest=_deviation(function, other, marks),
                 )
-    return sorted(found, key=lambda merge: (merge.largest, merge.last - merge.first))
+            )
+    return found
 
 
 def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Merge]) -> PWASystem:

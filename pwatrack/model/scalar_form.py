@@ -1,17 +1,18 @@
 """A field as A x + b and a sum of scalar piecewise linear elements: as it was written, or read off cells."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
+from pwatrack.arrays import IntArray
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.errors import InvalidSpec, listed
+from pwatrack.errors import listed
 from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm, generate_cells
 from pwatrack.model.pwa import PWASystem, linear_form_text
-from pwatrack.rational import Rational, fraction_of
+from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 
 Row = tuple[Fraction, ...]
@@ -20,9 +21,10 @@ Row = tuple[Fraction, ...]
 def scalar_form(plant: PWASystem) -> ScalarForm | None:
     """Return the field as A x + b + Σ direction φ(row · x + constant), or None where cells are not of this form.
 
-    Cells are where the field bends by the same vector all along each hyperplane: then it is the sum of these bends, of
-    which those on parallel hyperplanes along the same direction are one element. That the sum is the field is
-    decided exactly, region by region; cells with irrational numbers are left as they are.
+    It is the sum of its bends where it bends by the same vector all along each hyperplane: where all facets on one say
+    so and none of them goes on through the interior of a cell, which is decided exactly. For then the sum is affine in
+    each cell and bends as the field does from each to the next, and they are the same in the first one. Bends on
+    parallel hyperplanes along the same direction are one element. Cells with irrational numbers are left as they are.
 
     Example: a gap between two springs, in three cells.
 
@@ -38,8 +40,8 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
     bends = _bends(plant)
     if bends is None:
         return None
-    form = _collected(plant, bends)
-    return form if _is_field(form, plant) else None
+    points = [_inner_point(plant.partition, signs) for signs in plant.partition.signs]
+    return None if _bends_inside(plant.partition, bends, points) else _collected(plant, bends, points)
 
 
 def with_elements(plant: PWASystem, form: ScalarForm) -> PWASystem:
@@ -92,24 +94,23 @@ def _bends(plant: PWASystem) -> dict[int, Row] | None:
     return {k: gamma for k, gamma in found.items() if any(gamma)}
 
 
-def _collected(plant: PWASystem, bends: dict[int, Row]) -> ScalarForm:
+def _collected(plant: PWASystem, bends: dict[int, Row], points: Sequence[Row]) -> ScalarForm:
     """Return the sum of all bends, those of one direction along parallel hyperplanes as one element."""
     groups: dict[tuple[Row, Row], list[int]] = {}
     for k, gamma in bends.items():
         groups.setdefault((_direction(plant.partition.exact_H[k]), _direction(gamma)), []).append(k)
-    elements = [_element(plant, bends, members) for members in groups.values()]
-    x = _point(plant.partition, plant.partition.signs[0])
+    elements = [_element(plant, bends, members, points) for members in groups.values()]
     A, b = plant.exact.A[0], plant.exact.b[0]
     for element in elements:
         function = element.function
-        s = sum((Fraction(h) * v for h, v in zip(element.row, x, strict=True)), Fraction(0))
+        s = _value(element.row, Fraction(0), points[0])
         k = sum(mark.centre < s for mark in function.breakpoints)
         across, along = _line(element, function.slopes[k], function.intercepts[k])
         A, b = A - across, b - along
     return ScalarForm(A=A, b=b, elements=tuple(elements))
 
 
-def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int]) -> Nonlinearity:
+def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], points: Sequence[Row]) -> Nonlinearity:
     """Return direction φ(row · x), the row that of the first hyperplane."""
     partition = plant.partition
     row, direction = partition.exact_H[members[0]], _direction(bends[members[0]])
@@ -127,7 +128,7 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int]) ->
     value = sum((left * (first - where) for where, _, left in hinges), Fraction(0))
     count = len(hinges)
     return Nonlinearity(
-        name=_between(plant, row, first, hinges[-1][0]),
+        name=_between(plant, points, row, (first, hinges[-1][0])),
         function=PiecewiseLinear(
             breakpoints=tuple(Real.of(where) for where, *_ in hinges),
             slopes=tuple(map(Real.of, slopes)),
@@ -144,34 +145,30 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int]) ->
     )
 
 
-def _between(plant: PWASystem, row: Row, low: Fraction, high: Fraction) -> str:
+def _between(plant: PWASystem, points: Sequence[Row], row: Row, ends: tuple[Fraction, Fraction]) -> str:
     """Return the names of the cells that lie between two values of a form, of many the first; else the form."""
-    names = [
-        name
-        for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True)
-        if low < _value(row, Fraction(0), _point(plant.partition, signs)) < high
-    ]
+    low, high = ends
+    values = (_value(row, Fraction(0), x) for x in points)
+    names = [name for name, value in zip(plant.cell_names, values, strict=True) if low < value < high]
     return listed(names, 1) if names else linear_form_text(np.array([float(v) for v in row]), plant.states)
 
 
-def _is_field(form: ScalarForm, plant: PWASystem) -> bool:
-    """Decide whether a sum of elements is the field of a plant: in every region that all hyperplanes cut out."""
-    try:
-        partition, A, b = generate_cells(form.A, form.b, form.elements)
-    except InvalidSpec:
-        return False
-    cells, exact = plant.partition, plant.exact
-    for signs, A_i, b_i in zip(partition.signs, A, b, strict=True):
-        x = _point(partition, signs)
-        sides = [_sign(_value(H, h, x)) for H, h in zip(cells.exact_H, cells.exact_h, strict=True)]
-        here = [j for j, claim in enumerate(cells.signs) if all(s * t >= 0 for s, t in zip(claim, sides, strict=True))]
-        if not any(_same(A_i.centre, exact.A[j].centre) and _same(b_i.centre, exact.b[j].centre) for j in here):
-            return False
-    return True
+def _bends_inside(partition: Partition, planes: Collection[int], points: Sequence[Row]) -> bool:
+    """Decide whether one of some hyperplanes passes through the interior of a cell, of which each has a point."""
+    for signs, x in zip(partition.signs, points, strict=True):
+        for k in planes:
+            if signs[k]:
+                continue
+            side = _sign(_value(partition.exact_H[k], partition.exact_h[k], x))
+            if not side or partition.interior_point(_with(signs, k, -side)) is not None:
+                return True
+    return False
 
 
-def _same(X: Rational, Y: Rational) -> bool:
-    return bool(X == Y)
+def _with(signs: IntArray, k: int, side: int) -> IntArray:
+    changed = signs.copy()
+    changed[k] = side
+    return changed
 
 
 def _sign(value: Fraction) -> int:
@@ -188,7 +185,7 @@ def _direction(v: Row) -> Row:
     return tuple(entry / first for entry in v)
 
 
-def _point(partition: Partition, signs: object) -> tuple[Fraction, ...]:
-    x = partition.interior_point(signs)  # type: ignore[arg-type]
+def _inner_point(partition: Partition, signs: IntArray) -> Row:
+    x = partition.interior_point(signs)
     assert x is not None
     return x

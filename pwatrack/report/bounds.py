@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Literal
 
-from pwatrack.arrays import up
+from pwatrack.arrays import OVER_SUMS, up
 from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.control.controller import Controller
 from pwatrack.report.wording import per_second, signal_text, sized
@@ -12,7 +12,6 @@ from pwatrack.spec.spec import Spec
 BOUNDS = "bounds.json"
 FORMAT = "pwatrack bounds 1"
 _CAUSES, _SIGNALS = 6, 6  # that are printed of all that act and of all that each does
-_ABOVE = 1 + 1e-12  # more than the rounding of a sum of products
 
 Kind = Literal["disturbance", "noise", "load", "start", "uncertain"]
 
@@ -48,11 +47,11 @@ def from_sizes(controller: Controller) -> dict[Form, float]:
     total = dict.fromkeys((signal for signal in found[0].sizes if all(signal in b.sizes for b in found)), 0.0)
     for bounds in found:
         for signal in total:
-            total[signal] += bounds.sizes[signal] * within[bounds.channel[1]] * _ABOVE
+            total[signal] += bounds.sizes[signal] * within[bounds.channel[1]] * OVER_SUMS
     if controller.practical is None:
         return total
     left = controller.practical.final  # what merged cells leave comes on top
-    return {signal: (size + left[signal]) * _ABOVE for signal, size in total.items() if signal in left}
+    return {signal: (size + left[signal]) * OVER_SUMS for signal, size in total.items() if signal in left}
 
 
 def cause(spec: Spec, channel: Channel, *, uncertain: bool = False) -> tuple[Kind, str, str]:

@@ -168,9 +168,7 @@ def _result_content(result: Result) -> dict[str, Any]:
 
 def _tracked_content(result: Result) -> dict[str, Any]:
     """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
-    plant = result.spec.problem.plant
-    names = plant.states if result.controller.generator is None else plant.tracked_names
-    sizes = dict(zip(names, result.response.error_sizes.tolist(), strict=True))
+    sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     return {"sizes": sizes, "unit": error_unit(result)}
 
 

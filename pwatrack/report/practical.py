@@ -23,8 +23,7 @@ def practical_rows(spec: Spec, controller: Controller) -> Iterator[Row]:
     practical = controller.practical
     if practical is None:
         return
-    tracked = "state" if controller.generator is None else "output"
-    final = practical.final
+    tracked, final = controller.tracking, practical.final
     ends = list[str]()
     for signal in (form for form in final if form[0] == tracked):
         name, unit = signal_text(spec, signal)

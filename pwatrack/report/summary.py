@@ -16,6 +16,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.largest_box import LargestBox
+from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
 from pwatrack.report.limits import limit_rows
@@ -60,20 +61,21 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
     promised = controller.guarantees
     for row in practical_rows(spec, controller):
         table.add_row(*row)
-    counts = {"(8)": len(controller.plant.cell_names), "(9)": len(controller.plant.model.cell_names)}
-    norms = controller.sizes.norms(design.K, design.L)
-    for claim, proved, letter, gain, norm, goal in (
-        ("(8) controller", promised.controller, "K", design.K, f"{norms[0]:.4g}", spec.objectives.controller),
-        ("(9) observer", promised.observer, "Lᵀ", design.L.T, f"{norms[1]:.4g} 1/s", spec.objectives.observer),
+    plant, goals = controller.plant, spec.objectives
+    norm_K, norm_L = controller.sizes.norms(design.K, design.L)
+    for role, proved, run, through, gain, norm, goal in (
+        (CONTROLLER, promised.controller, plant, plant.B, design.K, f"{norm_K:.4g}", goals.controller),
+        (OBSERVER, promised.observer, plant.model, plant.C, design.L.T, f"{norm_L:.4g} 1/s", goals.observer),
     ):
-        table.add_row(claim, f"proved for all {counts[claim[:3]]} cells{_rate(proved)}")
-        acts = bool((spec.problem.plant.B if letter == "K" else spec.problem.plant.C).any())
-        origin = _origin(goal) if acts or isinstance(goal, Given) else _NO_GAIN[letter[0]]
-        origin += " within the limits" * (letter == "K" and acts and _within_limits(goal, controller))
-        size = f"‖{letter[0]}‖ = {norm} in sizes, {origin}"
-        table.add_row("", f"{letter} = {_matrix(gain)}, {size}")
-        if claim.split()[1] in controller.costs and controller.practical is None:
-            table.add_row("", _cost_text(claim.split()[1], spec, controller))
+        table.add_row(f"{role.claim} {role.name}", f"proved for all {len(run.cell_names)} cells{_rate(proved)}")
+        origin = _origin(goal) if through.any() or isinstance(goal, Given) else _NO_GAIN[role.letter]
+        origin += " within the limits" * (
+            role is CONTROLLER and bool(plant.B.any()) and _within_limits(goal, controller)
+        )
+        size = f"‖{role.letter}‖ = {norm} in sizes, {origin}"
+        table.add_row("", f"{role.letter}{'ᵀ' * role.transposed} = {_matrix(gain)}, {size}")
+        if role.name in controller.costs and controller.practical is None:
+            table.add_row("", _cost_text(role, spec, controller))
     if (loads := controller.plant.loads) is not None:
         named = [f"{load.name} ({load_kind(load)})" for load in loads.each]
         table.add_row(
@@ -97,14 +99,14 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         table.add_row("" if k else "uncertain", text)
 
 
-def _cost_text(part: str, spec: Spec, controller: Controller) -> str:
+def _cost_text(role: Role, spec: Spec, controller: Controller) -> str:
     """Say what the proved bound of a cost means."""
-    if part == "controller":
+    if role is CONTROLLER:
         return (
             "∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from x̂(0) = x(0), for any switching; e = x − x_d, v = u − u_ff, "
             "X in gains.json"
         )
-    X, goal = controller.costs[part], spec.objectives.observer
+    X, goal = controller.costs[role.name], spec.objectives.observer
     assert isinstance(goal, LeastCost)
     if len(different(spec.problem.plant.exact.A)) == 1:
         return "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
@@ -175,7 +177,7 @@ def _promise_rows(table: Table, controller: Controller) -> None:
         table.add_row("promise", f"{ends} e^(−{down(promised.rate)} t), for any switching")
         return
     errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
-    error = f"{errors} and x − x_d go" if controller.generator is not None else "x − x_d goes"
+    error = f"{errors} and x − x_d go" if controller.tracking == "output" else "x − x_d goes"
     text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))

@@ -15,6 +15,7 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.export.stored import LARGEST
 from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
@@ -40,7 +41,6 @@ from pwatrack.spec.spec import Spec
 from pwatrack.tracking import desired_trajectory
 
 CERTIFICATE = "certificate.json"
-_LARGEST = 2**28  # bytes of a file that is read
 _CLOSE = 1e-12  # relative: figures that are computed again
 
 
@@ -351,8 +351,8 @@ def _read(path: Path) -> str:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise InvalidSpec(Problem(message=f"{path} is no regular file", subject=None))
-        if found.st_size > _LARGEST:
-            message = f"{path} has {found.st_size:,} bytes, at most {_LARGEST:,} are read"
+        if found.st_size > LARGEST:
+            message = f"{path} has {found.st_size:,} bytes, at most {LARGEST:,} are read"
             raise InvalidSpec(Problem(message=message, subject=None))
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

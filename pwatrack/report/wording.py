@@ -12,8 +12,7 @@ from pwatrack.spec.spec import Spec
 
 def error_unit(result: Result) -> str:
     """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
-    plant = result.spec.problem.plant
-    names = plant.tracked_names if result.controller.generator is not None else plant.states
+    names = result.controller.error_names
     return result.spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
 
 

@@ -90,7 +90,7 @@ class ClosedLoop:
             u_ff=_switched(self.u_ff, cell, z),
             estimates=z[:, at.s_hat][:, loads.where] if loads else np.zeros((len(z), 0)),
             loads=z @ self.load_rows.T,
-            tracking_error=x - x_d if self.controller.generator is None else tracked - tracked_d,
+            tracking_error=x - x_d if self.controller.tracking == "state" else tracked - tracked_d,
             state_sizes=self.controller.sizes.state,
             error_sizes=self.controller.error_sizes,
         )
@@ -119,7 +119,7 @@ class ClosedLoop:
         They are the same in all cells: of x_d, only last derivatives of y are not.
         """
         x = np.eye(self.at.order)[self.at.x]
-        if self.controller.generator is None:
+        if self.controller.tracking == "state":
             return np.asarray(x - self.x_d[0])
         return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d[0])
 

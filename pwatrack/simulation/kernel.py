@@ -114,12 +114,7 @@ class Routine(NamedTuple):
     """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
 
     Attributes:
-        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
-        guards, sides: Those of x_d, on (ŝ, η̂, w, 1), (k, C), (l, k).
-        observer: x̂ and ŝ one sample later, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
-        generator: η̂ one sample later, on (ŝ, η̂, w, 1), (l, p, C).
-        x_d, u_ff: On the same, (l, n, C) and (l, m, C).
-        K: (m, n).
+        H, h, signs, guards, sides, observer, generator, x_d, u_ff, K: As there.
         low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
         turn: w one sample later, and 2¹⁰ and 2²⁰ samples later where these are in range; none where w comes from
             outside, (0 … 3, s, s).

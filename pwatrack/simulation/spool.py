@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.simulation.trace import Trace
@@ -58,10 +58,20 @@ class Spool:
             self._file.seek(start)
             yield pickle.load(self._file)  # noqa: S301  nobody else can write to it
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _spooled, (list(self),)
+
     def _full(self, error: OSError) -> InvalidSpec:
         message = f"cannot keep the samples of the run in {self._folder}: {error.strerror or error}"
         hint = "set TMPDIR to a folder with room, or take a longer sample time: it moves no event"
         return InvalidSpec(Problem(message=message, hint=hint))
+
+
+def _spooled(traces: list[Trace]) -> Spool:
+    spool = Spool()
+    for trace in traces:
+        spool.add(trace)
+    return spool
 
 
 def _close(file: IO[bytes]) -> None:

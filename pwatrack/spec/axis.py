@@ -15,8 +15,8 @@ from pwatrack.spec.entries import Exact, Name, Whole
 from pwatrack.spec.section import Section
 
 _TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
-_MOST = 1_000_000  # points
-_POINTS = 11
+MOST = 1_000_000  # of a sweep: more than anyone waits for
+_POINTS = 11  # of an axis that says no number: ten steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class RangeSection(Section):
 
     start: Annotated[Exact, Field(alias="from")]
     to: Exact
-    points: Annotated[Whole, Field(ge=2, le=_MOST)] = _POINTS
+    points: Annotated[Whole, Field(ge=2, le=MOST)] = _POINTS
 
 
 def _increasing(values: list[Real]) -> list[Real]:
@@ -108,7 +108,7 @@ SweepSection = dict[
     Name,
     Annotated[
         Annotated[RangeSection, AfterValidator(_upward), Tag("a range")]
-        | Annotated[list[Exact], AfterValidator(_increasing), Field(min_length=1, max_length=_MOST), Tag("values")],
+        | Annotated[list[Exact], AfterValidator(_increasing), Field(min_length=1, max_length=MOST), Tag("values")],
         Discriminator(_kind),
     ],
 ]

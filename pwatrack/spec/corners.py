@@ -20,7 +20,7 @@ from pwatrack.spec.paths import path_text
 from pwatrack.spec.polynomial import Polynomial
 from pwatrack.spec.wording import shown
 
-_MOST_CORNERS = 4096
+_MOST_CORNERS = 4096  # of 12 parameters: a plant is made for each
 _SHAPE = ("slope", "lower_slope", "upper_slope", "slopes", "value")  # what a nonlinearity is linear in
 
 

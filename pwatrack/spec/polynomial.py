@@ -8,8 +8,8 @@ from pwatrack.model.signal import NotRepresentable
 from pwatrack.real import Number, Real
 
 Powers = tuple[tuple[str, int], ...]  # by name, sorted, none of them 0
-_MOST_TERMS = 500
-_MOST_POWER = 20
+_MOST_TERMS = 500  # of a polynomial in parameters: longer ones are slow to multiply
+_MOST_POWER = 20  # of a parameter: nobody writes more
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import Any
 from .matrices import Fault, Matrix, added, definite, inverted, product, transposed
 from .reading import number, packed
 
-BITS = 640
+BITS = 640  # of numbers: well beyond the 400 to which the series is known
 _TERMS = 80  # of the exponential series, where the largest row sum is at most 1/2
-_MOST_STEPS, _MOST_DOUBLINGS, _MOST_EXPONENT = 20_000, 100, 2_000
+_MOST_STEPS, _MOST_DOUBLINGS, _MOST_EXPONENT = 20_000, 100, 2_000  # of a walk that is read
 Rounded = tuple[list[list[int]], int]  # multiples of 2^-BITS, and by how many of them an entry may be off
 
 

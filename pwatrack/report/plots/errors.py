@@ -43,18 +43,17 @@ class _Panel:
 
 def tracking_error(result: Result) -> Figure:
     """Draw each tracking error over time within its proved band, and their norm, logarithmic (Figure 2)."""
-    plant, response, units = result.spec.problem.plant, result.response, result.spec.problem.units
-    output = result.controller.generator is not None
-    names, desired = (plant.tracked_names, response.tracked_d) if output else (plant.states, response.x_d)
+    controller, response, units = result.controller, result.response, result.spec.problem.units
+    desired = response.tracked_d if controller.tracking == "output" else response.x_d
     panels = [
         _Panel(
             name=f"{name} − {name}_d",
             unit=units.get(name, ""),
             values=response.tracking_error[:, k],
-            form=("output" if output else "state", k),
+            form=(controller.tracking, k),
             of=float(np.abs(desired[:, k]).max()),
         )
-        for k, name in enumerate(names)
+        for k, name in enumerate(controller.error_names)
     ]
     unit = error_unit(result)
     title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"

@@ -75,7 +75,7 @@ def control_input(result: Result) -> Figure:
     """Draw each input with its feedforward part, its limits and what is proved of it, whole and at both ends."""
     response, names = result.response, result.spec.problem.plant.inputs
     labels = ("input (19)", "its feedforward part (16)")
-    if result.controller.generator is None:
+    if result.controller.tracking == "state":
         labels = ("input (10)", "its feedforward part")
 
     def lines(axes: Axes, k: int) -> list[float]:
