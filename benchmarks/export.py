@@ -1,175 +1,337 @@
 """Exported C against the stored controller, and both against the simulation: every spec that designs, random designs.
 
-    make export [STEPS=100000] [RANDOM=50]
+    make export                                                    (all of specs/ and 50 random ones, 100,000 steps)
+    python -m benchmarks.export backlash tanks --random 0          (specs whose names have one of these in them)
+    python -m benchmarks.export --after two_mass_machine           (what comes behind that one)
+    python -m benchmarks.export machine --random 0 --fmu --steps 1000000
 
-Each is compiled with all warnings as errors at -O0, -O2 and -O3 and with sanitizers, in double and single floats, and
-fed with what was measured in its simulation, over and over again. cppcheck, where it is installed, may find no other
-deviation from MISRA C:2012 than docs/misra.md lists.
+Each is simulated for so many samples of its controller, or until its reference ends; then what was measured begins
+again. The stored controller reads that in Python, in double and in single floats, and so does C: compiled with all
+warnings as errors at -O0, -O2 and -O3 and with sanitizers, by each compiler that is here, and as FMUs if that is asked
+for. Counted is each bit of the inputs and of the state in which one differs from the other at any step. cppcheck,
+where it is installed, may find no other deviation from MISRA C:2012 than docs/misra.md lists.
+
+A line is printed as each is done; in the end, or when it is cut by Ctrl-C, a table of all of them.
 """
 
-import ctypes
+import argparse
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 import warnings
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from benchmarks.fuzz import spec_text
-from pwatrack import load_spec
+from pwatrack import load_spec, pipeline
+from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller as Designed
 from pwatrack.errors import PwatrackError
 from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource
 from pwatrack.export.controller import Controller
+from pwatrack.export.fmu import c_compiler, packed, write_fmu
+from pwatrack.export.fmu_controller import controller_parts
+from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Vector
+from pwatrack.export.stored import parsed
 from pwatrack.model.conditions import Sampling
-from pwatrack.pipeline import design
-from pwatrack.report.export import Subject, of_spec
+from pwatrack.report.controller import has_tables, starts, written
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.spec.spec import Spec
+from tests.fmus import Block
 from tests.misra import checked, listed
 
-LEVELS = ("-O0", "-O2", "-O3")
-SANE = "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
-
-
-def say(line: str) -> None:
-    """Print a line at once."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
+LEVELS = ("-O0", "-O2", "-O3", "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all")
+MEMORY = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")
+SHORT = 20  # steps of the vector that goes with the code
 
 ALL_STEPS = """
 #include "loop.h"
-#include <string.h>
+#include <stddef.h>
+#include <stdio.h>
 
-void all_steps(const loop_real *y, long steps, loop_real *u, loop_real *v, int width);
-
-/* Run from the start and write u and the numbers of the state after each step. */
-void all_steps(const loop_real *y, long steps, loop_real *u, loop_real *v, int width)
+/* Read what is measured, step by step, and write u, the numbers of the state and the status. */
+int main(void)
 {
-    loop_state state;
-    long k;
+    static loop_state state;
+    loop_real y[LOOP_OUTPUTS], u[LOOP_INPUTS], status;
+
     (void)loop_init(&state);
-    for (k = 0; k < steps; k++) {
-        (void)loop_step(&state, &y[k * LOOP_OUTPUTS], NULL, &u[k * LOOP_INPUTS]);
-        memcpy(&v[k * width], state.v, sizeof(loop_real) * (unsigned long)width);
+    while (fread(y, sizeof y, 1, stdin) == 1) {
+        status = (loop_real)loop_step(&state, y, NULL, u);
+        (void)fwrite(u, sizeof u, 1, stdout);
+        (void)fwrite(state.v, sizeof state.v, 1, stdout);
+        (void)fwrite(state.wanted, sizeof state.wanted, 1, stdout);
+        (void)fwrite(state.x_d, sizeof state.x_d, 1, stdout);
+        (void)fwrite(&status, sizeof status, 1, stdout);
     }
+    return 0;
 }
 """
 
 
-def compiled(folder: Path, compiler: str, options: str, *, shared: bool) -> Path:
-    """Compile the controller as a library, or the replay of its vector as a program; any warning is an error."""
-    target = folder / (f"loop_{compiler}.so" if shared else "replay")
-    sources = ["loop.c", "all_steps.c"] if shared else ["main.c", "loop.c"]
-    kind = ["-shared", "-fPIC"] if shared else []
-    command = [compiler, *FLAGS.split(), *options.split(), *kind, "-o", target.name, *sources, "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
-    return target
+@dataclass(frozen=True)
+class Subject:
+    """A sampled controller, what it measures, (steps, q), and u, x̂, ŝ, η̂ of its simulation, as far as that went."""
+
+    file: ControllerFile
+    y: Array
+    simulated: Array
 
 
-def python_steps(controller: Controller, y: Any) -> tuple[Any, Any]:
-    """Return u and the numbers of the state after each step."""
-    inputs, states = [], []
-    for measured in y:
-        inputs.append(controller.step(measured))
-        states.append(np.concatenate([controller.state(name) for name in (*PARTS, "w")]))
-    return np.array(inputs), np.array(states)
+@dataclass
+class Row:
+    """What is found of a controller.
+
+    Attributes:
+        name: Of its spec.
+        size: q, m, n, cells.
+        bits: How many differ, by what is compared; None if that is not done.
+        faults: What does not compile, stops, or breaks a rule.
+        held: Steps that were refused since a number was not finite.
+        simulated: Steps of the simulation.
+        seconds: It took.
+    """
+
+    name: str
+    size: str = ""
+    bits: dict[str, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    held: int = 0
+    simulated: int = 0
+    seconds: float = 0.0
 
 
-def differing(library: Path, y: Any, expected: tuple[Any, Any]) -> int:
-    """Return in how many steps an input or the state differs in some bit."""
-    found = tuple(np.zeros_like(values) for values in expected)
-    pointers = [values.ctypes.data_as(ctypes.c_void_p) for values in (y, *found)]
-    run = ctypes.CDLL(str(library)).all_steps
-    run(pointers[0], ctypes.c_long(len(y)), *pointers[1:], found[1].shape[1])
-    whole = f"u{y.dtype.itemsize}"
-    differ = [(one.view(whole) != other.view(whole)).any(axis=1) for one, other in zip(found, expected, strict=True)]
-    return int((differ[0] | differ[1]).sum())
+def differing(one: Any, other: Any) -> int:
+    """Return in how many bits two arrays differ."""
+    assert (one.dtype, one.shape) == (other.dtype, other.shape)
+    unequal = np.frombuffer(one.tobytes(), np.uint8) ^ np.frombuffer(other.tobytes(), np.uint8)
+    return int(np.unpackbits(unequal[unequal != 0]).sum())
 
 
-PARTS = ("y", "u", "x_hat", "s_hat", "eta_hat")
+def subject(spec: Spec, steps: int) -> Subject:
+    """Design what a spec asks for and simulate it; where it has no sample time, at a short one.
+
+    That is a twentieth of the longest that is stable in all cells.
+    """
+    made = pipeline.design(spec, growing=True)
+    if not has_tables(made):
+        raise PwatrackError("it has too many cells for tables")
+    conditions = spec.scenario.conditions
+    sampling = conditions.sampling or Sampling(sample_time=short_enough(made))
+    h, end = sampling.sample_time, made.trajectory.exosystem.end
+    last = steps * h if end is None else min(steps * h, end)
+    conditions = replace(conditions, sampling=sampling)
+    spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions, duration=float(last), sample_time=h))
+    result = pipeline.simulate(spec, made)
+    file, at = parsed(written(spec, made, starts(result)).controller, spec.path), result.loop.at
+    blocks = [block.trace.z for block in result.blocks()]
+    y = np.concatenate([z[:, at.y] for z in blocks])
+    parts = (at.u, at.x_hat, at.s_hat, at.eta_hat)
+    simulated = np.concatenate([np.hstack([z[:, part] for part in parts]) for z in blocks])[:steps]
+    return Subject(file, np.resize(y, (steps, y.shape[1])), simulated)
 
 
-def short_enough(spec: Spec) -> float:
-    """A sample time for a spec that has none: a twentieth of the longest that is stable in all cells."""
-    controller = design(spec, growing=True)
-    sampling = Sampling(sample_time=1.0)
-    longest = SampleMaps(controller, controller.plant, sampling).longest(1.0)
+def short_enough(made: Designed) -> float:
+    """Return a twentieth of the longest sample time that is stable in all cells."""
+    longest = SampleMaps(made, made.plant, Sampling(sample_time=1.0)).longest(1.0)
     return float(f"{(longest or 1e-3) / 20:.2g}")
 
 
-def judged(name: str, subject: Subject, compilers: list[str], steps: int) -> int:
-    """Print and return how many steps differ, in all ways to compile."""
-    wrong, count = 0, 0
-    repeated = np.resize(subject.vector.y, (steps, subject.vector.y.shape[1]))
-    for single in (False, True):
-        real: Any = np.float32 if single else np.float64
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            code = CSource(file=subject.file, name="loop", single=single, given=False, unproved=subject.unproved)
-            short = Vector(subject.vector.y[:300], subject.vector.w[:300], subject.vector.origin)
-            write_c(code, short, folder)
-            (folder / "all_steps.c").write_text(ALL_STEPS, encoding="utf-8")
-            y = np.ascontiguousarray(repeated.astype(real))
-            expected = python_steps(Controller(subject.file, single=single), y)
-            rules = checked(folder).broken - listed() if shutil.which("cppcheck") else frozenset()
-            if rules:
-                say(f"{name:40} breaks MISRA C:2012 {', '.join(sorted(rules))}")
-                wrong += len(rules)
-            for compiler in compilers:
-                for level in (*LEVELS, SANE):
-                    replay = compiled(folder, compiler, level, shared=False)
-                    wrong += subprocess.run([replay], capture_output=True, check=False).returncode != 0
-                    count += 1
-                wrong += differing(compiled(folder, compiler, "-O2", shared=True), y, expected)
-    say(f"{name:40} {wrong} of {count} replays and 2 x {steps:,} steps differ")
-    return wrong
+def python_steps(controller: Controller, y: Any) -> Any:
+    """Return u, the numbers of the state and the status after each step."""
+    found = None
+    for k, measured in enumerate(y):
+        controller.step(measured)
+        row = [controller.state(name) for name in ("u", *MEMORY, "wanted", "x_d")]
+        row.append(np.array([controller.status], dtype=y.dtype))
+        if found is None:
+            found = np.zeros((len(y), sum(map(len, row))), dtype=y.dtype)
+        np.concatenate(row, out=found[k])
+    return found
 
 
-def subjects(random: int) -> Iterator[tuple[str, Path]]:
-    """Yield each spec in specs/, then random ones until so many of them could be exported, with its name."""
-    for path in (*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))):
-        yield path.stem, path
+def c_bits(code: CSource, subject: Subject, expected: Any, row: Row) -> int:
+    """Return in how many bits C differs, compiled in all ways; what else is wrong goes to the row."""
+    y, bits = subject.y.astype(code.real), 0
     with tempfile.TemporaryDirectory() as place:
-        home = Path(place)
-        table = "".join(f"{0.01 * k},{0.1 * np.sin(0.02 * k)}\n" for k in range(6001))
-        (home / "wanted.csv").write_text("t,y\n" + table, encoding="utf-8")
-        for seed in range(4 * random):
-            path = home / f"random_{seed}.yaml"
-            path.write_text(spec_text(seed), encoding="utf-8")
-            yield path.stem, path
+        folder = Path(place)
+        write_c(code, Vector(subject.y[:SHORT], np.zeros((SHORT, 0)), "its simulation"), folder)
+        (folder / "all_steps.c").write_text(ALL_STEPS, encoding="utf-8")
+        if shutil.which("cppcheck") and not code.single:
+            said = checked(folder)
+            row.faults += [f"MISRA {rule}" for rule in sorted(said.broken - listed())] + [*said.others]
+        for compiler in (name for name in ("gcc", "clang") if shutil.which(name)):
+            for level in LEVELS:
+                ran = built(folder, compiler, level, "all_steps.c", y.tobytes())
+                if isinstance(ran, str):
+                    row.faults.append(ran)
+                    continue
+                bits += differing(np.frombuffer(ran, dtype=y.dtype).reshape(-1, expected.shape[1]), expected)
+            ran = built(folder, compiler, "-O2", "main.c", b"")
+            row.faults += [ran] if isinstance(ran, str) else []
+    return bits
 
 
-def main(steps: int, random: int) -> int:
-    """Judge all, and return 1 if a bit differs."""
-    compilers = [name for name in ("gcc", "clang") if shutil.which(name)]
-    started, wrong, done = time.perf_counter(), 0, Counter[bool]()
-    for name, path in subjects(random):
-        if done[True] == random and name.startswith("random_"):
-            break
-        try:
-            spec = load_spec(path)
-            sampled = spec.scenario.conditions.sampling is not None
-            subject = of_spec(spec, None if sampled else short_enough(spec), steps=2000)
-        except PwatrackError as refusal:
-            say(f"{name:40} left out: {refusal.problems[0].message[:70]}")
+def built(folder: Path, compiler: str, level: str, main: str, read: bytes) -> bytes | str:
+    """Return what a program writes, or what is wrong with it; a warning is an error."""
+    command = [compiler, *FLAGS.split(), *level.split(), "-o", "program", main, "loop.c"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if made.returncode:
+        return f"{compiler} {level}: {made.stderr.splitlines()[0]}"
+    ran = subprocess.run([folder / "program"], cwd=folder, input=read, capture_output=True, check=False)
+    return f"{compiler} {level}: {main} ends with {ran.returncode}" if ran.returncode else ran.stdout
+
+
+def fmu_bits(code: CSource, subject: Subject, expected: Any) -> int:
+    """Return in how many bits of u, x̂, ŝ, η̂ and x_d the FMUs of both versions differ."""
+    of, h, bits = code.program.sizes, code.program.sampling.sample_time, 0
+    m, n, first = of["m"], of["n"], of["m"] + of["q"] + of["m"]
+    wanted = [expected[:, :m], expected[:, first : first + of["N"] + of["p"]], expected[:, -1 - n : -1]]
+    known = np.hstack(wanted)
+    with tempfile.TemporaryDirectory() as place:
+        for version in (2, 3):
+            path = Path(place) / f"fmi{version}.fmu"
+            parts = controller_parts(code, h * len(subject.y), {})
+            write_fmu(packed(parts, 2 if version == 2 else 3, c_compiler()), path)
+            block = Block(path, Path(place))
+            inputs, names = block.named("", "input"), list(subject.file.plant.inputs)
+            names += [*block.named("estimate."), *block.named("generator."), *block.named("desired.")]
+            found = np.zeros_like(known)
+            for k, measured in enumerate(subject.y):
+                block.set(inputs, measured)
+                block.step(k * h, h)
+                found[k] = block.get(names)
+            block.close()
+            bits += differing(found, known)
+    return bits
+
+
+def judged(name: str, spec: Spec, steps: int, fmu: bool) -> Row:
+    """Return what is found of a spec."""
+    started, of = time.perf_counter(), subject(spec, steps)
+    row = Row(name, simulated=len(of.simulated))
+    for single in (False, True):
+        code = CSource(file=of.file, name="loop", single=single, given=False, unproved=tuple(of.file.open))
+        expected = python_steps(Controller(of.file, single=single), of.y.astype(code.real))
+        row.held += int((expected[:, -1] < 0).sum())
+        row.bits["float" if single else "double"] = c_bits(code, of, expected, row)
+        if single:
             continue
-        done[name.startswith("random_")] += 1
-        wrong += judged(name, subject, compilers, steps)
+        sizes, count = code.program.sizes, len(of.simulated)
+        row.size = " ".join(str(size) for size in (*(sizes[key] for key in "qmn"), len(code.program.signs)))
+        first = sizes["m"] + sizes["q"] + sizes["m"]
+        both = np.hstack([expected[:, : sizes["m"]], expected[:, first : first + sizes["N"] + sizes["p"]]])
+        row.bits["simulation"] = differing(both[:count], of.simulated)
+        if fmu:
+            row.bits["fmu"] = fmu_bits(code, of, expected)
+    row.seconds = time.perf_counter() - started
+    return row
+
+
+def specs(home: Path, random: int, names: Sequence[str], after: str | None) -> list[Path]:
+    """Return each spec in specs/, and four times as many random ones as are asked for: not all of these design."""
+    table = "".join(f"{0.01 * k},{0.1 * np.sin(0.02 * k)}\n" for k in range(6001))
+    (home / "wanted.csv").write_text("t,y\n" + table, encoding="utf-8")
+    paths = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
+    paths = [path for path in paths if not names or any(name in path.stem for name in names)]
+    for seed in range(4 * random):
+        paths.append(home / f"random_{seed}.yaml")
+        paths[-1].write_text(spec_text(seed), encoding="utf-8")
+    known = [path.stem for path in paths]
+    return paths[known.index(after) + 1 :] if after else paths
+
+
+def tried(path: Path, steps: int, fmu: bool) -> Row | str:
+    """Return what is found of a spec, or why it has no controller."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return judged(path.stem, load_spec(path), steps, fmu)
+    except PwatrackError as refusal:
+        return f"{path.stem}: {refusal.problems[0].message.splitlines()[0]}"
+    except Exception as error:  # one that crashes is one row
+        return Row(path.stem, faults=[f"{type(error).__name__}: {error}"])
+
+
+def all_rows(asked: argparse.Namespace, console: Console, rows: list[Row], left_out: list[str]) -> None:
+    """Judge all that is asked for, and print each."""
+    with tempfile.TemporaryDirectory() as home, ProcessPoolExecutor(asked.jobs, initializer=deaf) as pool:
+        paths = specs(Path(home), asked.random, asked.names, asked.after)
+        found = [pool.submit(tried, path, asked.steps, asked.fmu) for path in paths]
+        try:
+            for one in found:
+                row = one.result()
+                if isinstance(row, str):
+                    left_out.append(row)
+                    console.print(f"{row.partition(':')[0]:40} left out", highlight=False)
+                    continue
+                rows.append(row)
+                verdict = "; ".join(row.faults) or f"{sum(row.bits.values())} bits differ"
+                console.print(f"{row.name:40} {verdict}, {row.seconds:.0f} s", highlight=False)
+                if sum(row.name.startswith("random_") for row in rows) == asked.random > 0:
+                    break
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def deaf() -> None:
+    """Leave it to the first process to end the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def main(asked: argparse.Namespace) -> int:
+    """Judge all that is asked for, print a table, and return 1 if a bit differs."""
+    console, rows, left_out, started = Console(width=120), list[Row](), list[str](), time.perf_counter()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    cut = ""
+    try:
+        all_rows(asked, console, rows, left_out)
+    except KeyboardInterrupt:
+        cut = f"CUT behind {rows[-1].name}: --after goes on from there. " if rows else "CUT. "
+    kinds = ["double", "float", "simulation", *(["fmu"] if asked.fmu else [])]
+    table = Table("spec", "q m n cells", "simulated", "held", *kinds, "other faults", "s", box=None)
+    for row in rows:
+        found = [str(row.bits.get(kind, "-")) for kind in kinds]
+        faults = "; ".join(row.faults) or "none"
+        table.add_row(row.name, row.size, str(row.simulated), str(row.held), *found, faults, f"{row.seconds:.0f}")
+    console.print(
+        f"\nBits that differ in u and the state over {asked.steps:,} steps:", table, sep="\n", highlight=False
+    )
+    if left_out:
+        console.print("Left out, since there is no controller:", *left_out, sep="\n  ", highlight=False)
+    random = sum(row.name.startswith("random_") for row in rows)
+    bits, faults = sum(sum(row.bits.values()) for row in rows), sum(len(row.faults) for row in rows)
     took = time.perf_counter() - started
-    say(f"{done[False]} specs, {done[True]} random, {', '.join(compilers)}: {wrong} differ; {took:.0f} s")
-    return int(wrong > 0)
+    console.print(
+        f"{cut}{len(rows) - random} specs and {random} random ones, {asked.steps:,} steps of each:"
+        f" {bits} bits different, {faults} other faults; {took:.0f} s",
+        highlight=False,
+    )
+    return int(bits + faults > 0 or not rows)
+
+
+def arguments() -> argparse.Namespace:
+    """Return what is asked for."""
+    parser = argparse.ArgumentParser(description="Compare exported code with the stored controller, bit by bit.")
+    parser.add_argument("names", nargs="*", help="parts of the names of specs; all if there is none")
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--random", type=int, default=50, help="how many random designs")
+    parser.add_argument("--after", help="begin behind this spec")
+    parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
+    parser.add_argument("--fmu", action="store_true", help="run FMUs, too: some 50 microseconds a step")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore")
-    given = [int(argument) for argument in sys.argv[1:]]
-    sys.exit(main(*given, *(100_000, 50)[len(given) :]))
+    sys.exit(main(arguments()))

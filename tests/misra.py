@@ -23,14 +23,16 @@ class Checked:
     said: str
 
 
-def listed() -> frozenset[str]:
-    """Return the rules that may be broken."""
-    return frozenset(re.findall(r"^\| ([0-9.]+) \|", LIST.read_text(encoding="utf-8"), re.MULTILINE))
+def listed(part: str = "A controller") -> frozenset[str]:
+    """Return the rules that may be broken in a part of the list."""
+    _, _, text = LIST.read_text(encoding="utf-8").partition(f"## {part}\n")
+    return frozenset(re.findall(r"^\| ([0-9.]+) \|", text.partition("\n## ")[0], re.MULTILINE))
 
 
-def checked(folder: Path) -> Checked:
-    """Let cppcheck read a controller and the replay of its vector."""
-    command = ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,portability,performance", "loop.c", "main.c"]
+def checked(folder: Path, *names: str) -> Checked:
+    """Let cppcheck read files of a folder: as they are called, or a controller and the replay of its vector."""
+    command = ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,portability,performance"]
+    command += names or ("loop.c", "main.c")
     said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stderr
     kinds = re.findall(r"\[(\w+)\]$", said, re.MULTILINE)
     others = tuple(kind for kind in kinds if not kind.startswith("misra"))

@@ -16,6 +16,7 @@ from pwatrack.export.c_source import CSource, header
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
+from tests.exported import with_pieces, with_reversed_limits
 from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -28,7 +29,7 @@ SANE = "-g -fsanitize=address,undefined -fno-sanitize-recover=all"
 def built(folder: Path, compiler: str, options: str, main: str = "main.c") -> str:
     """Compile a folder with no warning and return what the program says."""
     sources = [main, *(path.name for path in folder.glob("*.c") if path.name not in ("main.c", "faults.c"))]
-    command = [compiler, *FLAGS.split(), *options.split(), "-o", "program", *sources, "-lm"]
+    command = [compiler, *FLAGS.split(), *options.split(), "-o", "program", *sources]
     found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr
     ran = subprocess.run([folder / "program"], cwd=folder, capture_output=True, text=True, check=False)
@@ -90,24 +91,19 @@ def test_misra_finds_only_the_deviations_that_are_listed(
     assert not found.others, found.said
 
 
-MACHINE = """controller: {sample_time: 0.01, delay: 2}
-  quantum: {u: 0.01, y: 1e-4}
-  rate_limit: {u: 30}
-  actuator: {limits: {u: [-2, 3]}}"""
-PIECES = "{polyline: {points: [[0, 0], [1, 0.03], [2, -0.02], [4, 0.04], [20, 0]], smooth: 0.3}}"
-
-
 def test_delays_limits_steps_and_pieces_are_in_the_code(tmp_path: Path) -> None:
-    path = cart(tmp_path, *MACHINE.split("\n  "), reference="PIECES", duration=10)
-    path.write_text(path.read_text(encoding="utf-8").replace('"PIECES"', PIECES))
-    subject = of_spec(load_spec(path), steps=1500)
-    assert subject.file.program is not None
-    assert subject.file.program.inside.pieces
+    subject = with_pieces(tmp_path)
     for single in (False, True):
         folder = written(subject, tmp_path / str(single), single=single)
         assert " 0 wrong;" in built(folder, COMPILERS[0], f"-O2 {SANE}")
         text = (folder / "loop.c").read_text(encoding="utf-8")
-        assert ("floorf(" if single else "floor(") in text
+        assert all(f" {name}" in text for name in ("change", "low", "high", "quantum", "piece_tick"))
+
+
+def test_of_limits_that_are_reversed_one_or_the_other_is_put_out(tmp_path: Path) -> None:
+    """No file may hold them: the vector is that of `docs/arithmetic.md`."""
+    subject = with_reversed_limits(with_pieces(tmp_path))
+    assert " 0 wrong;" in built(written(subject, tmp_path / "c"), COMPILERS[0], f"-O2 {SANE}")
 
 
 FAULTS = """
@@ -150,8 +146,12 @@ int main(void)
     memset(&state, 0xff, sizeof state);
     CHECK(loop_step(&state, y, ref, u) == LOOP_NOT_READY)
     loop_reset(&state);
-    state.cell = 1000u;
+    state.cell = 1000;
     CHECK(loop_step(&state, y, ref, u) == LOOP_NOT_READY)
+    loop_reset(&state);
+    state.cell_d = -1;
+    u[0] = 7.0;
+    CHECK(loop_step(&state, y, ref, u) == LOOP_NOT_READY && !(u[0] < 0.0) && !(u[0] > 0.0))
     loop_reset(&state);
     state.v[LOOP_OUTPUTS] = (loop_real)NAN;
     CHECK(loop_step(&state, y, ref, u) == LOOP_OK)

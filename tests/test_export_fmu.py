@@ -467,6 +467,24 @@ def test_the_command_exports_runs_and_refuses_what_is_not_proved(tmp_path: Path)
     assert "the spec that it was made from is not at hand, or was changed since" in error
 
 
+def test_options_that_do_nothing_are_refused(tmp_path: Path) -> None:
+    path, run, no = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2), tmp_path / "run", tmp_path / "no"
+    assert call("design", path, "--out", run).exit_code == 0
+    for target in (run, run / "controller.json"):
+        for options in (("--set", "k=2"), ("--sample-time", "0.02")):
+            error = refused(call("export", "fmu", target, "--out", no, *options), 2)
+            assert "--set and --sample-time go with a spec" in error
+            assert "design with them and export that run" in error
+    assert "go with a spec" in refused(call("export", "fmu", run, "--out", no, "--of", "plant", "--set", "k=2"), 2)
+    for target in (run, path):
+        for option in ("--sample-time 0.02", "--reference outside", "--unproved"):
+            error = refused(call("export", "fmu", target, "--out", no, "--of", "plant", *option.split()), 2)
+            assert option.removesuffix(" 0.02") in error
+            assert "that is for a controller, and only the plant is exported" in error
+            assert "--of both" in error
+    assert not no.exists()
+
+
 def test_a_plant_needs_no_design_and_says_its_units(tmp_path: Path) -> None:
     path = cart(tmp_path, "disturbance: {v: {constant: 0.1}}", duration=2)
     assert call("export", "fmu", path, "--out", tmp_path, "--of", "plant", "--name", "loop").exit_code == 0

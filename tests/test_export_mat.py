@@ -16,8 +16,9 @@ from pwatrack.export.source import Source
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
+from tests.exported import with_pieces, with_reversed_limits
 from tests.test_cli import call, refused
-from tests.test_export_st import SOME, with_pieces
+from tests.test_export_st import SOME
 from tests.test_outcome import cart
 
 OCTAVE = shutil.which("octave-cli")
@@ -101,6 +102,33 @@ disp(state.status)
 def test_faults_are_answered(machine: Subject, tmp_path: Path) -> None:
     folder = written(machine, tmp_path / "m", given=True)
     assert said(folder, FAULTS) == [*["1", "-1", "1"] * 4, "loop:size", "loop:size", "0"]
+
+
+OVERWRITTEN = """
+y = 0.1; [first, fresh] = loop_step(loop_init(), y);
+for fault = {{'cell', 1000}, {'cell', -1}, {'cell', NaN}, {'cell_d', 3}, {'since', -1}, {'since', Inf}}
+    state = setfield(fresh, fault{1}{:});
+    [u, state] = loop_step(state, y);
+    disp([u, state.status])
+end
+state = fresh; state.v(:) = NaN;
+[u, state] = loop_step(state, y); disp([u, state.status])
+for state = {[], 0, struct(), rmfield(fresh, 'before')}
+    try loop_step(state{1}, y); catch error, disp(error.identifier); end
+end
+"""
+
+
+@octave
+def test_a_memory_that_was_overwritten_is_noticed(machine: Subject, tmp_path: Path) -> None:
+    answers = [*["0", "-2"] * 6, "0", "-1", *["loop:state"] * 4]
+    assert said(written(machine, tmp_path / "m"), OVERWRITTEN) == answers
+
+
+@octave
+def test_of_limits_that_are_reversed_one_or_the_other_is_put_out(tmp_path: Path) -> None:
+    folder = written(with_reversed_limits(with_pieces(tmp_path)), tmp_path / "m")
+    assert said(folder, "disp(loop_replay()); load('loop.mat'); disp(unique(vector.u)')") == ["0", "0", "3"]
 
 
 def found(folder: Path) -> Any:

@@ -1,7 +1,6 @@
 """The function block, read by a grammar of IEC 61131-3 and run, is the controller in every bit."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from pwatrack.export.structured_text import function_block
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
+from tests.exported import with_pieces, with_reversed_limits
 from tests.structured_text import Block
 from tests.test_cli import call, refused
-from tests.test_export_c import MACHINE, PIECES
 from tests.test_outcome import cart
 
 SOME = {
@@ -63,18 +62,6 @@ def test_no_bit_differs_from_the_controller(name: str) -> None:
             assert all(one == other for one, other in pairs)
 
 
-def with_pieces(folder: Path) -> Subject:
-    """A controller with all that an input can have, and a reference in pieces that ends: 1,100 steps of it."""
-    path = cart(folder, *MACHINE.split("\n  "), reference="PIECES", duration=10)
-    path.write_text(path.read_text(encoding="utf-8").replace('"PIECES"', PIECES))
-    subject = of_spec(load_spec(path), steps=1100)
-    program = subject.file.program
-    assert program is not None
-    assert program.inside.pieces
-    program = program.model_copy(update={"inside": program.inside.model_copy(update={"end": 1080})})
-    return replace(subject, file=subject.file.model_copy(update={"program": program}))
-
-
 def test_delays_limits_steps_and_pieces_are_in_the_block(tmp_path: Path) -> None:
     subject = with_pieces(tmp_path)
     for single in (False, True):
@@ -106,6 +93,33 @@ def test_faults_are_answered_and_a_reset_starts_anew(machine: Subject) -> None:
     assert run(y=[0.1], given=w[2], reset=False)["status"] == 0
     assert run(y=[0.1], given=w[0], reset=True)["u"] == first
     assert run(y=[0.1], given=w[1], reset=False)["u"] == known["u"]
+
+
+OVERWRITTEN = {"cell": (1000, -1), "cell_d": (-(2**31), 3), "since": (2**31 - 1, -1)}
+
+
+def test_a_memory_that_was_overwritten_is_noticed(machine: Subject) -> None:
+    run = block(machine)
+    first = run(y=[0.1], reset=False)["u"]
+    for name, values in OVERWRITTEN.items():
+        for value in values:
+            run.memory[name] = value
+            found = run(y=[0.1], reset=False)
+            assert (found["status"], found["u"], found[name]) == (-2, [0.0], value)
+            assert run(y=[0.1], reset=True)["u"] == first
+    run.memory["v"] = dict.fromkeys(run.memory["v"], np.nan)
+    for found in (run(y=[0.1], reset=False), run(y=[0.1], reset=False)):
+        assert (found["status"], found["u"]) == (-1, [0.0])
+    assert run(y=[0.1], reset=True)["u"] == first
+    run.memory["ready"] = False
+    assert run(y=[0.1], reset=False)["u"] == first
+
+
+def test_of_limits_that_are_reversed_one_or_the_other_is_put_out(tmp_path: Path) -> None:
+    subject = with_reversed_limits(with_pieces(tmp_path))
+    assert all(one == other for one, other in both(subject))
+    run = block(subject)
+    assert {run(y=y, reset=False)["u"][0] for y in subject.vector.y[:300]} == {0.0, 3.0}  # 0 while it is late
 
 
 def test_the_grammar_takes_the_whole_file(tmp_path: Path) -> None:

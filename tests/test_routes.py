@@ -60,8 +60,11 @@ def test_where_there_is_no_route_each_says_why_and_design_refuses(name: str, rea
 
 
 ROPE = """
+name: A load on a rope
 system:
   states: [xw, vw, xl, vl]
+  inputs: [force]
+  outputs: [winch, height]
   A: [[0, 1, 0, 0], [0, -2, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]]
   B: [[0], [1], [0], [0]]
   C: [[1, 0, 0, 0], [0, 0, 1, 0]]

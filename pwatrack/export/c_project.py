@@ -48,7 +48,7 @@ CFLAGS ?= -O2
 ALL_CFLAGS = {flags} $(CFLAGS)
 
 replay: main.c vector.h {name}.c {name}.h
-\t$(CC) $(ALL_CFLAGS) -o $@ main.c {name}.c -lm
+\t$(CC) $(ALL_CFLAGS) -o $@ main.c {name}.c
 
 .PHONY: check clean
 check: replay
@@ -64,7 +64,6 @@ add_library({name} STATIC {name}.c)
 target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
 if(NOT MSVC)
   target_compile_options({name} PRIVATE -ffp-contract=off)
-  target_link_libraries({name} PUBLIC m)
 endif()
 add_executable(replay main.c)
 target_link_libraries(replay PRIVATE {name})

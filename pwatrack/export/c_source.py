@@ -2,11 +2,14 @@
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from pwatrack.export.notation import most
 from pwatrack.export.source import Source
+from pwatrack.export.step import Kind, Step, Variable, step
 
 _PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
 
@@ -19,57 +22,49 @@ class CSource(Source):
         """Return an array as a C initialiser; each number is the shortest decimal that gives it."""
         return initialiser(values, single=self.single)
 
+    @cached_property
+    def step(self) -> Step:
+        """What it does."""
+        return step(self)
+
+    @property
+    def types(self) -> dict[Kind, str]:
+        """The types of C."""
+        return {"real": f"{self.name}_real", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
+
+    def declared(self, variable: Variable) -> str:
+        """Return the declaration of a variable."""
+        length = f"[{variable.length}]" if variable.length else ""
+        return f"{self.types[variable.kind]} {variable.name}{length};" + f" /* {variable.what} */" * bool(variable.what)
+
+    @property
+    def state(self) -> tuple[Variable, ...]:
+        """The fields of the state."""
+        return (*self.step.kept, Variable("ready", "flag", what="set by init"))
+
+    @property
+    def widths(self) -> dict[Kind, int]:
+        """Bytes of a number of each type."""
+        return {"real": 4 if self.single else 8, "whole": 4, "side": 1, "flag": 4}
+
     @property
     def constant_bytes(self) -> int:
         """Bytes of all constants."""
-        widths = {"int8_t": 1, "uint32_t": 4}
-        floats = sum(values.size for values in self.tables.values()) * (4 if self.single else 8)
-        return floats + sum(values.size * widths[kind] for kind, values in self.whole.values())
-
-    @property
-    def fields(self) -> list[tuple[str, str, int, str]]:
-        """The fields of the state: type, name, length, and what it is."""
-        of, late, real = self.program.sizes, self.program.sampling.delay, f"{self.name}_real"
-        m = of["m"]
-        vector = of["q"] + m + of["N"] + of["p"] + of["s"]
-        found = [
-            (real, "v", vector, "y, u, x_hat, s_hat, eta_hat, w"),
-            (real, "copies", self.copies * of["s"], "of w, renewed every 2^10 and 2^20 samples"),
-            (real, "late", late * m, "inputs that wait to be put out, the next one first"),
-            (real, "before", m, "inputs computed last, limited"),
-            (real, "wanted", m, "inputs wanted before they were limited"),
-            (real, "x_d", of["n"], "desired state"),
-            ("uint32_t", "ready", 1, "set by init"),
-            ("uint32_t", "started", 1, "whether it has run"),
-            ("uint32_t", "tick", int(self.counted), "samples so far"),
-            ("uint32_t", "since", int(self.copies > 0), "samples since the reference began anew"),
-            ("uint32_t", "piece", int("piece_tick" in self.whole), "pieces of the reference so far"),
-            ("uint32_t", "cell", 1, "cell of x_hat"),
-            ("uint32_t", "cell_d", 1, "cell of x_d"),
-            ("int32_t", "status", 1, "of the last step"),
-        ]
-        return [field for field in found if field[2]]
+        return sum(values.size * self.widths[kind] for kind, values in self.step.constants.values())
 
     @property
     def state_bytes(self) -> int:
         """Bytes of the state."""
-        width = 4 if self.single else 8
-        size = sum(length * (width if kind.endswith("_real") else 4) for kind, _, length, _ in self.fields)
+        size, width = sum((v.length or 1) * self.widths[v.kind] for v in self.state), self.widths["real"]
         return -(-size // width) * width
 
     @property
     def operations(self) -> tuple[int, int, int]:
-        """The most multiplications, additions and comparisons of floats in one step."""
-        of, program = self.program.sizes, self.program
-        planes, guards = len(program.h), len(program.guards)
-        n, m, p, s = of["n"], of["m"], of["p"], of["s"]
-        seen, known = of["q"] + m + of["N"], of["N"] - n + p + s
-        rows = of["N"] * seen + (p + n + m + guards) * known + planes * n + m * n
-        inside = s * s if self.follows is not None else 0
-        quanta = int((program.quantum > 0).sum())
-        found = len(program.signs) * (2 * planes + 1) + len(program.sides) * (2 * guards + 1)
-        compared = found + 4 * m + 2 * (2 * seen + p + s + n + m)
-        return rows + inside + 2 * quanta, rows + inside + m * n + 2 * m + quanta, compared
+        """The most products and quotients, sums, and comparisons of floats in one step."""
+        known, variables = self.step.constants, (*self.step.kept, *self.step.own)
+        reals = {"y", "u", "given", *(name for name, (kind, _) in known.items() if kind == "real")}
+        found = most(self.step.body, reals | {variable.name for variable in variables if variable.kind == "real"})
+        return found["*"] + found["/"], found["+"] + found["-"], found["<"]
 
 
 def prefix(title: str) -> str:
@@ -105,10 +100,7 @@ def header(c: CSource) -> str:
     """Return the header."""
     name, upper, of = c.name, c.name.upper(), c.program.sizes
     real = "float" if c.single else "double"
-    lines = "\n".join(
-        f"    {kind} {field}{f'[{length}]' if _array(field) else ''}; /* {what} */"
-        for kind, field, length, what in c.fields
-    )
+    lines = "\n".join(f"    {c.declared(variable)}" for variable in c.state)
     return (
         _comment(c)
         + f"""\
@@ -159,7 +151,3 @@ def _comment(c: CSource) -> str:
     )
     lines = c.about(sizes, "made inside; NULL will do")
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */", ""])
-
-
-def _array(field: str) -> bool:
-    return field in ("v", "copies", "late", "before", "wanted", "x_d")

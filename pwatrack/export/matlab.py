@@ -26,7 +26,8 @@ function state = {name}_init()
 %
 % state = {name}_init() is where it starts: do this once.
 % [u, state] = {name}_step(state, y{ref}) runs it once, on what is measured now; u is to be put out now.
-% state.status is 0; 1: the reference has ended; -1: not finite, nothing was changed, and the last input is held.
+% state.status is 0; 1: the reference has ended; -1: not finite, nothing was changed, and the last input is held;
+% -2: the state was overwritten, and u is 0.
 % state.cell and state.cell_d are the cells of x_hat and x_d, from 0; state.x_d is the desired state.
 % {name}_replay() steps it through what {name}.mat has of the simulation, and counts what is off by a bit.
 t = {name}_tables();
@@ -43,6 +44,7 @@ t = {name}_tables();
 {body}
 end
 """
+_NO_STATE = "    error('{name}:state', 'state must come from {name}_init')"
 _TABLES = """\
 function t = {name}_tables()
 % The constants of the controller: see {name}_init.
@@ -89,6 +91,7 @@ def _named(found: Step) -> Language:
         name=name,
         element="{}({})",
         from_one=True,
+        comment="% {}",
     )
 
 
@@ -101,6 +104,8 @@ def functions(source: Source) -> dict[str, str]:
         f"if numel({part}) ~= {size}\n    error('{name}:size', '{part} must have {size} entries');\nend"
         for part, size in sizes.items()
     )
+    parts = ", ".join(f"'{variable.name}'" for variable in found.kept)
+    checks = f"if ~isstruct(state) || ~all(isfield(state, {{{parts}}}))\n{_NO_STATE.format(name=name)}\nend\n{checks}"
     own = [f"{v.name} = zeros({v.length}, 1);" for v in found.own if v.length and v.name in used]
     own.append(f"u = zeros({of['m']}, 1);")
     kept = [f"state.{v.name} = zeros({v.length}, 1);" for v in found.kept if v.length]

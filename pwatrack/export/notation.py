@@ -1,11 +1,13 @@
 """The notation in which a step is written once, printed in other languages.
 
 It is a part of Python: assignments, `if` with `elif` and `else`, `for` over a range of two whole numbers, indices from
-0, + - * / %, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False.
+0, + - * / %, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by itself is a
+comment.
 """
 
 import ast
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from textwrap import indent
 
@@ -18,11 +20,14 @@ class Language:
         assign: From target and value.
         loop: From index, first and last number, and body; bodies are indented.
         branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
-        words: Operators, True and False, where they are written in another way.
+        within: What stands in an `else` that must end an `elif`; "" where none must.
+        truth: A flag as a condition.
+        words: Operators, numbers, True and False, where they are written in another way.
         remainder: From two whole numbers.
         name: A variable.
-        element: An array and its indices -> an entry.
+        element, between: An array and its indices -> an entry; what stands between indices.
         from_one: Whether indices begin with 1.
+        comment: From its text.
     """
 
     assign: str
@@ -31,11 +36,15 @@ class Language:
     other: str
     otherwise: str
     end: str
+    within: str = ""
+    truth: str = "{}"
     words: Mapping[str, str]
     remainder: str
     name: Callable[[str], str]
     element: str
+    between: str = ", "
     from_one: bool
+    comment: str
 
 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -60,7 +69,45 @@ def printed(text: str, language: Language) -> str:
 
 def names(text: str) -> set[str]:
     """Return all names in lines of the notation."""
-    return {node.id for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Name)}
+    return _names(ast.parse(text))
+
+
+def _names(tree: ast.AST) -> set[str]:
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+
+
+def most(text: str, reals: Set[str]) -> Counter[str]:
+    r"""Return how often lines of the notation do each of + - * / with floats at most, and compare them, as "<".
+
+    Args:
+        text: The lines.
+        reals: The names of floats.
+
+    Example:
+        >>> text = "for k in range(0, 3):\n    if u[k] > 0.0:\n        u[k] = 2.0 * u[k - 1]"
+        >>> sorted(most(text, {"u"}).items())
+        [('*', 3), ('<', 3)]
+    """
+
+    def of_value(node: ast.AST) -> Counter[str]:
+        found = Counter[str]()
+        for part in ast.walk(node):
+            if isinstance(part, ast.BinOp | ast.Compare) and _names(part) & reals:
+                found[_OPERATORS[type(part.op)] if isinstance(part, ast.BinOp) else "<"] += 1
+        return found
+
+    def of_body(body: Sequence[ast.stmt]) -> Counter[str]:
+        return sum(map(of_statement, body), Counter[str]())
+
+    def of_statement(node: ast.stmt) -> Counter[str]:
+        match node:
+            case ast.For(iter=ast.Call(args=[ast.Constant(value=int(first)), ast.Constant(value=int(stop))])):
+                return Counter({name: count * (stop - first) for name, count in of_body(node.body).items()})
+            case ast.If():
+                return of_value(node.test) + (of_body(node.body) | of_body(node.orelse))
+        return of_value(node)
+
+    return of_body(ast.parse(text).body)
 
 
 @dataclass(frozen=True)
@@ -77,6 +124,8 @@ class _Printer:
     def statement(self, node: ast.stmt) -> str:
         language = self.language
         match node:
+            case ast.Expr(value=ast.Constant(value=str(text))):
+                return language.comment.format(text)
             case ast.Assign(targets=[target], value=value):
                 return language.assign.format(self.value(target), self.value(value))
             case ast.For(
@@ -86,14 +135,17 @@ class _Printer:
             ):
                 return language.loop.format(language.name(index), first, stop - 1, self.block(node.body))
             case ast.If():
-                return self.branches(node, language.branch) + language.end
+                return (self.branches(node, language.branch) + language.end).rstrip()
         raise ValueError(f"not a part of the notation: {ast.unparse(node)}")
 
     def branches(self, node: ast.If, form: str) -> str:
-        text = form.format(self.value(node.test), self.block(node.body))
+        test = self.value(node.test)
+        test = self.language.truth.format(test) if isinstance(node.test, ast.Name) else test
+        text = form.format(test, self.block(node.body))
         match node.orelse:
             case []:
-                return text
+                within = self.language.within if form == self.language.other else ""
+                return text + (self.language.otherwise.format(indent(within, "    ")) if within else "")
             case [ast.If() as other]:
                 return text + self.branches(other, self.language.other)
         return text + self.language.otherwise.format(self.block(node.orelse))
@@ -107,7 +159,8 @@ class _Printer:
                 return words.get(str(value), str(value))
             case ast.Subscript(value=ast.Name(id=name), slice=place):
                 places = place.elts if isinstance(place, ast.Tuple) else [place]
-                return self.language.element.format(self.language.name(name), ", ".join(map(self.place, places)))
+                indices = self.language.between.join(map(self.place, places))
+                return self.language.element.format(self.language.name(name), indices)
             case ast.BinOp(left=left, op=ast.Mod(), right=right):
                 return self.language.remainder.format(self.inner(left), self.inner(right))
             case ast.BinOp(left=left, op=op, right=right):

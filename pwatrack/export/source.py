@@ -14,7 +14,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import runs
 
-_LAST_TICK = 2**32 - 2  # that 32 bits count, with one to spare
+_LAST_TICK = 2**31 - 2  # that 31 bits count, with one to spare: Structured Text has a sign
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Source:
         found = self.program.follows
         last = 0 if found is None else max([found.end or 0, *(piece.tick for piece in found.pieces)])
         if last > _LAST_TICK:
-            raise InvalidSpec(f"the reference has pieces up to tick {last}, more than 32 bits count")
+            raise InvalidSpec(f"the reference has pieces up to tick {last}, more than a whole number of 32 bits counts")
         return found if self.program.sizes["s"] else None
 
     @property
@@ -109,20 +109,17 @@ class Source:
         return {name: values for name, values in found.items() if values.size}
 
     @cached_property
-    def whole(self) -> dict[str, tuple[str, IntArray]]:
-        """All constants of whole numbers, with their types in C."""
-        found: dict[str, tuple[str, IntArray]] = {
-            "signs": ("int8_t", self.program.signs),
-            "sides": ("int8_t", self.program.sides),
-        }
+    def whole(self) -> dict[str, IntArray]:
+        """All constants of whole numbers; those that are empty are left out."""
+        found = {"signs": self.program.signs, "sides": self.program.sides}
         if self.follows is not None:
             pieces = self.follows.pieces
-            found["piece_tick"] = ("uint32_t", np.array([piece.tick for piece in pieces]))
-            found["piece_start"] = ("uint32_t", np.array([piece.start for piece in pieces]))
             lengths = [len(piece.w) for piece in pieces]
-            found["piece_length"] = ("uint32_t", np.array(lengths))
-            found["piece_value"] = ("uint32_t", np.cumsum([0, *lengths])[:-1])
-        return {name: (kind, values) for name, (kind, values) in found.items() if values.size}
+            found["piece_tick"] = np.array([piece.tick for piece in pieces])
+            found["piece_start"] = np.array([piece.start for piece in pieces])
+            found["piece_length"] = np.array(lengths)
+            found["piece_value"] = np.cumsum([0, *lengths])[:-1]
+        return {name: values for name, values in found.items() if values.size}
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
         """Return what stands at the top: what it is, what is proved, digests, signals.

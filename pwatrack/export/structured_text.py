@@ -23,6 +23,7 @@ ST = Language(
     name=str,
     element="{}[{}]",
     from_one=False,
+    comment="(* {} *)",
 )
 _OUT = ("wanted", "cell", "cell_d", "status")  # of what it remembers, what is put out
 
@@ -60,7 +61,7 @@ def function_block(source: Source) -> str:
     """Return a controller as a function block."""
     found, of = step(source), source.program.sizes
     used, floats = names(found.body), "REAL" if source.single else "LREAL"
-    types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "count": "UDINT", "flag": "BOOL"}
+    types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
 
     def declared(variable: Variable) -> str:
         kind = types[variable.kind]

@@ -106,9 +106,7 @@ def unwritable(out: Path, error: OSError) -> InvalidSpec:
 
 def subject_of(target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool) -> Subject:
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
-    if target.is_dir() or target.suffix == ".json":
-        if parameters or sample_time is not None:
-            raise InvalidSpec("--set and --sample-time go with a spec, not with a controller that is stored")
+    if stored(target, parameters, sample_time):
         found = _stored(target / CONTROLLER if target.is_dir() else target, given)
     else:
         found = of_spec(load_spec(target, parameters), sample_time, given)
@@ -121,6 +119,19 @@ def subject_of(target: Path, parameters: Any, sample_time: float | None, given: 
                 hint="--unproved exports it all the same, and its header says so",
             ),
         )
+    return found
+
+
+def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
+    """Say whether what is exported is stored, and no spec.
+
+    Raises:
+        InvalidSpec: If it is, and is to be changed.
+    """
+    found = target.is_dir() or target.suffix == ".json"
+    if found and (parameters or sample_time is not None):
+        message = f"{target}: --set and --sample-time go with a spec, not with a controller that is stored"
+        raise InvalidSpec(message, hint="export the spec with them, or design with them and export that run")
     return found
 
 

@@ -11,7 +11,7 @@ from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.fmu_description import Version
 from pwatrack.export.fmu_plant import plant_parts
 from pwatrack.export.stored import read
-from pwatrack.report.export import CONTROLLER, its_spec, subject_of, unwritable
+from pwatrack.report.export import CONTROLLER, its_spec, stored, subject_of, unwritable
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 
@@ -48,11 +48,17 @@ def export_fmu(
         What was written, in sentences.
 
     Raises:
-        InvalidSpec: If there is no sample time, too many cells, or something cannot be read or written.
+        InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
+            not for what is exported.
         CheckFailed: If the controller is not proved, unless `unproved`; if a compiler that is there makes no binary.
     """
     made = dict[str, Parts]()
     if "controller" not in of:
+        unused = {"--sample-time": sample_time is not None, "--reference outside": given, "--unproved": unproved}
+        if any(unused.values()):
+            names = ", ".join(name for name, there in unused.items() if there)
+            message = f"{names}: that is for a controller, and only the plant is exported"
+            raise InvalidSpec(message, hint="leave it out, or export the controller, too: --of both")
         spec = _spec(target, parameters)
     else:
         subject = subject_of(target, parameters, sample_time, given, unproved)
@@ -91,7 +97,7 @@ def _written(made: Mapping[str, Parts], versions: Sequence[Version], out: Path) 
 
 def _spec(target: Path, parameters: Mapping[str, Any]) -> Spec | None:
     """Return the spec, or that of a run, if it is there as it was."""
-    if not target.is_dir() and target.suffix != ".json":
+    if not stored(target, parameters, None):
         return load_spec(target, parameters)
     path = target / CONTROLLER if target.is_dir() else target
     return its_spec(read(path), path.parent)

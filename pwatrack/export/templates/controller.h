@@ -36,8 +36,8 @@ static void model_show(model *of)
 @show_next@    memcpy(&of->real[ESTIMATE], &v[@X@], (@N@u + @p@u) * sizeof(double));
     memcpy(&of->real[DESIRED], of->core.x_d, @n@u * sizeof(double));
     of->integer[0] = of->core.status;
-    of->integer[1] = (int32_t)of->core.cell;
-    of->integer[2] = (int32_t)of->core.cell_d;
+    of->integer[1] = of->core.cell;
+    of->integer[2] = of->core.cell_d;
 }
 
 static void model_begin(model *of)

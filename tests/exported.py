@@ -1,0 +1,34 @@
+"""Controllers with all that an input can have, to be exported."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from pwatrack import load_spec
+from pwatrack.report.export import Subject, of_spec
+from tests.test_outcome import cart
+
+MACHINE = """controller: {sample_time: 0.01, delay: 2}
+  quantum: {u: 0.01, y: 1e-4}
+  rate_limit: {u: 30}
+  actuator: {limits: {u: [-2, 3]}}"""
+PIECES = "{polyline: {points: [[0, 0], [1, 0.03], [2, -0.02], [4, 0.04], [20, 0]], smooth: 0.3}}"
+
+
+def with_pieces(folder: Path) -> Subject:
+    """A controller with all that an input can have, and a reference in pieces that ends: 1,100 steps of it."""
+    path = cart(folder, *MACHINE.split("\n  "), reference="PIECES", duration=10)
+    path.write_text(path.read_text(encoding="utf-8").replace('"PIECES"', PIECES))
+    subject = of_spec(load_spec(path), steps=1100)
+    program = subject.file.program
+    assert program is not None
+    assert program.inside.pieces
+    program = program.model_copy(update={"inside": program.inside.model_copy(update={"end": 1080})})
+    return replace(subject, file=subject.file.model_copy(update={"program": program}))
+
+
+def with_reversed_limits(subject: Subject) -> Subject:
+    """A controller that no file may hold: its low limits are its high ones, and the other way round."""
+    program = subject.file.program
+    assert program is not None
+    program = program.model_copy(update={"low": program.high, "high": program.low})
+    return replace(subject, file=subject.file.model_copy(update={"program": program}))
