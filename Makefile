@@ -122,6 +122,10 @@ fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
 fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by coverage (ten minutes)
 	@$(BIN)/python -m benchmarks.fuzz_reader
 
+.PHONY: bad-inputs
+bad-inputs: $(READY) ## check every bad input of the tests in a process of its own: code, line, time, memory (five minutes)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bad_inputs
+
 .PHONY: batch-bench
 batch-bench: $(READY) ## time batches against a process for each spec (ten minutes)
 	@$(BIN)/python -m benchmarks.batch

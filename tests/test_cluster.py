@@ -2,13 +2,14 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,38 +27,48 @@ from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.codes import code_of
 from pwatrack.spec.axis import axis
+from pwatrack.version import __version__
 from tests.stand_ins import work
 from tests.test_pool import sleeping, suicide
 from tests.test_sweep import SPEC
 
 pytest.importorskip("distributed")
 
+HOME = Path(__file__).parents[1]
+
 TABLE = "t,y\n" + "".join(f"{t},{0.01 * (t % 3)}\n" for t in range(40))
 TABLED = SPEC.replace('"0.2*sin(t)"', "{table: {file: course.csv}}")
 
 
-def dask(kind: str, *options: str) -> "subprocess.Popen[bytes]":
+def dask(kind: str, *options: str, home: Path = HOME) -> "subprocess.Popen[bytes]":
     command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options, "--no-dashboard"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = {**os.environ, "PYTHONPATH": str(home)}
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(command, env=environment, **silent)  # type: ignore[call-overload, no-any-return]
+    return subprocess.Popen(command, env=environment, cwd=home, **silent)  # type: ignore[call-overload, no-any-return]
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler with one worker; gives its address."""
-    file = tmp_path_factory.mktemp("dask") / "scheduler.json"
+@contextmanager
+def scheduler_and_worker(folder: Path, home: Path = HOME) -> Iterator[str]:
+    """A scheduler with one worker, which imports pwatrack from its home; gives its address."""
+    file = folder / "scheduler.json"
     with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file)) as process:
         while not file.exists() or not file.read_text():
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]
-        with dask("worker", address, "--nthreads", "1") as worker:
+        local = "--local-directory", str(folder)
+        with dask("worker", address, "--nthreads", "1", *local, home=home) as worker:
             try:
                 yield address
             finally:
                 worker.terminate()
                 worker.wait()
                 process.terminate()
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with scheduler_and_worker(tmp_path_factory.mktemp("dask")) as address:
+        yield address
 
 
 @pytest.fixture
@@ -281,3 +292,19 @@ def test_where_no_scheduler_is_or_distributed_is_missing_that_is_said(monkeypatc
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InvalidSpec, match=r"not installed[\s\S]*pwatrack\[cluster\]"):
         Cluster("tcp://127.0.0.1:1")
+
+
+def test_a_worker_of_another_version_is_refused_by_both_names_and_leaves_nothing(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(HOME / "pwatrack", tmp_path / "home" / "pwatrack", ignore=shutil.ignore_patterns("__pycache__"))
+    version = tmp_path / "home" / "pwatrack" / "version.py"
+    text = version.read_text(encoding="utf-8").replace(f'"{__version__}"', '"0.0.9"')
+    version.write_text(text, encoding="utf-8")
+    words = f"a worker has pwatrack 0.0.9 instead of {__version__} [P211]\n  hint: install the same versions there"
+    with scheduler_and_worker(tmp_path, tmp_path / "home") as address:
+        for command in (["batch"], ["simulate", "--ensemble", "3"], ["sweep", "--sweep", "a=0:2:3", "--design"]):
+            name, *options = command
+            out = tmp_path / "out" / name
+            where = [*options, "--scheduler", address, "--out", str(out)]
+            run = CliRunner().invoke(app, [name, str(folder / "drive0.yaml"), *where])
+            assert (run.exit_code, words in run.stderr) == (2, True), run.output
+            assert not list(out.rglob("*.*"))

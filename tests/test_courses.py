@@ -43,34 +43,34 @@ def values(path: Path, times: np.ndarray, r: int = 0) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize(
-    ("output", "message"),
-    [
-        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.05}}", "trapezoid.hold: -0.05 is negative"),
-        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.3}}", "trapezoid.hold: -0.3 is negative"),
-        ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, rest: -0.2}}", "trapezoid.rest: -0.2 is negative"),
-        (
-            "{trapezoid: {high: 1, rise: 1e-17, fall: 1, rest: 1}}",
-            "rise: 1e-17 s is too short beside 4 s: at least 4e-12",
-        ),
-        ("{trapezoid: {high: 1, rise: 1e-7, fall: 1e-7}}", "2e+07 trapezoids until t = 4 s"),
-        ("{polyline: {points: [[], [1, 2]]}}", "points[1]: a point is a pair [t, y]"),
-        ("{polyline: {points: [[1, 2, 3]]}}", "points[1]: a point is a pair [t, y]"),
-        ("{polyline: {points: [[1, 2], [1, 3]]}}", "points[2]: t = 1 s does not come after 1 s"),
-        ("{polyline: {points: [[0, 0], [1e-30, 1e60]]}}", "points 1 and 2, 1e-30 s apart, is too short beside 4 s"),
-        ("{step: {size: 1, at: 1, smooth: 1e-15}}", "smooth: 1e-15 s is too short beside 5 s"),
-        ("sin(1e300*t)", "'1e300*t' has a coefficient beyond 1e+60"),
-        ("exp(-1e308*t)", "'-1e308*t' has a coefficient beyond 1e+60"),
-        ("sin(1e30*t)", "a sine of 1e+30 rad/s is too fast for 4 s: 4e+30 radians or time constants, at most 1e+09"),
-        ("exp(-1e30*t)", "exp(-1e+30*t) is too fast for 4 s"),
-        ("{formula: exp(50*t), until: 4}", "exp(50*t) is beyond 1e60 before 4 s"),
-        ("{sine: {amplitude: 1, frequency: 1e40}}", "a sine of 1e+40 rad/s is too fast"),
-        ("((sin(t)+sin(1.1*t)+sin(1.3*t)+sin(1.7*t))**20)**20", "101 terms or more when multiplied out, at most 100"),
-        ("((((t+1)**20)**20)**20)**20*exp(-t)", "has t to a power of 40, at most 20 is read"),
-        ("t**11*t**11*exp(-t)", "has t to a power of 22, at most 20 is read"),
-        ("1e50*t*1e50*exp(-t)", "has a coefficient beyond 1e+60"),
-    ],
-)
+NO_COURSE = [
+    ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.05}}", "trapezoid.hold: -0.05 is negative"),
+    ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, hold: -0.3}}", "trapezoid.hold: -0.3 is negative"),
+    ("{trapezoid: {high: 1, rise: 0.1, fall: 0.1, rest: -0.2}}", "trapezoid.rest: -0.2 is negative"),
+    (
+        "{trapezoid: {high: 1, rise: 1e-17, fall: 1, rest: 1}}",
+        "rise: 1e-17 s is too short beside 4 s: at least 4e-12",
+    ),
+    ("{trapezoid: {high: 1, rise: 1e-7, fall: 1e-7}}", "2e+07 trapezoids until t = 4 s"),
+    ("{polyline: {points: [[], [1, 2]]}}", "points[1]: a point is a pair [t, y]"),
+    ("{polyline: {points: [[1, 2, 3]]}}", "points[1]: a point is a pair [t, y]"),
+    ("{polyline: {points: [[1, 2], [1, 3]]}}", "points[2]: t = 1 s does not come after 1 s"),
+    ("{polyline: {points: [[0, 0], [1e-30, 1e60]]}}", "points 1 and 2, 1e-30 s apart, is too short beside 4 s"),
+    ("{step: {size: 1, at: 1, smooth: 1e-15}}", "smooth: 1e-15 s is too short beside 5 s"),
+    ("sin(1e300*t)", "'1e300*t' has a coefficient beyond 1e+60"),
+    ("exp(-1e308*t)", "'-1e308*t' has a coefficient beyond 1e+60"),
+    ("sin(1e30*t)", "a sine of 1e+30 rad/s is too fast for 4 s: 4e+30 radians or time constants, at most 1e+09"),
+    ("exp(-1e30*t)", "exp(-1e+30*t) is too fast for 4 s"),
+    ("{formula: exp(50*t), until: 4}", "exp(50*t) is beyond 1e60 before 4 s"),
+    ("{sine: {amplitude: 1, frequency: 1e40}}", "a sine of 1e+40 rad/s is too fast"),
+    ("((sin(t)+sin(1.1*t)+sin(1.3*t)+sin(1.7*t))**20)**20", "101 terms or more when multiplied out, at most 100"),
+    ("((((t+1)**20)**20)**20)**20*exp(-t)", "has t to a power of 40, at most 20 is read"),
+    ("t**11*t**11*exp(-t)", "has t to a power of 22, at most 20 is read"),
+    ("1e50*t*1e50*exp(-t)", "has a coefficient beyond 1e+60"),
+]
+
+
+@pytest.mark.parametrize(("output", "message"), NO_COURSE)
 def test_a_course_beyond_its_limits_is_refused_at_its_line_with_the_limit(
     tmp_path: Path, output: str, message: str
 ) -> None:
@@ -128,35 +128,35 @@ def test_a_table_is_read_with_a_byte_order_mark_and_from_before_0(tmp_path: Path
     np.testing.assert_allclose(values(path, inner), np.sin(inner), atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (rows(T, T, point=","), "row 2 has 4 entries, the header 2: decimal commas? write points in numbers, or"),
-        ('t,y\n"0,5",1\n', "row 2: '0,5', '1' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
-        ("t;y\n0,5;1.0\n", "row 2: '0,5', '1.0' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
-        ("time;y\n0;1\n", "the header has no column 't'; it has 'time', 'y'"),
-        ("tt;y\n0;1\n", "the header has no column 't'; it has 'tt', 'y'; did you mean 'tt'?"),
-        ("\xff\xfet", "not UTF-16 text: byte 0x74 at position 3"),
-        ("t,y\n0,1_000\n", "row 2: '0', '1_000' are no two numbers"),
-        ("t,y\n0\n", "row 2: '0', '' are no two numbers"),
-        ("t,y,y\n0,1,2\n", "the header has two columns 'y'"),
-        ("", "the header has no column 't'; it has none"),
-        (
-            "root:x:0:0:root and more of that file, which is none of your business, a\n",
-            "it has 'root:x:0:0:root and ', ",
-        ),
-        ("t,y\n0,0\n1e-300,1\n2e-300,2\n3e-300,3\n", "reference.output ends at t = 3e-300 s"),
-        (
-            "t,y\n0,0\n1e-300,1\n1,2\n5,3\n",
-            "t does not increase enough: 1e-300 s, at least 5e-12 s are told apart at row 3",
-        ),
-        ("t,y\n0,0\n1,1\n1,2\n5,3\n", "t does not increase at row 4"),
-        ("t,y\n0,0\n1,1e99\n2,2\n5,3\n", "row 3 has a number beyond 1e+60"),
-        ("t,y\n0,0\n1,nan\n2,2\n5,3\n", "row 3 is not finite"),
-        ("t,y\n0," + "1" * 200_000, "field larger than field limit"),
-        ("t,y\n0,\xff", "not UTF-8 text: byte 0xff at position 7"),
-    ],
-)
+NO_TABLE = [
+    (rows(T, T, point=","), "row 2 has 4 entries, the header 2: decimal commas? write points in numbers, or"),
+    ('t,y\n"0,5",1\n', "row 2: '0,5', '1' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
+    ("t;y\n0,5;1.0\n", "row 2: '0,5', '1.0' are no two numbers: write points in numbers, or 'decimal: \",\"'"),
+    ("time;y\n0;1\n", "the header has no column 't'; it has 'time', 'y'"),
+    ("tt;y\n0;1\n", "the header has no column 't'; it has 'tt', 'y'; did you mean 'tt'?"),
+    ("\xff\xfet", "not UTF-16 text: byte 0x74 at position 3"),
+    ("t,y\n0,1_000\n", "row 2: '0', '1_000' are no two numbers"),
+    ("t,y\n0\n", "row 2: '0', '' are no two numbers"),
+    ("t,y,y\n0,1,2\n", "the header has two columns 'y'"),
+    ("", "the header has no column 't'; it has none"),
+    (
+        "root:x:0:0:root and more of that file, which is none of your business, a\n",
+        "it has 'root:x:0:0:root and ', ",
+    ),
+    ("t,y\n0,0\n1e-300,1\n2e-300,2\n3e-300,3\n", "reference.output ends at t = 3e-300 s"),
+    (
+        "t,y\n0,0\n1e-300,1\n1,2\n5,3\n",
+        "t does not increase enough: 1e-300 s, at least 5e-12 s are told apart at row 3",
+    ),
+    ("t,y\n0,0\n1,1\n1,2\n5,3\n", "t does not increase at row 4"),
+    ("t,y\n0,0\n1,1e99\n2,2\n5,3\n", "row 3 has a number beyond 1e+60"),
+    ("t,y\n0,0\n1,nan\n2,2\n5,3\n", "row 3 is not finite"),
+    ("t,y\n0," + "1" * 200_000, "field larger than field limit"),
+    ("t,y\n0,\xff", "not UTF-8 text: byte 0xff at position 7"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), NO_TABLE)
 def test_a_table_that_cannot_be_read_says_why(tmp_path: Path, content: str, message: str) -> None:
     (problem,) = refused(table(tmp_path, content.encode("latin-1")))
     assert message in problem.message
@@ -192,21 +192,21 @@ def test_columns_of_a_table_are_read_as_it_is_said(tmp_path: Path, content: str,
     np.testing.assert_allclose(values(with_options(tmp_path, content, options), inner), np.sin(inner), atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("decimal: ','", "'0.0', '0.0' are no two numbers: decimals have a comma here"),
-        ("scale: 0", "scale: 0 makes no use of column 't'"),
-        ("scale: -1", "scale: -1 makes no use of column 't'"),
-        ("scale: {q: 2}", "scale: 'q' is not a column that is read: 't' and 'y' are"),
-        ("delimiter: x", "delimiter: 'x' is not ',', ';', "),
-        ("decimal: x", "decimal: 'x' is not '.' or ','"),
-        ("filter: {cutoff: 0}", "cutoff: 0 is not positive"),
-        ("filter: {cutoff: 6}", "rows 0.1 s apart tell nothing above 5 Hz: the cutoff is 6 Hz"),
-        ("filter: {cutoff: 0.2}", "a cutoff of 0.2 Hz averages over 4.55 s, the table lasts 4 s"),
-        ("filter: 20", "filter: a mapping is expected"),
-    ],
-)
+NO_OPTION = [
+    ("decimal: ','", "'0.0', '0.0' are no two numbers: decimals have a comma here"),
+    ("scale: 0", "scale: 0 makes no use of column 't'"),
+    ("scale: -1", "scale: -1 makes no use of column 't'"),
+    ("scale: {q: 2}", "scale: 'q' is not a column that is read: 't' and 'y' are"),
+    ("delimiter: x", "delimiter: 'x' is not ',', ';', "),
+    ("decimal: x", "decimal: 'x' is not '.' or ','"),
+    ("filter: {cutoff: 0}", "cutoff: 0 is not positive"),
+    ("filter: {cutoff: 6}", "rows 0.1 s apart tell nothing above 5 Hz: the cutoff is 6 Hz"),
+    ("filter: {cutoff: 0.2}", "a cutoff of 0.2 Hz averages over 4.55 s, the table lasts 4 s"),
+    ("filter: 20", "filter: a mapping is expected"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), NO_OPTION)
 def test_options_that_a_table_does_not_bear_out_are_refused(tmp_path: Path, options: str, message: str) -> None:
     (problem,) = refused(with_options(tmp_path, rows(T, T), options))
     assert message in problem.message

@@ -228,19 +228,19 @@ def test_a_parameter_named_like_a_constant_or_function_is_said_once(write: Write
     assert "has a meaning of its own" in problems(path)[0].message
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "part", "message"),
-    [
-        ("B: [[0], [1/m]]", "B: [[0]]", "[[0]]", "system.B: 1 row, expected 2, one for each of the states"),
-        ("B: [[0], [1/m]]", "B: [[0], [1, 2]]", "[1, 2]", "system.B[2]: 2 entries, expected 1"),
-        ("C: [[1, 0]]", "C: [[1]]", "[[1]]", "system.C[1]: 1 entry, expected 2"),
-        ("C: [[1, 0]]", "C: []", "[]", "system.C: 0 rows, expected 1"),
-        ("[[0, 1], [-k/m, -1]]", "[[0, 1]]", "[[0, 1]]\n", "system.cells[1].A: 1 row, expected 2"),
-        ("b: [0, stiff*gap/m]", "b: []", "[]", "system.cells[2].b: 0 entries, expected 2"),
-        ("plant: [gap, 0]", "plant: [gap]", "[gap]", "simulation.initial.plant: 1 entry, expected 2"),
-        ("plant: [gap, 0]", "observer: [0]", "[0]}", "simulation.initial.observer: 1 entry, expected 2"),
-    ],
-)
+WRONG_SHAPE = [
+    ("B: [[0], [1/m]]", "B: [[0]]", "[[0]]", "system.B: 1 row, expected 2, one for each of the states"),
+    ("B: [[0], [1/m]]", "B: [[0], [1, 2]]", "[1, 2]", "system.B[2]: 2 entries, expected 1"),
+    ("C: [[1, 0]]", "C: [[1]]", "[[1]]", "system.C[1]: 1 entry, expected 2"),
+    ("C: [[1, 0]]", "C: []", "[]", "system.C: 0 rows, expected 1"),
+    ("[[0, 1], [-k/m, -1]]", "[[0, 1]]", "[[0, 1]]\n", "system.cells[1].A: 1 row, expected 2"),
+    ("b: [0, stiff*gap/m]", "b: []", "[]", "system.cells[2].b: 0 entries, expected 2"),
+    ("plant: [gap, 0]", "plant: [gap]", "[gap]", "simulation.initial.plant: 1 entry, expected 2"),
+    ("plant: [gap, 0]", "observer: [0]", "[0]}", "simulation.initial.observer: 1 entry, expected 2"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "part", "message"), WRONG_SHAPE)
 def test_a_wrong_shape_is_refused_where_it_stands(write: Write, old: str, new: str, part: str, message: str) -> None:
     path = write((old, new))
     problem = only(path)
@@ -255,39 +255,39 @@ def test_given_gains_of_a_wrong_shape_are_refused(write: Write, gains: str) -> N
     assert all("expected" in p.message and p.place and p.place.line == 22 for p in found)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("B: [[0], [1/m]]", "B: [0, 1/m]"),
-        ("B: [[0], [1/m]]", "B: 1"),
-        ("C: [[1, 0]]", "C: [[1, [0]]]"),
-        ("C: [[1, 0]]", "C: {a: 1}"),
-        ("states: [z, v]", "states: z"),
-        ("states: [z, v]", "states: [z, [v]]"),
-        ("states: [z, v]", "states: [z, {v: 1}]"),
-        ("states: [z, v]", "states: [z, z]"),
-        ("inputs: [u]", "inputs: []"),
-        ("inputs: [u]", "inputs: {u: N}"),
-        ("{z: m, y: m}", "[m, m]"),
-        ("{z: m, y: m}", "{z: [m]}"),
-        ("{z: m, y: m}", "{q: m}"),
-        ('where: ["z <= gap"]', 'where: "z <= gap"'),
-        ('where: ["z <= gap"]', "where: [[z <= gap]]"),
-        ('where: ["z <= gap"]', "where: [z == gap]"),
-        ('where: ["z <= gap"]', "where: [gap <= 1]"),
-        ('where: ["z <= gap"]', "where: [z*v <= gap]"),
-        ("frequency: pi", "frequency: 0"),
-        ("frequency: pi", "freq: pi"),
-        ("duration: 2", "duration: 0"),
-        ("duration: 2", "duration: [2]"),
-        ("sample_time: 0.01", "sample_time: 3"),
-        ("reference:\n", "refrence:\n"),
-        ("name: Mass", "title: Mass"),
-        ("outputs: [y]", "outputs: [z]"),
-        ("outputs: [y]", "outputs: [k]"),
-        ("name: Mass on two springs", "name: [a]"),
-    ],
-)
+WRONG_KIND = [
+    ("B: [[0], [1/m]]", "B: [0, 1/m]"),
+    ("B: [[0], [1/m]]", "B: 1"),
+    ("C: [[1, 0]]", "C: [[1, [0]]]"),
+    ("C: [[1, 0]]", "C: {a: 1}"),
+    ("states: [z, v]", "states: z"),
+    ("states: [z, v]", "states: [z, [v]]"),
+    ("states: [z, v]", "states: [z, {v: 1}]"),
+    ("states: [z, v]", "states: [z, z]"),
+    ("inputs: [u]", "inputs: []"),
+    ("inputs: [u]", "inputs: {u: N}"),
+    ("{z: m, y: m}", "[m, m]"),
+    ("{z: m, y: m}", "{z: [m]}"),
+    ("{z: m, y: m}", "{q: m}"),
+    ('where: ["z <= gap"]', 'where: "z <= gap"'),
+    ('where: ["z <= gap"]', "where: [[z <= gap]]"),
+    ('where: ["z <= gap"]', "where: [z == gap]"),
+    ('where: ["z <= gap"]', "where: [gap <= 1]"),
+    ('where: ["z <= gap"]', "where: [z*v <= gap]"),
+    ("frequency: pi", "frequency: 0"),
+    ("frequency: pi", "freq: pi"),
+    ("duration: 2", "duration: 0"),
+    ("duration: 2", "duration: [2]"),
+    ("sample_time: 0.01", "sample_time: 3"),
+    ("reference:\n", "refrence:\n"),
+    ("name: Mass", "title: Mass"),
+    ("outputs: [y]", "outputs: [z]"),
+    ("outputs: [y]", "outputs: [k]"),
+    ("name: Mass on two springs", "name: [a]"),
+]
+
+
+@pytest.mark.parametrize(("old", "new"), WRONG_KIND)
 def test_a_part_of_the_wrong_kind_is_refused_with_its_place(write: Write, old: str, new: str) -> None:
     path = write((old, new))
     lines = {p.place.line for p in problems(path) if p.place}
@@ -348,18 +348,18 @@ def test_a_huge_scalar_is_refused_without_being_repeated(write: Write, old: str,
     assert all(len(p.message) < 1100 for p in found)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "must hold a mapping"),
-        (b"name: x\n\0", "not valid YAML"),
-        (b"name: \xff\xfe", "not UTF-8 text"),
-        (SPEC.encode("utf-16"), "not UTF-8 text"),
-        (b"\x89PNG\r\n\x1a\n", "not UTF-8 text"),
-        (b"a: &a {b: 1}\nc: {<<: *a}\n", "not supported"),
-        (SPEC.encode() + b"---\n" + SPEC.encode(), "second document"),
-    ],
-)
+NO_SPEC = [
+    (b"", "must hold a mapping"),
+    (b"name: x\n\0", "not valid YAML"),
+    (b"name: \xff\xfe", "not UTF-8 text"),
+    (SPEC.encode("utf-16"), "not UTF-8 text"),
+    (b"\x89PNG\r\n\x1a\n", "not UTF-8 text"),
+    (b"a: &a {b: 1}\nc: {<<: *a}\n", "not supported"),
+    (SPEC.encode() + b"---\n" + SPEC.encode(), "second document"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), NO_SPEC)
 def test_a_file_that_is_no_spec_at_all_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "x.yaml"
     path.write_bytes(content)

@@ -93,17 +93,17 @@ def test_a_merge_key_is_refused_also_without_an_alias(key: str) -> None:
     assert refusal(f"a: {{b: 1, {key}: {{c: 1}}}}").startswith("f.yaml:1:11: merge keys")
 
 
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("a: !!python/object/apply:os.system ['true']", "1:4"),
-        ("a: 1\nb: !!float 1", "2:4"),
-        ("a: !!set {b, c}", "1:4"),
-        ("a: [1, !mine 2]", "1:8"),
-        ("!!str a: 1", "1:1"),
-        ("a: !<tag:yaml.org,2002:int> 1", "1:4"),
-    ],
-)
+TAGGED = [
+    ("a: !!python/object/apply:os.system ['true']", "1:4"),
+    ("a: 1\nb: !!float 1", "2:4"),
+    ("a: !!set {b, c}", "1:4"),
+    ("a: [1, !mine 2]", "1:8"),
+    ("!!str a: 1", "1:1"),
+    ("a: !<tag:yaml.org,2002:int> 1", "1:4"),
+]
+
+
+@pytest.mark.parametrize(("text", "place"), TAGGED)
 def test_a_tag_is_refused_with_its_place(text: str, place: str) -> None:
     message = refusal(text)
     assert message.startswith(f"f.yaml:{place}: tag ")
@@ -119,16 +119,15 @@ def test_the_marks_around_one_document_are_read() -> None:
     assert parse_yaml("%YAML 1.1\n---\na: 1\n...\n", "f.yaml").data == {"a": "1"}
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("a: " + "[" * 500 + "]" * 500, 1),
-        ("a: " + "{a: " * 500 + "}" * 500, 1),
-        ("a:\n- " + "- " * 500 + "1", 2),
-        ("".join(" " * k + "a:\n" for k in range(500)), 21),
-    ],
-    ids=["lists", "mappings", "block lists", "block mappings"],
-)
+DEEP = [
+    ("a: " + "[" * 500 + "]" * 500, 1),
+    ("a: " + "{a: " * 500 + "}" * 500, 1),
+    ("a:\n- " + "- " * 500 + "1", 2),
+    ("".join(" " * k + "a:\n" for k in range(500)), 21),
+]
+
+
+@pytest.mark.parametrize(("text", "line"), DEEP, ids=["lists", "mappings", "block lists", "block mappings"])
 def test_deep_nesting_is_refused_where_it_gets_too_deep(text: str, line: int) -> None:
     assert re.match(rf"f\.yaml:{line}:\d+: nested deeper than \d+ levels", refusal(text))
 
@@ -160,16 +159,16 @@ def test_a_control_character_is_refused_at_its_own_place(character: str) -> None
     assert refusal(f"a: 1\nb: 2\nc: x{character}\n").startswith("f.yaml:3:5: not valid YAML")
 
 
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("a: 1 b: 2", "1:7"),
-        ("a:\n\tb: 1", "2:1"),
-        ('a: "x\n', "2:1"),
-        ("a: [1, 2\nb: 3\n", "2:2"),
-        ("a: 1\n  b: 2", "2:4"),
-    ],
-)
+BROKEN = [
+    ("a: 1 b: 2", "1:7"),
+    ("a:\n\tb: 1", "2:1"),
+    ('a: "x\n', "2:1"),
+    ("a: [1, 2\nb: 3\n", "2:2"),
+    ("a: 1\n  b: 2", "2:4"),
+]
+
+
+@pytest.mark.parametrize(("text", "place"), BROKEN)
 def test_broken_yaml_is_refused_with_its_place(text: str, place: str) -> None:
     assert refusal(text).startswith(f"f.yaml:{place}: not valid YAML: ")
 

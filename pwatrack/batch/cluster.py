@@ -15,7 +15,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.errors import InvalidSpec
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.version import versions
 
 _PATIENCE = 10.0  # seconds in which a scheduler and a worker are to be found
@@ -50,17 +50,17 @@ class Cluster(Executor):
             distributed: Any = import_module("distributed")
         except ImportError:
             hint = "pip install 'pwatrack[cluster]'"
-            raise InvalidSpec("--scheduler: the package distributed is not installed", hint=hint) from None
+            raise _unusable("--scheduler: the package distributed is not installed", hint) from None
         hint = "start one with 'dask scheduler', and workers with 'dask worker ADDRESS'"
         try:
             self._client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise InvalidSpec(f"--scheduler {address}: no dask scheduler answers: {error}", hint=hint) from None
+            raise _unusable(f"--scheduler {address}: no dask scheduler answers: {error}", hint) from None
         try:
             self._client.wait_for_workers(1, timeout=_PATIENCE)
         except TimeoutError:
             self._client.close()
-            raise InvalidSpec(f"--scheduler {address}: the scheduler has no workers", hint=hint) from None
+            raise _unusable(f"--scheduler {address}: the scheduler has no workers", hint) from None
         self._executor = self._client.get_executor(pure=False)
         self._settings: Settings = timeout, memory, tuple(preload)
         self._futures = set[Future[Any]]()
@@ -119,7 +119,12 @@ def _settle(future: Future[Any], sent: Future[Any]) -> None:
     elif isinstance(error, KilledWorker):
         future.set_exception(Lost(f"every worker that was at it has died: {error}"))
     else:
-        future.set_exception(InvalidSpec(f"--scheduler: a worker cannot do the work: {type(error).__name__}: {error}"))
+        future.set_exception(_unusable(f"--scheduler: a worker cannot do the work: {type(error).__name__}: {error}"))
+
+
+def _unusable(message: str, hint: str = "") -> InvalidSpec:
+    """Return the refusal of a scheduler or a worker: it is about no line of the spec."""
+    return InvalidSpec(Problem(message=message, subject=None, hint=hint))
 
 
 _IDLE = defaultdict[Settings, list[Pool]](list)  # on a worker: processes that wait for a task, by how they are limited
@@ -137,7 +142,7 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
     if versions() != known:
         other = {name: (here, known.get(name)) for name, here in versions().items() if known.get(name) != here}
         said = ", ".join(f"{name} {here} instead of {there}" for name, (here, there) in other.items())
-        return _answer(InvalidSpec(f"--scheduler: a worker has {said}", hint="install the same versions there"), False)
+        return _answer(_unusable(f"--scheduler: a worker has {said}", "install the same versions there"), False)
     multiprocessing.current_process().daemon = False  # that of a nanny may have no children; ours end with it anyway
     with _TAKING:
         pool = _IDLE[settings].pop() if _IDLE[settings] else None

@@ -14,6 +14,7 @@ from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
 
+_TEXTS = ("spec", "result", "verdict")
 _FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_error": "final error"}
 _PICTURES = ("outputs.png", "tracking_error.png")
 _WIDTH = 180  # of a small picture, in dots
@@ -33,14 +34,24 @@ th button {{ all: unset; cursor: pointer; font-weight: 600 }}
 th button:focus-visible {{ outline: 2px solid #e08e2b }}
 th[aria-sort=ascending] button::after {{ content: " ▲" }}
 th[aria-sort=descending] button::after {{ content: " ▼" }}
-td.n {{ text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }}
+.n {{ text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }}
 .pass {{ color: #1a7f37 }} .fail {{ color: #b42318; font-weight: 600 }} .cached {{ color: #0a6c8f }}
 .skipped {{ color: #8a6d00 }}
 .note {{ color: #4a5a6a; font-size: .9em; overflow-wrap: anywhere }}
 .missed {{ color: #b42318; font-size: .9em }}
 pre {{ white-space: pre-wrap; overflow-wrap: anywhere; font-size: .85em; margin: .3rem 0 }}
+.pictures {{ white-space: nowrap }}
 img {{ max-width: {width}px; margin-right: .3rem }}
 form {{ margin: 1rem 0; display: flex; gap: 1rem; flex-wrap: wrap }}
+@media (max-width: 60rem) {{
+  table, tbody, tr, td {{ display: block }}
+    thead tr {{ display: flex; flex-wrap: wrap; background: #eef2f6 }}
+  th, td {{ border: 0; padding: .2rem .6rem; overflow-wrap: anywhere }}
+  tbody tr {{ border-bottom: 1px solid #d8dee6; padding: .4rem 0 }}
+  td.n, .pictures {{ display: inline-block; text-align: left; white-space: normal }}
+  tr[hidden], td:empty, td.n:empty, th.pictures {{ display: none }}
+  td.n::before {{ content: attr(data-name) ": "; color: #4a5a6a }}
+}}
 </style>
 </head>
 <body>
@@ -100,13 +111,13 @@ def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
         InvalidSpec: If the file cannot be written.
     """
     required = any(outcome.required for outcome in outcomes)
-    names = ["spec", "result", "verdict", *(["required"] if required else []), *_FIGURES.values(), "s"]
+    names = [*_TEXTS, *(["required"] if required else []), *_FIGURES.values(), "s"]
     kinds = sorted({_kind(outcome) for outcome in outcomes})
     page = _PAGE.format(
         title=_text(counted(outcomes)),
         width=_WIDTH,
         kinds="".join(f"<option>{kind}</option>" for kind in kinds),
-        head="".join(f'<th><button type="button">{_text(name)}</button></th>' for name in names) + "<th>pictures</th>",
+        head="".join(map(_head, names)) + '<th class="pictures">pictures</th>',
         rows="\n".join(_row(outcome, path.parent, required=required) for outcome in outcomes),
         version=__version__,
     )
@@ -127,12 +138,19 @@ def _row(outcome: Outcome, here: Path, *, required: bool) -> str:
     ]
     if required:
         share = met / len(outcome.required) if outcome.required else ""
-        cells.append(_number(share, f"{met} of {len(outcome.required)}" if outcome.required else ""))
-    for name in _FIGURES:
-        value = outcome.figures.get(name, "")
-        cells.append(_number(value, f"{value:.3g}" if value != "" else ""))
-    cells.append(_number(outcome.seconds, f"{outcome.seconds:.1f}"))
-    return f'<tr data-kind="{_kind(outcome)}">{"".join(cells)}<td>{_pictures(outcome.folder, here)}</td></tr>'
+        cells.append(_number("required", share, f"{met} of {len(outcome.required)}" if outcome.required else ""))
+    for figure, name in _FIGURES.items():
+        value = outcome.figures.get(figure, "")
+        cells.append(_number(name, value, f"{value:.3g}" if value != "" else ""))
+    cells.append(_number("s", outcome.seconds, f"{outcome.seconds:.1f}"))
+    cells.append(f'<td class="pictures">{_pictures(outcome.folder, here)}</td>')
+    return f'<tr data-kind="{_kind(outcome)}">{"".join(cells)}</tr>'
+
+
+def _head(name: str) -> str:
+    """Return the head of a column: what sorts by it."""
+    numbers = "" if name in _TEXTS else ' class="n"'
+    return f'<th{numbers}><button type="button">{_text(name)}</button></th>'
 
 
 def _kind(outcome: Outcome) -> str:
@@ -140,8 +158,8 @@ def _kind(outcome: Outcome) -> str:
     return "fail" if outcome.failed else outcome.how if outcome.how != "run" else "pass"
 
 
-def _number(value: object, text: str) -> str:
-    return f'<td class="n" data-value="{value}">{text}</td>'
+def _number(name: str, value: object, text: str) -> str:
+    return f'<td class="n" data-name="{name}" data-value="{value}">{text}</td>'
 
 
 def _pictures(folder: Path, here: Path) -> str:
