@@ -294,7 +294,7 @@ class Loops:
             e, delta = _column(self.shifted, k), nothing - _column(self.L, k)
         else:
             e, delta = _column(self.B, k), nothing
-        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
+        return of_loop(loop, e, delta)
 
     def row(self, loop: Loop, signal: Form) -> BallMatrix:
         """Return c, (1, N)."""
@@ -312,7 +312,12 @@ class Loops:
             if kind == "drive":  # less what estimates of loads at this input take off it
                 loads = BallMatrix.of([[-int(j == k)] for j in self.at_inputs], (self.N - self.n, 1))
             delta = above(e, loads)
-        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop].transpose()
+        return of_loop(loop, e, delta).transpose()
+
+
+def of_loop(loop: Loop, e: BallMatrix, delta: BallMatrix) -> BallMatrix:
+    """Return what columns of e and of Δ are in the z of a loop."""
+    return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
 
 
 def _inner(proof: Proof, *, invert: bool) -> Inner:

@@ -24,7 +24,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS
 from pwatrack.ball_matrix import BallMatrix, above
-from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak
+from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak, of_loop
 from pwatrack.control.synthesis import Design
 from pwatrack.errors import Problem
 from pwatrack.lmi.chords import PeakGain, peak_gain
@@ -163,7 +163,7 @@ class _Loops(Loops):
         e, nothing = self.columns[channel[1]], BallMatrix.of(np.zeros((self.N, 1)))
         rest = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
         delta = nothing - above(e, rest) if self.seen else nothing
-        return {"joint": above(e, delta), "controller": e, "observer": delta}[loop]
+        return of_loop(loop, e, delta)
 
     def ended(self, k: int, signals: Sequence[Form]) -> Bounds | None:
         """Return the bounds in the end; without a deviation in the observer that is what the controller's loop says."""

@@ -1,6 +1,6 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -267,15 +267,7 @@ class Search:
             at = self.candidates.at
             act = float(np.linalg.norm(at.input(self.task.B), "nuc")) * at.speed / self.task.gain_unit
             fast = float(bound * act - traces.max()) / self.task.A.shape[1]
-        for _ in range(_RATES):
-            if not fast > slow * (1 + _ENDED):
-                break
-            trial = float(np.sqrt(slow) * np.sqrt(fast))
-            found = self._within(trial, bound)
-            if found is None:
-                fast = trial
-            else:
-                best, slow = found, max(found[1].rate, trial)
+        best, slow = _bisected(best, slow, fast, lambda rate: self._within(rate, bound))
         small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
         K, certificate = small or best
         return self.proved(Candidate(K=K, P=certificate.P), 0.0)
@@ -322,15 +314,7 @@ class Search:
         slow = best[1].rate
         if not np.isfinite(fast):
             fast = _FAST * max(self.candidates.at.speed, slow)
-        for _ in range(_RATES):
-            if not fast > slow * (1 + _ENDED):
-                break
-            trial = float(np.sqrt(slow) * np.sqrt(fast))
-            found = self._kept(within, trial, bound)
-            if found is None:
-                fast = trial
-            else:
-                best, slow = found, max(found[1].rate, trial)
+        best, _ = _bisected(best, slow, fast, lambda rate: self._kept(within, rate, bound))
         return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
 
     def _kept(self, within: Within, rate: float, bound: float) -> Proved | None:
@@ -373,3 +357,17 @@ class Search:
             if best is not None:
                 return best if bound is None else None
         return None
+
+
+def _bisected(best: Proved, slow: float, fast: float, at: Callable[[float], Proved | None]) -> tuple[Proved, float]:
+    """Return the fastest gain that is found between a rate that `best` reaches and one out of reach, and its rate."""
+    for _ in range(_RATES):
+        if not fast > slow * (1 + _ENDED):
+            break
+        trial = float(np.sqrt(slow) * np.sqrt(fast))
+        found = at(trial)
+        if found is None:
+            fast = trial
+        else:
+            best, slow = found, max(found[1].rate, trial)
+    return best, slow

@@ -39,6 +39,7 @@ _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it sta
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _KEPT = 0.97  # of a proved rate: with the rest an ellipsoid is strictly inside
 _NEAR = 0.01  # what the cost may be off: Q is that far inside
+_SLACK = 1e-9  # of the mean weight, beside forms that do not see all of z: what is minimised is then definite
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
@@ -163,7 +164,7 @@ def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners
     seen = rows @ V
     squares = (seen**2).sum(axis=1)
     W = (seen.T / np.maximum(squares, _FLAT * squares.max(initial=1e-300))) @ seen
-    W = W / max(float(np.trace(W)), 1e-300) + 1e-9 * np.eye(len(V)) / len(V)
+    W = W / max(float(np.trace(W)), 1e-300) + _SLACK * np.eye(len(V)) / len(V)
     found = solve(least_sizes(lyapunov(inside / a, 0.5), W, above=within @ within.T / size), gap=_NEAR)
     far = 2 * size * inner.Q
     return _proved(M, G, forms, far if found is None else size * V @ found.P @ V.T, far, a, start=True)
@@ -210,7 +211,7 @@ def _smallest(
     if not total > 0:
         return far, far, 0.0
     drive = np.outer(column, column) / (short * size)
-    W = W / total + 1e-9 * np.eye(N) / N
+    W = W / total + _SLACK * np.eye(N) / N
     program = least_sizes(weighted(scaled + short / 2 * np.eye(N), drive), W)
     found = solve(program, gap=_NEAR)
     if found is None or found.multipliers is None:

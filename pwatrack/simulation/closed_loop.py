@@ -48,9 +48,7 @@ class ClosedLoop:
         """Return z(0) for x(0), x̂(0) and η̂(0)."""
         z, at = np.zeros(self.at.order), self.at
         z[at.x], z[at.x_hat], z[at.eta_hat], z[-1] = plant, observer, generator, 1.0
-        z[at.w] = self.controller.trajectory.exosystem.w0
-        if self.conditions.sampling is not None:
-            z[at.w_held] = z[at.w]
+        z[at.w] = z[at.w_seen] = self.controller.trajectory.exosystem.w0
         if self.conditions.disturbance is not None:
             z[at.d] = self.conditions.disturbance.w0
         return z
@@ -200,7 +198,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     K, L, sampling = controller.design.K, controller.design.L, conditions.sampling
     at = Layout.of(controller, conditions)
     z = np.eye(at.order)  # z[part] are the rows that read it
-    reference = np.vstack([z[at.eta_hat], z[at.w_held if sampling else at.w], z[-1:]])
+    reference = np.vstack([z[at.eta_hat], z[at.w_seen], z[-1:]])
     added, s_hat = controller.compensation, z[at.s_hat]
     shift = added.X.floats @ s_hat
     x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat

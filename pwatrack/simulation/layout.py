@@ -67,6 +67,11 @@ class Layout:
         """All states of the observer."""
         return slice(self.x_hat.start, self.s_hat.stop)
 
+    @property
+    def w_seen(self) -> slice:
+        """What the controller has for w: its own, where it is sampled."""
+        return self.w_held if self.w_held.stop > self.w_held.start else self.w
+
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
         """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""
         F = np.zeros((self.order, self.order))

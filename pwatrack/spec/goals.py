@@ -20,7 +20,7 @@ def goal_problems(file: SpecFile) -> list[Problem]:
         if given[0:1] in ([letter], ["cost"]) and len(given) > 1:
             message = f"{where}: '{given[0]}' settles the gain, '{given[1]}' beside it has no meaning"
             problems.append(Problem(message=message, subject=(*subject, given[1])))
-        if section.gain == "smallest" and not isinstance(section.rate, float):
+        if section.gain == "smallest" and section.rate in (None, "largest"):
             message = f"{where}: 'gain: smallest' is the smallest gain of a given rate in 1/s, and none is given"
             problems.append(Problem(message=message, subject=(*subject, "gain"), hint="for example rate: 0.1"))
         if section.cost is not None:

@@ -40,7 +40,7 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
         return Given(gain=readonly(given))
     if section.cost is not None:
         return LeastCost(Q=readonly(section.cost.Q), R=readonly(section.cost.R))
-    bound = gain if isinstance(gain, float) else np.inf
+    bound = np.inf if gain is None or gain == "smallest" else gain
     if rate == "largest" or (rate is None and gain is not None):
         return Fastest(bound=bound)
     if gain == "smallest":
