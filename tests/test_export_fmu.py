@@ -36,6 +36,7 @@ from pwatrack.spec.spec import InitialStates
 from tests.conftest import SPECS
 from tests.fmus import BINARIES, NEEDED, Block, missing
 from tests.grazing import near_grazing
+from tests.misra import checked, listed
 from tests.plants import random_plant
 from tests.precise import precise
 from tests.scenarios import in_scenario
@@ -159,6 +160,21 @@ def test_the_sources_compile_without_a_warning(
         ]
         ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed")
+@both
+def test_misra_finds_only_the_deviations_that_are_listed(
+    machine: tuple[Spec, ControllerFile], version: Version, tmp_path: Path
+) -> None:
+    broken = set[str]()
+    for path in written(*machine, version, tmp_path, given=True):
+        folder = tmp_path / path.stem
+        fmpy.extract(str(path), str(folder))
+        found = checked(folder / "sources", *sorted(file.name for file in (folder / "sources").glob("*.c")))
+        assert not found.others, found.said
+        broken |= found.broken
+    assert broken == listed("An FMU")
 
 
 @both

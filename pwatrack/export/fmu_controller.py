@@ -49,7 +49,9 @@ def controller_parts(c: CSource, duration: float, resources: dict[str, bytes]) -
         "start": c.numbers([0.0 if variable.start is None else variable.start for variable in reals]),
         "X": of["q"] + of["m"],
         "next": of["m"] if late else 0,
-        "show_next": f"    memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n" if late else "",
+        "show_next": f"    (void)memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n"
+        if late
+        else "",
         **{key: of[key] for key in ("q", "m", "n", "N", "p")},
     }
     sources = {f"{c.name}.h": header(c), f"{c.name}.c": source(c), "model.h": template("controller.h", values)}

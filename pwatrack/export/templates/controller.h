@@ -32,9 +32,9 @@ static void model_show(model *of)
 {
     const double *v = of->core.v;
 
-    memcpy(&of->real[OUTPUT], &v[@q@], @m@u * sizeof(double));
-@show_next@    memcpy(&of->real[ESTIMATE], &v[@X@], (@N@u + @p@u) * sizeof(double));
-    memcpy(&of->real[DESIRED], of->core.x_d, @n@u * sizeof(double));
+    (void)memcpy(&of->real[OUTPUT], &v[@q@], @m@u * sizeof(double));
+@show_next@    (void)memcpy(&of->real[ESTIMATE], &v[@X@], (@N@u + @p@u) * sizeof(double));
+    (void)memcpy(&of->real[DESIRED], of->core.x_d, @n@u * sizeof(double));
     of->integer[0] = of->core.status;
     of->integer[1] = of->core.cell;
     of->integer[2] = of->core.cell_d;
@@ -42,22 +42,23 @@ static void model_show(model *of)
 
 static void model_begin(model *of)
 {
-    @name@_init(&of->core);
-    memcpy(&of->core.v[@X@], &of->real[MODEL_PARAMETER], (@N@u + @p@u) * sizeof(double));
+    (void)@name@_init(&of->core);
+    (void)memcpy(&of->core.v[@X@], &of->real[MODEL_PARAMETER], (@N@u + @p@u) * sizeof(double));
     model_show(of);
 }
 
 static int model_step(model *of, double length, const char **said)
 {
     const double count = floor((length / SAMPLE_TIME) + 0.5);
-    double u[@m@], k;
+    double u[@m@];
+    int64_t k;
     int lowest = 0;
 
-    if (!(count >= 1.0) || (fabs(length - (count * SAMPLE_TIME)) > (1e-6 * SAMPLE_TIME))) {
+    if (!(count >= 1.0) || !(count <= 9e15) || (fabs(length - (count * SAMPLE_TIME)) > (1e-6 * SAMPLE_TIME))) {
         *said = "the step is not a whole number of samples of @sample_time@ s";
         return 3;
     }
-    for (k = 0.0; k < count; k += 1.0) {
+    for (k = 0; k < (int64_t)count; k++) {
         const int status = @name@_step(&of->core, &of->real[1], @ref@, u);
         lowest = (status < lowest) ? status : lowest;
     }

@@ -51,7 +51,7 @@ static fmi2Status answer(const instance *of, int status, const char *said)
     }
     if ((of->functions != NULL) && (of->functions->logger != NULL)) {
         of->functions->logger(of->functions->environment, of->name, (fmi2Status)status,
-                              (status == fmi2Warning) ? "logStatusWarning" : "logStatusError", "%s", said);
+                              (status == (int)fmi2Warning) ? "logStatusWarning" : "logStatusError", "%s", said);
     }
     return (fmi2Status)status;
 }
@@ -105,7 +105,7 @@ EXPORT fmi2Component FUNCTION(fmi2Instantiate)(fmi2String name, fmi2Type type, f
         free(made);
         return NULL;
     }
-    memcpy(made->name, name, length);
+    (void)memcpy(made->name, name, length);
     made->functions = functions;
     set_up(&made->s);
     return made;

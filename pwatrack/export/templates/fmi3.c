@@ -71,7 +71,7 @@ static fmi3Status answer(const instance *of, int status, const char *said)
         return fmi3OK;
     }
     if (of->log != NULL) {
-        of->log(of->environment, (fmi3Status)status, (status == fmi3Warning) ? "logStatusWarning" : "logStatusError",
+        of->log(of->environment, (fmi3Status)status, (status == (int)fmi3Warning) ? "logStatusWarning" : "logStatusError",
                 said);
     }
     return (fmi3Status)status;

@@ -8,8 +8,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MADE, INITIALIZING, STEPPING, TERMINATED };
-enum { FINE = 0, WARNED = 1, FAILED = 3 };
+#define MADE 0
+#define INITIALIZING 1
+#define STEPPING 2
+#define TERMINATED 3
+
+#define FAILED 3 /* fmi2Error, fmi3Error */
 
 /* All that a state of an instance is. */
 typedef struct {
@@ -21,8 +25,8 @@ typedef struct {
 
 static void set_up(snapshot *s)
 {
-    memset(s, 0, sizeof *s);
-    memcpy(s->of.real, model_start, sizeof s->of.real);
+    (void)memset(s, 0, sizeof *s);
+    (void)memcpy(s->of.real, model_start, sizeof s->of.real);
     s->phase = MADE;
     model_begin(&s->of);
 }
@@ -68,7 +72,7 @@ static const char *get_integers(const snapshot *s, const uint32_t references[], 
     size_t k;
 
     for (k = 0; k < count; k++) {
-        if ((references[k] < MODEL_REALS) || (references[k] - MODEL_REALS >= MODEL_INTEGERS)) {
+        if ((references[k] < MODEL_REALS) || ((references[k] - MODEL_REALS) >= MODEL_INTEGERS)) {
             return "there is no integer variable of this reference";
         }
         values[k] = s->of.integer[references[k] - MODEL_REALS];
@@ -83,15 +87,18 @@ static const char *set_reals(snapshot *s, const uint32_t references[], size_t co
 
     for (k = 0; k < count; k++) {
         const uint32_t r = references[k];
-        const int input = (r >= 1u) && (r <= MODEL_INPUTS);
-        const int parameter = (r >= MODEL_PARAMETER) && (r < MODEL_REALS);
-        if (!(input || parameter)) {
+        int parameter = 0;
+        if ((r >= MODEL_PARAMETER) && (r < MODEL_REALS)) {
+            parameter = 1;
+        } else if ((r < 1u) || (r > MODEL_INPUTS)) {
             return "only inputs and parameters can be set";
+        } else {
+            /* an input */
         }
-        if ((s->phase == TERMINATED) || (parameter && (s->phase == STEPPING))) {
+        if ((s->phase == TERMINATED) || ((parameter != 0) && (s->phase == STEPPING))) {
             return "it is too late to set this variable";
         }
-        if (parameter && !(fabs(values[k]) <= 1e100)) {
+        if ((parameter != 0) && !(fabs(values[k]) <= 1e100)) {
             return "a parameter is not finite";
         }
     }
@@ -104,7 +111,7 @@ static const char *set_reals(snapshot *s, const uint32_t references[], size_t co
     return NULL;
 }
 
-/* Step on by a length; what is returned is FINE, WARNED or FAILED, and said is why. */
+/* Step on by a length; what is returned is 0, 1 (a warning) or FAILED, and said is why. */
 static int step_on(snapshot *s, double from, double length, const char **said)
 {
     const double now = s->of.real[0];
@@ -134,8 +141,8 @@ static const char *stored(const snapshot *s, unsigned char bytes[], size_t size)
     if ((s == NULL) || (bytes == NULL) || (size < STORED_BYTES)) {
         return "there is no state, or too little room for it";
     }
-    memcpy(bytes, MODEL_TOKEN, sizeof(MODEL_TOKEN));
-    memcpy(bytes + sizeof(MODEL_TOKEN), s, sizeof *s);
+    (void)memcpy(bytes, MODEL_TOKEN, sizeof(MODEL_TOKEN));
+    (void)memcpy(&bytes[sizeof(MODEL_TOKEN)], s, sizeof *s);
     return NULL;
 }
 
@@ -151,7 +158,7 @@ static const char *copied(const snapshot *from, void **to)
     if (*to == NULL) {
         return "there is no memory";
     }
-    memcpy(*to, from, sizeof *from);
+    (void)memcpy(*to, from, sizeof *from);
     return NULL;
 }
 
@@ -162,7 +169,7 @@ static const char *restored(const unsigned char bytes[], size_t size, void **to)
     if ((bytes == NULL) || (size != STORED_BYTES) || (memcmp(bytes, MODEL_TOKEN, sizeof(MODEL_TOKEN)) != 0)) {
         return "this is no state of this model";
     }
-    memcpy(&found, bytes + sizeof(MODEL_TOKEN), sizeof found);
+    (void)memcpy(&found, &bytes[sizeof(MODEL_TOKEN)], sizeof found);
     return copied(&found, to);
 }
 

@@ -15,7 +15,7 @@
 
 #define N @n@
 #define M @m@
-#define CELLS @cells@
+#define CELLS @cells@u
 #define PLANES @planes@
 #define DEGREE @degree@
 #define UNIT (@unit@ * DBL_EPSILON) /* of the sizes of the terms of a sum: what it can be off by */
@@ -46,7 +46,10 @@ typedef struct {
 
 static int expand(expansion *of, uint32_t cell, const double x[], const double input[], double h)
 {
-    int a, c, j, fine = 1;
+    int fine = 1;
+    int a;
+    int c;
+    int j;
 
     for (a = 0; a < N; a++) {
         of->term[0][a] = x[a];
@@ -64,12 +67,14 @@ static int expand(expansion *of, uint32_t cell, const double x[], const double i
             for (c = 0; c < N; c++) {
                 total += table_A[cell][a][c] * of->term[j - 1][c];
             }
-            of->term[j][a] = total * (h / j);
+            of->term[j][a] = total * (h / (double)j);
             of->size[a] += fabs(of->term[j][a]);
         }
     }
     for (a = 0; a < N; a++) {
-        fine = fine && (of->size[a] <= DBL_MAX);
+        if (!(of->size[a] <= DBL_MAX)) {
+            fine = 0;
+        }
     }
     return fine;
 }
@@ -77,7 +82,8 @@ static int expand(expansion *of, uint32_t cell, const double x[], const double i
 /* x at a part of a step: the small terms first. */
 static void arrive(const expansion *of, double part, double x[])
 {
-    int a, j;
+    int a;
+    int j;
 
     for (a = 0; a < N; a++) {
         double total = of->term[DEGREE][a];
@@ -99,13 +105,22 @@ static double value(const double q[], double part)
     return total;
 }
 
-enum { NONE, CROSSED, UNSURE };
+#define NONE 0
+#define CROSSED 1
+#define UNSURE 2
 
 /* Where a polynomial that begins at 0 or above falls below 0 on [0, 1]. */
 static int fall(const double q[], int finest, double *part)
 {
-    double b[DEGREE + 1], binomial = 1.0, low = q[0], from = 0.0, to = 1.0;
-    int falling = 1, j, k, positive = 1;
+    double b[DEGREE + 1];
+    double binomial = 1.0;
+    double low = q[0];
+    double from = 0.0;
+    double to = 1.0;
+    int falling = 1;
+    int positive = 1;
+    int j;
+    int k;
 
     for (j = 1; j <= DEGREE; j++) {
         low += (q[j] < 0.0) ? q[j] : 0.0;
@@ -115,7 +130,7 @@ static int fall(const double q[], int finest, double *part)
     }
     for (j = 0; j <= DEGREE; j++) {
         b[j] = q[j] / binomial;
-        binomial = binomial * (DEGREE - j) / (j + 1);
+        binomial = (binomial * ((double)DEGREE - (double)j)) / ((double)j + 1.0);
     }
     for (j = 1; j <= DEGREE; j++) {
         for (k = DEGREE; k >= j; k--) {
@@ -123,13 +138,17 @@ static int fall(const double q[], int finest, double *part)
         }
     }
     for (j = 0; j <= DEGREE; j++) {
-        positive = positive && (b[j] >= 0.0);
-        falling = falling && ((j == 0) || (b[j] <= b[j - 1]));
+        if (!(b[j] >= 0.0)) {
+            positive = 0;
+        }
+        if ((j > 0) && !(b[j] <= b[j - 1])) {
+            falling = 0;
+        }
     }
-    if (positive || (finest && (value(q, 1.0) >= 0.0))) {
+    if ((positive != 0) || ((finest != 0) && (value(q, 1.0) >= 0.0))) {
         return NONE;
     }
-    if (!(falling && (b[DEGREE] < 0.0)) && !finest) {
+    if (((falling == 0) || !(b[DEGREE] < 0.0)) && (finest == 0)) {
         return UNSURE;
     }
     for (j = 0; j < 60; j++) {
@@ -147,11 +166,15 @@ static int fall(const double q[], int finest, double *part)
 /* The first part of a step at which a border of the cell is crossed. */
 static int leave(const expansion *of, uint32_t cell, int finest, double *part)
 {
-    double q[DEGREE + 1], here = 1.0;
-    int a, found = NONE, j, k;
+    double q[DEGREE + 1];
+    double here = 1.0;
+    int found = NONE;
+    int a;
+    int j;
+    int k;
 
     for (k = 0; k < PLANES; k++) {
-        const double sign = table_signs[cell][k];
+        const double sign = (double)table_signs[cell][k];
         double size = fabs(table_h[k]);
         int now;
         if (table_signs[cell][k] == 0) {
@@ -187,22 +210,26 @@ static int leave(const expansion *of, uint32_t cell, int finest, double *part)
 /* The first cell that x contradicts least, counted in what rounding can make of it; never the one that is left. */
 static uint32_t cell_of(const double x[], uint32_t left)
 {
-    double g[PLANES], least = 0.0;
-    uint32_t cell = CELLS, i;
-    int a, k;
+    double g[PLANES];
+    double least = 0.0;
+    uint32_t cell = CELLS;
+    uint32_t i;
+    int a;
+    int k;
 
     for (k = 0; k < PLANES; k++) {
-        double total = table_h[k], size = fabs(table_h[k]);
+        double total = table_h[k];
+        double size = fabs(table_h[k]);
         for (a = 0; a < N; a++) {
             total += table_H[k][a] * x[a];
             size += fabs(table_H[k][a] * x[a]);
         }
-        g[k] = (size > 0.0) ? total / (UNIT * size) : 0.0;
+        g[k] = (size > 0.0) ? (total / (UNIT * size)) : 0.0;
     }
     for (i = 0u; i < CELLS; i++) {
         double worst = 0.0;
         for (k = 0; k < PLANES; k++) {
-            const double off = -g[k] * table_signs[i][k];
+            const double off = -g[k] * (double)table_signs[i][k];
             worst = (off > worst) ? off : worst;
         }
         if ((i != left) && ((cell == CELLS) || (worst < least))) {
@@ -215,53 +242,64 @@ static uint32_t cell_of(const double x[], uint32_t left)
 
 static int finite(const double v[], int count)
 {
-    int all = 1, k;
+    int all = 1;
+    int k;
 
     for (k = 0; k < count; k++) {
-        all = all && (fabs(v[k]) <= DBL_MAX);
+        if (!(fabs(v[k]) <= DBL_MAX)) {
+            all = 0;
+        }
     }
     return all;
 }
 
 void @name@_start(@name@_state *state, const double x[])
 {
-    memcpy(state->x, x, sizeof state->x);
+    (void)memcpy(state->x, x, sizeof state->x);
     state->cell = cell_of(x, CELLS);
 }
 
 int @name@_advance(@name@_state *state, const double input[], double length)
 {
-    @name@_state next = *state;
-    double fraction = 1.0, left = length;
+    @name@_state next;
+    double fraction = 1.0;
+    double left = length;
     int idle = 0;
     long k;
 
-    if (!finite(input, M) || !finite(state->x, N) || !(fabs(length) <= DBL_MAX)) {
+    next = *state;
+    if ((finite(input, M) == 0) || (finite(next.x, N) == 0) || !(fabs(length) <= DBL_MAX)
+        || (next.cell >= CELLS)) {
         return @NAME@_NOT_FINITE;
     }
     for (k = 0; (k < MOST_STEPS) && (idle < MOST_IDLE) && (left > 0.0); k++) {
-        const int whole = (table_step[next.cell] >= left) && (fraction >= 1.0);
         const double h = ((table_step[next.cell] < left) ? table_step[next.cell] : left) * fraction;
         expansion of;
         double part = 1.0;
+        int whole = 0;
         int found;
-        if (!expand(&of, next.cell, next.x, input, h)) {
+        if ((table_step[next.cell] >= left) && (fraction >= 1.0)) {
+            whole = 1;
+        }
+        if (expand(&of, next.cell, next.x, input, h) == 0) {
             return @NAME@_NOT_FINITE;
         }
-        found = leave(&of, next.cell, fraction < FINEST, &part);
+        found = leave(&of, next.cell, (fraction < FINEST) ? 1 : 0, &part);
         if (found == UNSURE) {
             fraction *= 0.5;
             continue;
         }
-        fraction = (fraction < 1.0) ? 2.0 * fraction : 1.0;
+        if (fraction < 1.0) {
+            fraction = 2.0 * fraction;
+        }
         arrive(&of, part, next.x);
         if (found == CROSSED) {
-            idle = (part * h > 0.0) ? 0 : idle + 1;
+            idle = ((part * h) > 0.0) ? 0 : (idle + 1);
             left -= part * h;
             next.cell = cell_of(next.x, next.cell);
         } else {
             idle = 0;
-            left = whole ? 0.0 : left - h;
+            left = (whole != 0) ? 0.0 : (left - h);
         }
     }
     if (left > 0.0) {

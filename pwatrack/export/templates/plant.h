@@ -22,7 +22,7 @@ typedef struct {
 } @name@_state;
 
 #define @NAME@_OK 0
-#define @NAME@_NOT_FINITE (-1) /* an input or a state, or it grows beyond all numbers: the state is kept */
+#define @NAME@_NOT_FINITE (-1) /* an input or a state, or it grows beyond all numbers, or the cell is none: all is kept */
 #define @NAME@_TOO_LONG (-2)   /* more steps or crossings than are taken at once: the state is kept */
 
 /* Set a state, and find its cell. */

@@ -27,7 +27,8 @@ static const double model_outputs[@q@][@n@] =
 
 static void model_show(model *of)
 {
-    int a, k;
+    int a;
+    int k;
 
     for (k = 0; k < @q@; k++) {
         double total = 0.0;
@@ -36,7 +37,7 @@ static void model_show(model *of)
         }
         of->real[OUTPUT + (unsigned)k] = total;
     }
-    memcpy(&of->real[STATES], of->core.x, sizeof of->core.x);
+    (void)memcpy(&of->real[STATES], of->core.x, sizeof of->core.x);
     of->integer[0] = (int32_t)of->core.cell;
 }
 
