@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from scipy.special import exprel
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix
@@ -213,4 +212,6 @@ def _convolution(a: float, b: float, t: Array) -> Array:
         >>> float(_convolution(1.0, 1.0, np.array(1.0)) - np.exp(-1.0))
         0.0
     """
-    return np.asarray(t * np.exp(-min(a, b) * t) * exprel(-abs(b - a) * t))
+    apart = np.asarray(abs(b - a) * t)
+    share = np.divide(-np.expm1(-apart), apart, out=np.ones_like(apart), where=apart > 0)
+    return np.asarray(t * np.exp(-min(a, b) * t) * share)

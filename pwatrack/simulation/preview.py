@@ -18,10 +18,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
-from scipy import sparse
-from scipy.optimize import brentq
-from scipy.sparse.linalg import spsolve
 
 from pwatrack.arrays import EPS, Array, IntArray, balancing
 from pwatrack.causes import Part
@@ -230,8 +228,8 @@ class _Solution:
             np.concatenate([(p * block[n] + index).ravel() for block in blocks]) for n, index in ((0, i), (1, j))
         )
         entries = np.concatenate([block[2].ravel() for block in blocks])
-        matrix = sparse.csc_array((entries, (rows, columns)), shape=(p * len(lefts),) * 2)
-        found = np.asarray(spsolve(matrix, np.concatenate(missing)))
+        matrix = scipy.sparse.csc_array((entries, (rows, columns)), shape=(p * len(lefts),) * 2)
+        found = np.asarray(scipy.sparse.linalg.spsolve(matrix, np.concatenate(missing)))
         if not np.isfinite(found).all():
             raise _unsettled("the two-point problem is singular")
         return found.reshape(-1, p)
@@ -320,7 +318,7 @@ class _Solution:
         one, other = value(a), value(b)
         if not one * other < 0:  # alone, one end is on the other side by rounding
             return a if abs(one) < abs(other) else b
-        return float(brentq(value, a, b, xtol=4 * EPS * b, rtol=4 * EPS))
+        return float(scipy.optimize.brentq(value, a, b, xtol=4 * EPS * b, rtol=4 * EPS))
 
     def polynomials(self, until: float) -> Iterator[tuple[float, float, Array]]:
         """Yield (from, to, coefficients (p, degree + 1)) of polynomials of the time since `from`, in units given."""
