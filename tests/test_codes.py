@@ -49,10 +49,9 @@ def test_every_code_is_explained(kind: object) -> None:
     assert len(run.stdout.splitlines()) >= 3
 
 
-@pytest.mark.parametrize("number", ExitCode)
+@pytest.mark.parametrize("number", [code for code in ExitCode if code is not ExitCode.DONE])
 def test_what_has_no_code_of_its_own_has_that_of_its_exit_code(number: ExitCode) -> None:
-    if number is not ExitCode.DONE:
-        assert explanation(code_of("nobody has said this", number)).startswith(f"P{int(number)}00: ")
+    assert explanation(code_of("nobody has said this", number)).startswith(f"P{int(number)}00: ")
 
 
 @pytest.mark.parametrize("code", ["P999", "", "303", "P30"])

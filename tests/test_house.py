@@ -86,6 +86,14 @@ def test_properties_end_early_by_assume_alone() -> None:
     assert not found
 
 
+def test_no_test_measures_time() -> None:
+    """What another program takes of the machine would decide it."""
+    found = [
+        f.name for f in Path(__file__).parent.glob("*.py") if re.search(r"perf_counte[r]|process_tim[e]", f.read_text())
+    ]
+    assert not found
+
+
 def test_the_tree_of_architecture_is_true() -> None:
     tree = (HOUSE.parent / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("Why things are")[0]
     listed, room, inner = {"__main__.py", "lmi/audit/__main__.py"}, "", ""
