@@ -68,6 +68,8 @@ def test_every_key_of_a_spec_is_in_the_reference() -> None:
     shown = set(re.findall(r"(?m)^\| `(\w+)` \|", made("spec_keys")))
     assert set(known_keys()) <= shown
     assert len(shown) > 90
+    words = set(re.findall(r"\w+", text(DOCS / "reference" / "spec_file.md")))
+    assert set(known_keys()) <= words  # the table is made by itself: what a key means is said there
 
 
 def test_every_command_and_option_is_in_the_reference() -> None:
@@ -84,6 +86,9 @@ def test_every_command_and_option_is_in_the_reference() -> None:
     commands = {name for said in asked.values() for name in re.findall(r"(?m)^│ ([a-z]+) {2,}\w", said)}
     assert commands <= {word for path in paths for word in path.split()}
     assert {"check", "design", "simulate", "verify", "batch", "init", "export", "explain"} <= commands
+    told = re.findall(r"(?m)^\| (`[^|]*`) \| *([^|]*?) *\|", page)
+    assert len(told) > 60
+    assert [option for option, means in told if len(means) < 8] == []
 
 
 def test_commands_that_pages_name_are_commands_with_these_options() -> None:
@@ -105,10 +110,12 @@ def test_commands_that_pages_name_are_commands_with_these_options() -> None:
     assert count > 60
 
 
-def test_every_code_of_an_error_is_in_the_reference() -> None:
+def test_every_code_of_an_error_is_in_the_reference_with_its_meaning() -> None:
     page = made("error_codes")
     for kind in CODES:
-        assert f"## {explanation(kind.code).splitlines()[0]}" in page
+        title, *meaning = explanation(kind.code).splitlines()
+        assert f"## {title}" in page
+        assert len(" ".join(meaning).strip()) > 40, kind.code
 
 
 def test_every_figure_is_in_the_reference_with_its_meaning() -> None:
@@ -145,6 +152,8 @@ def test_every_public_name_has_its_docstring_and_an_example_that_runs() -> None:
 
 
 def test_every_equation_names_modules_and_tests_that_exist() -> None:
+    loose = [path.name for path in (DOCS / "theory").glob("*.md") if "$$" in text(path)]
+    assert loose == []  # a formula that stands by itself is an {equation}, which says what carries it
     assert {e.number for e in equations()} >= OF_THE_PAPER
     assert len({e.number for e in equations()}) == len(equations())
     for equation in equations():

@@ -13,6 +13,7 @@ from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 
 Tracking = Literal["output", "state", "practical"]
+_ROUNDING = 1e-12  # of the largest eigenvalue, up to which a real part may be 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,5 +104,6 @@ def stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, o
     worst = int(np.argmax(abscissa))
     if abscissa[worst] < 0:
         return then
-    size = number_text(abscissa[worst], "+.4g")
+    is_rounding = abscissa[worst] <= _ROUNDING * np.abs(eigenvalues).max()
+    size = "0 to rounding" if is_rounding else number_text(abscissa[worst], "+.4g")
     return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")

@@ -38,7 +38,7 @@ CODES = (
     _kind("P301", r"do not cover", "Cells with a hole between them", "Together, the cells have to contain every state; the message has one that is in none. Border points belong to both neighbours."),
     _kind("P302", r"overlap", "Cells that overlap", "Two cells may share a border only; the message has a state inside both."),
     _kind("P303", r"must be continuous", "A field that jumps", "On the border of two cells both have to give the same A x + b: class (1) of the paper. Often b is missing, or a number is rounded; 'tolerance: {continuity: …}' accepts and repairs jumps by rounding."),
-    _kind("P304", r"not of form \(11\)", "A plant without the normal form (11)", "Output tracking needs derivatives of the output that are the same in all cells until the input appears. Track another output, or track states: 'design: {tracking: state}'."),
+    _kind("P304", r"not of form \(11\)", "A plant without the normal form (11)", "Output tracking needs derivatives of the output that are the same in all cells until the input appears. Track another output, or track states: 'design: {tracking: state}'. Of a dead zone before the output, 'tracking: practical' proves a bound."),
     _kind("P305", r"no relative degree", "An output that the input never reaches", "However often it is differentiated, the input does not appear. Look for a zero in B, or for a sign."),
     _kind("P306", r"is not bounded", "A reference that is not bounded", "Theorems 2 and 3 are about bounded references. A signal that ends may be limited: {formula: …, until: T}."),
     _kind("P307", r"times differentiable", "A reference with a corner", "It has to be as smooth as the plant's relative degree. Round it: steps, trapezoids and polylines take 'smooth', in s."),

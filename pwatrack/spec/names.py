@@ -12,6 +12,7 @@ from pwatrack.spec.problems import MOST
 from pwatrack.spec.schema import SpecFile
 from pwatrack.spec.wording import guess, shown
 
+_OTHER = "choose another name"
 _COLUMN = re.compile(
     r"eta_hat[1-9][0-9]*|cell_(plant|observer|generator|(actuator|rate)_.+)"
 )  # of the trace, beside signals
@@ -45,7 +46,9 @@ def _declared_twice(context: Context) -> Iterator[Problem]:
         for name in getattr(context, {"track": "tracked", "estimate": "loads"}.get(kind, kind)):
             if taken.get(name, kind) != kind:
                 message = f"'{name}' is declared under {taken[name]} and under {kind}"
-                yield Problem(message=message, subject=("design" if kind == "estimate" else "system", kind))
+                listed = kind == "track" and taken[name] == "outputs"
+                hint = f"an output that is tracked is listed by its name: track: [{name}]" if listed else _OTHER
+                yield Problem(message=message, subject=("design" if kind == "estimate" else "system", kind), hint=hint)
             taken[name] = kind
 
 
@@ -60,7 +63,7 @@ def _of_the_trace(signals: Collection[str]) -> Iterator[Problem]:
     ]
     messages += [f"'{name}' is how the trace names a column of its own" for name in signals if _COLUMN.fullmatch(name)]
     for message in messages:
-        yield Problem(message=message, subject=("system",), hint="choose another name")
+        yield Problem(message=message, subject=("system",), hint=_OTHER)
 
 
 def _repeated(data: Mapping[str, Any], section: str, kind: str) -> Iterator[Problem]:
