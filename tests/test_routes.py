@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pwatrack import PwatrackError, design, load_spec
+from pwatrack import OutsideTheory, PwatrackError, design, load_spec
 from pwatrack.control.applicability import ROUTES, Applicability, applicability
 from pwatrack.control.route import Needs, No
 from pwatrack.sizing import spec_sizes
@@ -49,6 +49,35 @@ def test_the_route_that_check_names_is_the_one_that_design_goes(name: str, route
         form = controller.generator.form
         several, kinked = max(form.D.shape[1:]) > 1, any(form.piecewise)
         assert (several and not kinked, kinked) == (route == "several outputs", route == "kinked derivative")
+
+
+def test_a_dead_zone_before_the_output_is_refused_with_the_ways_that_the_plant_has(tmp_path: Path) -> None:
+    """Of form (11) it is not; practical tracking is named, and found once it is asked for."""
+    text = """
+name: Load on a hook
+system:
+  states: [p, v, z, w]
+  inputs: [F]
+  outputs: [drum, laser]
+  track: {height: z}
+  A: [[0, 1, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1], [0, 0, 0, -1]]
+  B: [[0], [1], [0], [0]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+  nonlinearities:
+    - {name: hook, kind: dead_zone, of: p - z, lower: -0.1, upper: 0, slope: 20, into: {v: -1, w: 1}}
+reference: {output: "0.1*sin(t)"}
+simulation: {duration: 1, sample_time: 0.1}
+"""
+    path = tmp_path / "hook.yaml"
+    path.write_text(text, encoding="utf-8")
+    plant = load_spec(path).problem.plant
+    routes = applicability(plant, tracking="output", sizes=spec_sizes(load_spec(path))).routes()
+    assert "only where it is asked for" in routes["practical tracking"]
+    assert "0 to rounding" in routes["Theorem 1"]
+    with pytest.raises(OutsideTheory, match="'tracking: practical'"):
+        design(load_spec(path))
+    path.write_text(text + "design: {tracking: practical}\n", encoding="utf-8")
+    assert design(load_spec(path)).verdict == "practical"
 
 
 @pytest.mark.parametrize(("name", "reason"), NONE.items())

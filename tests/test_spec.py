@@ -530,3 +530,8 @@ def test_more_trapezoids_than_can_be_built_are_refused(write: Write) -> None:
     shape = "{trapezoid: {high: 1, rise: 1e-6, fall: 1e-6, smooth: 1e-6}}"
     path = write(("output: ", f"output: {shape} #"))
     assert only(path).message == "reference.output.trapezoid: 1e+06 trapezoids until t = 2 s"
+
+
+def test_a_unit_of_1_is_no_unit(write: Write) -> None:
+    spec = load_spec(write(("units: {z: m, y: m}", 'units: {z: m, y: 1, v: "1"}')))
+    assert spec.problem.units == {"z": "m"}

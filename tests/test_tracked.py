@@ -138,6 +138,11 @@ def test_what_cannot_be_tracked_is_refused_with_its_place(tmp_path: Path, track:
     assert any(message in problem.message and problem.place for problem in refusal.value.problems), refusal.value
 
 
+def test_an_output_that_is_tracked_under_its_own_name_is_to_be_listed(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSpec, match=r"track: \[y_v1\]"):
+        stage(tmp_path, ["z1", "v1"], "track: {y_v1: z2}")
+
+
 def test_with_several_sensors_it_must_be_said_which_one_is_tracked(tmp_path: Path) -> None:
     with pytest.raises(InvalidSpec, match="one signal, and 2 outputs are tracked: y_z1, y_z2") as refusal:
         stage(tmp_path, ["z1", "z2"], "")

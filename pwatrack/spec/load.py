@@ -157,7 +157,11 @@ def _spec_of(
         parameters={name: float(value) for name, value in values.items() if value is not None},
         overrides=parameters or {},
         problem=TrackingProblem(
-            plant=plant, units=file.system.units, sizes=file.system.sizes, reference=reference, parametric=parametric
+            plant=plant,
+            units={name: unit for name, unit in file.system.units.items() if unit != "1"},  # 1 is no unit to be said
+            sizes=file.system.sizes,
+            reference=reference,
+            parametric=parametric,
         ),
         objectives=build_objectives(file.design, values),
         scenario=build_scenario(simulation, plant.states, conditions),
