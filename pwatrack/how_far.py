@@ -123,8 +123,7 @@ class _Inequality:
         self._spec, self._role, self._rate = spec, evidence.role, evidence.rate
         self._any_sign = isinstance(evidence.refutation, NoDichotomy)
         self._sizes, self._solver = spec_sizes(spec), spec.objectives.solver
-        goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
-        goal = goals.get(evidence.role)
+        goal = spec.objectives.goals.get(evidence.role)
         self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
         self._left, self._spent, self.ended = 0, 0, False
 

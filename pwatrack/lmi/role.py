@@ -49,4 +49,3 @@ PLANT = Role(name="plant", claim="(7)", part=Part.PLANT)
 CONTROLLER = Role(name="controller", claim="(8)", part=Part.CONTROLLER, letter="K", transposed=False)
 OBSERVER = Role(name="observer", claim="(9)", part=Part.OBSERVER, letter="L")
 GENERATOR = Role(name="generator", claim="(17)", part=Part.CELLS)
-ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}

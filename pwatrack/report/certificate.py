@@ -97,8 +97,8 @@ def _with_loads(controller: Controller) -> list[list[str]] | None:
 
 def refusal_certificate(spec: Spec, evidence: Impossibility) -> dict[str, Any]:
     """Return the content of refusal.json."""
-    goals = {CONTROLLER: spec.objectives.controller, OBSERVER: spec.objectives.observer}
-    known = {role: goal.gain for role, goal in goals.items() if role is evidence.role and isinstance(goal, Given)}
+    goals = spec.objectives.goals.items()
+    known = {role: goal.gain for role, goal in goals if role is evidence.role and isinstance(goal, Given)}
     proofs = [{"of": evidence.role.name} | _refutation(evidence)]
     return _content(spec, known.get(CONTROLLER), known.get(OBSERVER), proofs)
 

@@ -134,8 +134,8 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
     if content["spec_sha256"] != spec.sha256:
         faults.append(f"{spec.path} has other bytes than the spec it was made for")
     norms = {} if impossible else _norms(content, spec)
-    for part, letter in (("controller", "K"), ("observer", "L")):
-        goal: Goal = getattr(spec.objectives, part)
+    for role, goal in spec.objectives.goals.items():
+        part, letter = role.name, role.letter
         given = goal.gain if isinstance(goal, Given) else None
         proofs = [proof for proof in content["proofs"] if proof["of"] == part]
         if not impossible:

@@ -11,6 +11,7 @@ from pwatrack.causes import Subject
 from pwatrack.control.goal import Goal
 from pwatrack.errors import Place, PwatrackError
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
@@ -62,6 +63,11 @@ class Objectives:
     solver: Solver
     uncertain: Box = ()
     practical: bool = False
+
+    @property
+    def goals(self) -> dict[Role, Goal]:
+        """What each gain is to achieve, by its role."""
+        return {CONTROLLER: self.controller, OBSERVER: self.observer}
 
 
 @dataclass(frozen=True)
