@@ -82,8 +82,8 @@ class Design(Controller):
             InvalidSpec: If the problem has no sample time: `simulation["controller"]["sample_time"]`.
         """
         from pwatrack.export.controller import Controller as Program
-        from pwatrack.export.stored import known_start, parsed
-        from pwatrack.report.controller import written
+        from pwatrack.export.stored import parsed
+        from pwatrack.report.controller import known_start, written
 
         found = written(self.spec, self, known_start(self.spec, self)).controller
         return Program(parsed(found, self.spec.path))
@@ -91,7 +91,7 @@ class Design(Controller):
     def to_control(self, part: Literal["plant", "controller", "loop"] = "loop") -> Any:
         """Return a system of python-control in continuous time, as the theorems have it: no limits, no sampling.
 
-        `params["start"]` is its state at t = 0, with zeros for what the problem does not say in numbers, and
+        `params["start"]` is its state at t = 0, as `simulate` has it without noise, and
         `params["units"]` the units of its signals. `controller.to_control()` is the controller that is sampled.
 
         Args:
@@ -99,20 +99,23 @@ class Design(Controller):
 
         Raises:
             InvalidSpec: If python-control is not installed.
+            PwatrackError: What `simulate` raises where it cannot start.
         """
         from pwatrack.export.c_source import prefix
         from pwatrack.export.python_control import controller_system, loop_system, plant_system
-        from pwatrack.export.stored import known_start
+        from pwatrack.model.conditions import NOMINAL
+        from pwatrack.simulation.closed_loop import closed_loop
 
-        spec, name, n = self.spec, prefix(self.spec.name), len(self.plant.B)
+        spec, name = self.spec, prefix(self.spec.name)
         units = {label: str(unit) for label, unit in spec.problem.units.items()}
-        x = spec.scenario.initial.plant
-        plant = plant_system(self, f"{name}_plant", units, [0.0] * n if x is None else x.tolist())
+        nominal = closed_loop(self, NOMINAL)
+        with spec.located():
+            start, _ = pipeline.start_of(spec, nominal)
+        plant = plant_system(self, f"{name}_plant", units, start[nominal.at.x].tolist())
         if part == "plant":
             return plant
-        nothing = {"x_hat": [0.0] * len(self.L), "eta_hat": [0.0] * len(self.trajectory.names)}
-        start = known_start(spec, self) or nothing
-        made = controller_system(self, f"{name}_controller", units, [*start["x_hat"], *start["eta_hat"]])
+        own = [*start[nominal.at.observer].tolist(), *start[nominal.at.eta_hat].tolist()]
+        made = controller_system(self, f"{name}_controller", units, own)
         return made if part == "controller" else loop_system(plant, made, name)
 
     def save(self, folder: str | Path) -> Path:

@@ -132,21 +132,8 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
     with spec.located():
         check_sample_time(controller, spec.scenario.conditions)
         loop = closed_loop(controller, spec.scenario.conditions, runs)
-        n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
-        fixed, initial = controller.trajectory.eta0, spec.scenario.initial
-        if initial.generator is not None and start_fixed(spec, controller):
-            raise start_given_twice(("simulation", "initial", "generator"))
-        x, observer = initial_values(initial.plant, n, "plant"), initial.observer
-        start = loop.start(
-            plant=x,
-            observer=measured_start(loop, x)
-            if isinstance(observer, Measured)
-            else initial_values(observer, n, "observer"),
-            generator=generator_start(spec, controller.trajectory, controller.generator) if fixed is None else fixed,
-        )
-        steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
+        start, steady_state = start_of(spec, loop)
         if steady_state is not None and starts_periodic(spec):
-            start[loop.at.eta_hat] = steady_state.z[0, :p]
             where = ("reference", "start")
             if (left := left_by_rounding(steady_state, duration=spec.scenario.duration, subject=where)) is not None:
                 trajectory = replace(controller.trajectory, bounded=False, growth=left)
@@ -164,6 +151,30 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
             steady_state=steady_state,
             spool=spool,
         )
+
+
+def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
+    """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
+
+    Raises:
+        PwatrackError: If the spec says it twice, with wrong lengths, or asks for a steady state that is not found.
+    """
+    controller, initial = loop.controller, spec.scenario.initial
+    n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
+    if initial.generator is not None and start_fixed(spec, controller):
+        raise start_given_twice(("simulation", "initial", "generator"))
+    fixed, x = controller.trajectory.eta0, initial_values(initial.plant, n, "plant")
+    start = loop.start(
+        plant=x,
+        observer=measured_start(loop, x)
+        if isinstance(initial.observer, Measured)
+        else initial_values(initial.observer, n, "observer"),
+        generator=generator_start(spec, controller.trajectory, controller.generator) if fixed is None else fixed,
+    )
+    steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
+    if steady_state is not None and starts_periodic(spec):
+        start[loop.at.eta_hat] = steady_state.z[0, :p]
+    return start, steady_state
 
 
 def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome, Spool | None]:

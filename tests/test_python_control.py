@@ -18,6 +18,10 @@ LOOPS = {  # how long, in s
     "two_mass_backlash": 8.0,
     "gallery/payload_in_wind": 2.0,  # loads
     "gallery/two_pumps_two_tanks": 60.0,  # two inputs, a set point
+    "gallery/carriage_on_slack_rope": 0.5,  # the observer has more cells than the desired trajectory
+    "gallery/stage_with_bumpers": 0.2,  # the observer starts from what is measured
+    "gallery/heated_hall": 2880.0,  # the generator starts in steady state
+    "gallery/two_rooms": 7200.0,  # the desired trajectory is periodic
 }
 
 

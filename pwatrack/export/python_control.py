@@ -61,6 +61,7 @@ def controller_system(controller: Controller, name: str, units: Mapping[str, str
     """
     plant, L, K, trajectory = controller.plant, controller.design.L, controller.design.K, controller.trajectory
     added, (n, N, p) = controller.compensation, (len(plant.B), len(L), len(trajectory.names))
+    model = plant.model  # its cells are more than those of x_d where cells are merged
     A, C = np.array([matrix.floats for matrix in plant.observed.A]), plant.observed.C.floats
 
     def on_estimates(rows: Array, more: Array) -> Array:
@@ -82,9 +83,9 @@ def controller_system(controller: Controller, name: str, units: Mapping[str, str
 
     def rate(t: float, z: Array, y: Array, _: Any) -> Array:
         u, _, eta = wanted(t, z)
-        i = _cell(plant.partition.signs, plant.partition.H @ z[:n] + plant.partition.h)
+        i = _cell(model.partition.signs, model.partition.H @ z[:n] + model.partition.h)
         observed = A[i] @ z[:N] + L @ (C @ z[:N] - y)
-        observed[:n] += plant.b[i] + plant.B @ u
+        observed[:n] += model.b[i] + plant.B @ u
         return np.concatenate([observed, eta])
 
     def output(t: float, z: Array, _: Array, __: Any) -> Array:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.export.schema import FORMAT, ControllerFile, Followed, Inside, Outside
 from pwatrack.model.conditions import Conditions, Sampling
-from pwatrack.spec.spec import Measured, Spec
-from pwatrack.tracking import starts_periodic
+from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
 
@@ -291,23 +290,3 @@ def _finite(values: Array) -> list[float | None]:
 
 def _numbers(values: Sequence[float | None], missing: float) -> Array:
     return np.array([missing if value is None else value for value in values], dtype=np.float64)
-
-
-def known_start(spec: Spec, controller: Controller) -> dict[str, Any] | None:
-    """Return what observer and generator start with where the spec says it in numbers, else None."""
-    initial, trajectory = spec.scenario.initial, controller.trajectory
-    x_hat, eta_hat, names = initial.observer, initial.generator, trajectory.names
-    if trajectory.eta0 is not None:
-        eta_hat = trajectory.eta0
-    elif starts_periodic(spec):
-        return None
-    if eta_hat is None:
-        eta_hat = np.zeros(len(names))
-    elif isinstance(eta_hat, Mapping):
-        eta_hat = np.array([eta_hat.get(name, 0.0) for name in names])
-    states = np.zeros(len(controller.design.L))
-    if isinstance(x_hat, np.ndarray):
-        states[: len(x_hat)] = x_hat
-    if isinstance(x_hat, Measured) or not isinstance(eta_hat, np.ndarray):
-        return None
-    return {"x_hat": states.tolist(), "eta_hat": eta_hat.tolist()}

@@ -5,12 +5,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
+from pwatrack.errors import PwatrackError
 from pwatrack.export.stored import content
 from pwatrack.model.nonlinearity import MOST_LISTED
+from pwatrack.pipeline import start_of
 from pwatrack.report.certificate import design_certificate, generator_content
 from pwatrack.report.run_folder import json_text
 from pwatrack.result import Result
+from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.spec.spec import Spec
 
 
@@ -45,7 +49,19 @@ def has_tables(controller: Controller) -> bool:
     return max(len(controller.plant.A), len(controller.plant.model.A)) <= MOST_LISTED
 
 
+def known_start(spec: Spec, controller: Controller) -> dict[str, Any] | None:
+    """Return where observer and generator of a design start in a run; None where that is refused."""
+    try:
+        loop = closed_loop(controller, spec.scenario.conditions)
+        return _of_controller(loop, start_of(spec, loop)[0])
+    except PwatrackError:
+        return None
+
+
 def starts(result: Result) -> dict[str, Any]:
     """Return where observer and generator of a run started."""
-    at, start = result.loop.at, result.start
-    return {"x_hat": start[at.observer].tolist(), "eta_hat": start[at.eta_hat].tolist()}
+    return _of_controller(result.loop, result.start)
+
+
+def _of_controller(loop: ClosedLoop, start: Array) -> dict[str, Any]:
+    return {"x_hat": start[loop.at.observer].tolist(), "eta_hat": start[loop.at.eta_hat].tolist()}

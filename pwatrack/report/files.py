@@ -13,13 +13,12 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
-from pwatrack.export.stored import known_start
 from pwatrack.how_far import HowFar
 from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import refusal_certificate
-from pwatrack.report.controller import starts, written
+from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
