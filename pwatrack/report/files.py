@@ -172,6 +172,7 @@ def _tracked_content(result: Result) -> dict[str, Any]:
 
 
 def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:
+    from pwatrack.report.plots.canvas import save
     from pwatrack.report.plots.pictures import draw
     from pwatrack.report.plots.spread import fan
 
@@ -179,7 +180,7 @@ def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> No
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
         pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
         for name, figure in pictures.items():
-            figure.savefig(run.place(name), format="png", dpi=150, pil_kwargs={"compress_level": 1})
+            save(figure, run.place(name))
 
 
 def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
@@ -277,6 +278,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
+    from pwatrack.report.plots.canvas import save
     from pwatrack.report.plots.spread import pareto_fronts
 
     with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
@@ -286,7 +288,7 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
             points = [(*point, 0) for point in zip(front.rates.tolist(), front.norms.tolist(), strict=True)]
             for rate, norm, chosen in sorted([*points, (*front.chosen, 1)]):
                 writer.writerow([front.role.name, repr(rate), repr(norm), chosen])
-    pareto_fronts(spec.name, fronts).savefig(run.place("pareto.png"), format="png", dpi=150)
+    save(pareto_fronts(spec.name, fronts), run.place("pareto.png"))
 
 
 def _signals(run: RunFolder, result: Result) -> None:

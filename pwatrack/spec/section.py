@@ -20,7 +20,7 @@ class Section(BaseModel):
 
     @classmethod
     def _meanings(cls) -> dict[str, str]:
-        """Return the text below each key: read when asked for: pydantic would take 0.1 s at every start."""
+        """Return the text below each key. Pydantic would read them at each start of the program, for 0.1 s."""
         import ast
         import inspect
         from itertools import pairwise

@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,9 +39,7 @@ def desired_label(result: Result) -> str:
 def column(result: Result, title: str, count: int) -> tuple[Figure, list[Axes]]:
     """Return panels below each other."""
     each = 1.7 if count <= 6 else 1.1
-    figure, panels = canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
-    figure.align_ylabels(panels)
-    return figure, panels
+    return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
 
 def canvas(
@@ -54,6 +53,21 @@ def canvas(
     figure.suptitle(plain("\n".join(lines)), fontsize=10)
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Write a picture as PNG, the names of panels that are below each other in line.
+
+    matplotlib would measure every panel once more for each of them.
+    """
+    figure.set_dpi(150)
+    figure.draw_without_rendering()  # only now is it known where things are
+    figure.set_layout_engine("none")
+    left = [axes for axes in figure.axes if (at := axes.get_subplotspec()) is not None and at.colspan.start == 0]
+    edge = min((axes.yaxis.label.get_position()[0] for axes in left), default=0.0)
+    for axes in left:
+        axes.yaxis.set_label_coords((edge - axes.bbox.x0) / axes.bbox.width, 0.5)
+    FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})
 
 
 def label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:

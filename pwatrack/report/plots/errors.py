@@ -116,7 +116,6 @@ def _panels(result: Result, title: str, panels: Sequence[_Panel], sizes: Array) 
         axes.set_ylim(-1.06 * seen or -1.0, 1.06 * seen or 1.0)
         axes.set_title(plain(panel.name), loc="left", fontsize=8, pad=3)
         label(axes, "", plain(panel.unit), span(t))
-    figure.align_ylabels(drawn)
     legend(drawn[0], columns=4)
     return figure, drawn
 
