@@ -44,7 +44,8 @@ class Way(Enum):
     """
 
     STATE_TRACKING = auto()
-    STATE_OR_PRACTICAL = auto()  # tracking
+    PRACTICAL = auto()  # tracking
+    STATE_OR_PRACTICAL = auto()
     TRACKED = auto()  # the name of an output
     OFFSET = auto()  # entries of b, and the name of the cell that it is for
     TOLERANCE = auto()  # the tolerance in force

@@ -6,11 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.causes import Remedy, Way
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
 from pwatrack.errors import Infeasible, OutsideTheory
+from pwatrack.model.merging import widest
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
+from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.region import Box
 from pwatrack.spec.spec import Spec
@@ -58,22 +61,31 @@ def spec_form(spec: Spec) -> NormalForm:
     """Return the normal form (11) of a spec's plant; of more inputs than outputs, u_ff takes the least in their sizes.
 
     Raises:
-        OutsideTheory: If there is none; state tracking is advised only where no eigenvalue decides against it.
+        OutsideTheory: If there is none; state tracking is advised only where no eigenvalue decides against it,
+            practical tracking only where cells can be merged.
     """
     plant = spec.problem.plant
     several = plant.B.shape[1] > len(plant.tracked)
     try:
         return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
     except OutsideTheory as refusal:
-        raise _without_vain_advice(refusal, spec) from None
+        raise _advised(refusal, spec) from None
 
 
-def _without_vain_advice(refusal: OutsideTheory, spec: Spec) -> OutsideTheory:
+def _advised(refusal: OutsideTheory, spec: Spec) -> OutsideTheory:
+    """Return the refusal with the kinds of tracking that may help in place of the one it names."""
+    plant, goals = spec.problem.plant, spec.objectives
     try:
-        check_modes(spec.problem.plant, DEFAULT, DEFAULT, spec_sizes(spec))
+        check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
+        by_state = True
     except Infeasible:
-        return OutsideTheory(*(replace(problem, remedy=None) for problem in refusal.problems))
-    return refusal
+        by_state = False
+    form = None if goals.practical or goals.uncertain else scalar_form(plant)
+    merging = form is not None and bool(widest(form))
+    ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
+    way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
+    remedy = None if way is None else Remedy(way)
+    return OutsideTheory(*(replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems))
 
 
 def _given(spec: Spec) -> Iterator[Known]:

@@ -72,7 +72,7 @@ simulation: {duration: 1, sample_time: 0.1}
     path.write_text(text, encoding="utf-8")
     plant = load_spec(path).problem.plant
     routes = applicability(plant, tracking="output", sizes=spec_sizes(load_spec(path))).routes()
-    assert "only where it is asked for" in routes["practical tracking"]
+    assert "it is not asked for" in routes["practical tracking"]
     assert "0 to rounding" in routes["Theorem 1"]
     with pytest.raises(OutsideTheory, match="'tracking: practical'"):
         design(load_spec(path))

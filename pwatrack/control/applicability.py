@@ -95,7 +95,7 @@ def _practical(facts: Facts) -> Answer:
     if facts.merged is None:
         return No("no scalar nonlinearity has two corners that could become one or none")
     if facts.tracking == "output" and facts.form is None and not facts.asked:
-        return No("only where it is asked for: what refuses exact tracking is no inequality that is proved impossible")
+        return No("it is not asked for, and by itself it is tried only where an inequality is proved impossible")
     form = facts.merged.form
     bent = form is not None and any(form.piecewise)
     exact = _state(facts.merged) if facts.tracking == "state" else _kinked_or(facts.merged, kinked=bent)

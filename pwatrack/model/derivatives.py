@@ -114,7 +114,7 @@ def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: 
             f"{order + 1} of '{name}' jumps on {plant.hyperplane_text(facet.k)}, whatever the input does",
             subject=(Part.C if plant.tracked_names == plant.outputs else Part.TRACKED,),
             hint="another output may have the same derivatives in every cell",
-            remedy=Remedy(Way.STATE_OR_PRACTICAL),
+            remedy=Remedy(Way.STATE_TRACKING),
         )
     )
 

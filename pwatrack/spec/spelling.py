@@ -34,10 +34,11 @@ _PATHS: Mapping[Part, Subject] = {
     Part.COST: ("cost",),
 }
 _STATE_TRACKING = "{hint}; state tracking (Theorem 2) needs no form (11) and no (17), only (8) and (9)"
+_PRACTICAL = "{hint}; cells that are merged may give a bound of the error"
 _WORDS: Mapping[Way, str] = {
     Way.STATE_TRACKING: f"{_STATE_TRACKING}: write 'tracking: state'",
-    Way.STATE_OR_PRACTICAL: f"{_STATE_TRACKING}: write 'tracking: state', or, where a dead zone may be merged for "
-    "a bound of the error, 'tracking: practical'",
+    Way.PRACTICAL: f"{_PRACTICAL}: write 'tracking: practical'",
+    Way.STATE_OR_PRACTICAL: f"{_STATE_TRACKING}: write 'tracking: state'; or 'tracking: practical', for a bound",
     Way.TRACKED: "{hint}: for example track: [{0}] under system",
     Way.OFFSET: "b: [{0}] in cell '{1}' would make it continuous there",
     Way.TOLERANCE: "correct the cell; for data rounded in print, 'tolerance: {{continuity: …}}' accepts a larger jump "
@@ -55,8 +56,8 @@ _WORDS: Mapping[Way, str] = {
 }
 _IN_PYTHON: Mapping[Way, str] = {
     Way.STATE_TRACKING: f"{_STATE_TRACKING}: tracking='state'",
-    Way.STATE_OR_PRACTICAL: f"{_STATE_TRACKING}: tracking='state', or, where a dead zone may be merged for a "
-    "bound of the error, tracking='practical'",
+    Way.PRACTICAL: f"{_PRACTICAL}: tracking='practical'",
+    Way.STATE_OR_PRACTICAL: f"{_STATE_TRACKING}: tracking='state'; or tracking='practical', for a bound",
     Way.TRACKED: "{hint}: for example track=['{0}']",
     Way.OFFSET: "b = [{0}] in cell '{1}' would make it continuous there",
     Way.TOLERANCE: "correct the cell; for data rounded in print, tolerance=… accepts a larger jump (in force: {0:g})",
