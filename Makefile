@@ -146,6 +146,10 @@ sampling: $(READY) ## simulate 120 random designs at the longest sample time tha
 export: $(READY) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.export
 
+.PHONY: control-bench
+control-bench: $(READY) ## run the loop of every spec in python-control, and compare (three minutes)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.python_control
+
 .PHONY: step-bench
 step-bench: $(READY) ## time a step of exported C against a hand-written loop and python-control
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.step

@@ -1,5 +1,6 @@
 """python-control's own simulation of exported loops against ours: every spec that designs.
 
+    make control-bench
     python -m benchmarks.python_control [backlash tanks] [--part 0.1] [--limit 300]
 
 Each is designed, and its loop simulated without limits, noise and sampling for a part of its duration, by us and by

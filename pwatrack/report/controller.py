@@ -50,7 +50,9 @@ def has_tables(controller: Controller) -> bool:
 
 
 def known_start(spec: Spec, controller: Controller) -> dict[str, Any] | None:
-    """Return where observer and generator of a design start in a run; None where that is refused."""
+    """Return where observer and generator of a design start in a run; None where that is refused, or has no tables."""
+    if not has_tables(controller):
+        return None
     try:
         loop = closed_loop(controller, spec.scenario.conditions)
         return _of_controller(loop, start_of(spec, loop)[0])
