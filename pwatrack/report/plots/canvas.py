@@ -67,7 +67,8 @@ def save(figure: Figure, file: Path) -> None:
     edge = min((axes.yaxis.label.get_position()[0] for axes in left), default=0.0)
     for axes in left:
         axes.yaxis.set_label_coords((edge - axes.bbox.x0) / axes.bbox.width, 0.5)
-    FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})
+    canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+    canvas.print_png(file, pil_kwargs={"compress_level": 1})
 
 
 def label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:
