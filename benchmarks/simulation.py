@@ -95,7 +95,9 @@ def from_spec(name: str) -> Case:
     """Return the closed loop of a spec."""
     spec = load_spec(ROOT / "specs" / f"{name}.yaml")
     result = simulate(spec)
-    return Case(name, result.loop.flow, result.response.trace.z[0], spec.scenario.duration, spec.scenario.sample_time)
+    flow, scenario = result.loop.flow, spec.scenario
+    start = flow.relative(result.response.trace.z[0])
+    return Case(name, replace(flow, counted=None), start, scenario.duration, scenario.sample_time)
 
 
 @njit
@@ -132,13 +134,17 @@ def paper_example() -> Case:
         if minus is not None:
             row[minus] = -1.0
 
-    def view(t: Array, z: Array) -> Array:
+    flow = result.loop.flow
+
+    def view(t: Array, zeta: Array) -> Array:
+        z = flow.absolute(zeta)
         s = z[:, :10].copy()
         s[:, 8] -= z @ result.loop.x_d[0, 0]  # η̄_1 = η̂_1 − z_d
         return s
 
     by_hand = ByHand(section_v, start, gaps, view)
-    return Case("the paper's example", result.loop.flow, result.response.trace.z[0], 60.0, 0.01, by_hand)
+    at_start = flow.relative(result.response.trace.z[0])
+    return Case("the paper's example", replace(flow, counted=None), at_start, 60.0, 0.01, by_hand)
 
 
 def driven(name: str, A: Array, b: Array, guards: Array, g: Array, omega: float, duration: float, dt: float) -> Case:

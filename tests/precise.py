@@ -28,6 +28,7 @@ def precise(flow: Flow, z0: Array, trace: Trace) -> tuple[Array, Array]:
     of them must lie in the cells that the trace says, in 50 digits.
     """
     with digits(70):  # midpoints, rounded 70 digits down: 20 to spare
+        z0 = flow.relative(z0)
         N = len(z0)
         F = {mode: arb_mat(flow.matrix(mode).tolist()) for mode in trace.visited()}
         step = arb(float(trace.t[1]))
@@ -69,4 +70,4 @@ def precise(flow: Flow, z0: Array, trace: Trace) -> tuple[Array, Array]:
                     break
             z, t = flown(mode, z, at - t), at
             times.append(float(at))
-        return np.array(samples), np.array(times)
+        return flow.absolute(np.array(samples)), np.array(times)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
+from benchmarks.preview import followed, spec_text
 from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
@@ -139,6 +140,34 @@ def test_a_move_is_prepared_for_and_forgotten() -> None:
     assert eta(4.0) == pytest.approx(1 / 3, rel=1e-12)
     lead = np.log(eta(1.0) / (1e-3 * 1 / 3)) / 3  # when it has gone 1/1000 of its way
     assert preview.lead == pytest.approx(min(1.0, lead), abs=0.05)
+
+
+def test_what_is_played_back_is_continuous() -> None:
+    """Modes of 0.1 and 1,500 rad/s, and corners of the reference that the fast one forgets at once."""
+    plant = plant_of(
+        A=[[[0.1, 0], [0, 1500]], [[0.1, 0], [0, 1510]]],
+        b=[[0, 0]] * 2,
+        B=[[1], [1]],
+        C=np.eye(2),
+        H=[[0, 1]],
+        h=[0],
+        signs=[[-1], [1]],
+    )
+    signals, _ = bounded_solution(driven(plant, np.array([1.0, 1500.0]), move(1.0, 0.5)), 4.0)
+    for signal in signals:
+        size = max(abs(signal(t)) for t in np.linspace(0, 4, 50))
+        for k, start in enumerate(signal.starts[1:]):
+            before, after = (signal.pieces[j](start - signal.starts[j]) for j in (k, k + 1))
+            assert abs(before - after) <= 4e-13 * size
+
+
+@pytest.mark.parametrize("seed", [5, 41, 56])
+def test_gains_of_a_million_do_not_enlarge_rounding(tmp_path: Path, seed: int) -> None:
+    """Of K x̂ and K x_d, each by itself, doubles keep so little that y would be off by 1e-6 to 1e-5."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(spec_text(seed), encoding="utf-8")
+    found = followed(path)
+    assert max(found.near, found.left) < 1e-8
 
 
 def test_a_played_back_trajectory_has_no_filter() -> None:

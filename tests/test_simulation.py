@@ -294,6 +294,18 @@ def test_the_desired_trajectory_is_a_solution_of_the_closed_loop(paper: Result) 
     assert np.abs(response.tracking_error).max() < 1e-13
 
 
+def test_a_feedforward_that_is_wrong_is_seen(paper: Result) -> None:
+    """What x_d, u_ff and the plant are decides how the error moves, not what (3) says of them."""
+    controller = paper.controller
+    wrong = replace(controller.trajectory, u_ff=(1 + 1e-6) * controller.trajectory.u_ff)
+    for trajectory, least, most in ((controller.trajectory, 0.0, 1e-13), (wrong, 1e-9, 1e-4)):
+        loop = closed_loop(replace(controller, trajectory=trajectory))
+        start = loop.start(plant=np.zeros(4), observer=np.zeros(4), generator=np.array([0.2, 0.0]))
+        start[loop.at.x] = start[loop.at.x_hat] = loop.x_d[0] @ start
+        trace = simulate_flow(loop.flow, start, duration=20.0, sample_time=0.05)
+        assert least <= np.abs(loop.response(trace).tracking_error).max() < most
+
+
 def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> None:
     flow = paper.loop.generator_flow()
     ends = []
@@ -426,7 +438,7 @@ def test_forward_and_back_over_one_period_returns(paper: Result) -> None:
     flow, start = paper.loop.flow, paper_start(paper.loop)
     forth = simulate_flow(flow, start, duration=1.0, sample_time=0.01)
     parts = tuple(replace(part, F=-part.F) for part in flow.parts)
-    back = simulate_flow(Flow(F0=-flow.F0, parts=parts), forth.z[-1], duration=1.0, sample_time=0.01)
+    back = simulate_flow(replace(flow, F0=-flow.F0, parts=parts), forth.z[-1], duration=1.0, sample_time=0.01)
     np.testing.assert_allclose(back.z[-1], start, atol=1e-10)
     np.testing.assert_allclose([1.0 - e.t for e in back.events[::-1]], [e.t for e in forth.events], atol=1e-10)
 

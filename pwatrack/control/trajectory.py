@@ -46,6 +46,8 @@ class DesiredTrajectory:
         u_ff: (l, m, S).
         guards: Rows g with g s = 0 where a cell ends, (k, S).
         signs: Side of each of these that a cell is on, 0 where that does not bound it, (l, k).
+        turns: s' = turns s that x_d is made for where s turns otherwise, by the residual of what is played back,
+            (l, S, S).
         eta0: η̂(0) where it is fixed by the trajectory, else None.
         preview: What is known of the η that x_d is made of, where it was worked out beforehand.
         until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
@@ -62,6 +64,7 @@ class DesiredTrajectory:
     u_ff: Array
     guards: Array
     signs: IntArray
+    turns: Array | None = None
     eta0: Array | None = None
     preview: Preview | None = None
     until: float | None = None

@@ -7,6 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program, program
+from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.actuator import actuators, rate_limits
@@ -27,7 +28,8 @@ class ClosedLoop:
         controller: The design.
         conditions: What is not as the theorems assume.
         at: Where everything sits in z.
-        flow: ż = F(mode) z, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator).
+        flow: ζ' = F(mode) ζ, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator); in ζ x and x̂
+            are counted from x_d of the first cell, but for a sampled controller.
         x_d, u_ff, u: Rows with x_d = x_d[cell of x_d] z, (l, n, N); likewise u_ff, and u before its limits, (l, m, N).
     """
 
@@ -197,34 +199,45 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     plant, model, trajectory = conditions.plant or controller.running, controller.plant, controller.trajectory
     K, L, sampling = controller.design.K, controller.design.L, conditions.sampling
     at = Layout.of(controller, conditions)
-    z = np.eye(at.order)  # z[part] are the rows that read it
+    z = np.eye(at.order)  # z[part] are the rows that read it from ζ
     reference = np.vstack([z[at.eta_hat], z[at.w_seen], z[-1:]])
     added, s_hat = controller.compensation, z[at.s_hat]
     shift = added.X.floats @ s_hat
     x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat
-    u_x, law = K @ z[at.x_hat], u_ff - K @ x_d  # the input is their sum
-    y = plant.C @ z[at.x] + (z[at.v] if conditions.noise else 0.0)
+    base = np.zeros_like(x_d[0]) if sampling else x_d[0]  # a program holds what it computes: nothing to count from
+    x, x_hat = z[at.x] + base, z[at.x_hat] + base
+    y = plant.C @ x + (z[at.v] if conditions.noise else 0.0)
     F0 = np.zeros_like(z)
     F0[at.w, at.w] = trajectory.exosystem.S
     if conditions.disturbance is not None:
         F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    steady, switched, seen = u_x, law, y  # the input, as a sum, and the output that the observer sees
+    steady, switched, seen = K @ z[at.x_hat], u_ff + K @ (base - x_d), y  # the input, a sum; what the observer sees
     if sampling:  # both are held
         steady, switched, seen = z[at.u], np.zeros_like(u_ff), z[at.y]
         F0[at.w_held, at.w_held] = F0[at.w, at.w]
     F0 += at.driven(steady, plant, model) + _loads(model, at)
-    F0[at.observer] += L @ (model.C @ z[at.x_hat] - seen)
-    F_generator = np.array([at.driven(rows, plant, model) for rows in switched])
-    F_generator[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
+    F0[at.observer] += L @ (model.C @ x_hat - seen)
+    F = np.array([at.driven(rows, plant, model) for rows in switched])
+    F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
+    if not sampling:
+        turns = reference @ (F0 + F) if trajectory.turns is None else trajectory.turns @ reference
+        acting = _loads(model, at)
+        left = _left_over(controller, x_d, u_ff, turns, acting[at.x_hat] - added.X.floats @ acting[at.s_hat])
+        estimated = acting[at.x_hat] + added.X.floats @ L[len(base) :] @ (model.C @ x_hat - seen)
+        for part in (at.x, at.x_hat):  # less base', which is x_d' in the first cell
+            F0[part] -= estimated
+            F[:, part] -= model.B @ u_ff
+            F[:, part] -= _field(model, x_d)
+            F[:, part] += left - (trajectory.x_d[0] - trajectory.x_d) @ turns
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
-        SwitchedPart.of("plant", plant, z[at.x], _affine(plant, at.x, z)),
-        SwitchedPart.of("observer", model.model, z[at.x_hat], _affine(model.model, at.x_hat, z)),
-        SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F_generator),
+        SwitchedPart.of("plant", plant, x, _placed(_field(plant, x), at.x)),
+        SwitchedPart.of("observer", model.model, x_hat, _placed(_field(model.model, x_hat), at.x_hat)),
+        SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F),
     ]
     u = switched + steady
     parts += _limits(conditions, u, parts[-1], model, at)
-    flow = Flow(F0=F0, parts=tuple(parts))
+    flow = Flow(F0=F0, parts=tuple(parts), counted=at.counted(base))
     return ClosedLoop(
         controller=controller,
         conditions=conditions,
@@ -232,7 +245,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
         flow=sampled(flow, runs or program(controller, conditions), conditions, at, measured=y) if sampling else flow,
         x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]) + shift,
         u_ff=u_ff,
-        u=u,
+        u=u - K @ base,
     )
 
 
@@ -257,10 +270,33 @@ def _loads(model: PWASystem, at: Layout) -> Array:
     return F
 
 
-def _affine(plant: PWASystem, where: slice, z: Array) -> Array:
-    """Return A_i x + b_i for each cell, with x at `where` in z, (l, N, N)."""
-    F = np.zeros((len(plant.A), *z.shape))
-    F[:, where, where], F[:, where, -1] = plant.A, plant.b
+def _field(plant: PWASystem, x: Array) -> Array:
+    """Return A_i x + b_i for each cell, with x = rows ζ, (n, N): (l, n, N)."""
+    rates = plant.A @ x
+    rates[:, :, -1] += plant.b
+    return np.asarray(rates)
+
+
+def _left_over(controller: Controller, x_d: Array, u_ff: Array, turns: Array, loads: Array) -> Array:
+    """Return what is left over of (3) in each cell, f(x_d) + B u_ff + E ŝ − x_d', (l, n, N); 0 where it is rounding.
+
+    Args:
+        controller: The design.
+        x_d, u_ff: Rows by the cell of x_d.
+        turns: The derivatives of what x_d reads, (l, S, N).
+        loads: What estimates of loads add, (n, N).
+    """
+    plant, X = controller.plant, controller.trajectory.x_d
+    left = _field(plant, x_d) + plant.B @ u_ff - X @ turns + loads
+    size = np.abs(plant.A) @ np.abs(x_d) + np.abs(plant.B) @ np.abs(u_ff) + np.abs(X) @ np.abs(turns) + np.abs(loads)
+    size[:, :, -1] += np.abs(plant.b)
+    return np.where(np.abs(left) > ROUNDING * size, left, 0.0)
+
+
+def _placed(rates: Array, where: slice) -> Array:
+    """Return what adds such rates, (l, n, N), to what is at `where`, (l, N, N)."""
+    F = np.zeros((len(rates), rates.shape[2], rates.shape[2]))
+    F[:, where] = rates
     return F
 
 

@@ -48,7 +48,8 @@ class Driven:
     """v' = Λ v + B w with w' = ±S w and Λ stable: v(t) = E(t) v(0) + F(t) w(0), for many t ≥ 0.
 
     By doubling: E(2t) = E(t)², F(2t) = E(t) F(t) + F(t) e^{±S t}, from a t so short that a Taylor polynomial is exact.
-    What lasts, e^{±S t}, is in closed form, so that errors do not double with it.
+    Of E what it adds to 1 is kept, or slow modes beside fast ones would lose their digits. What lasts, e^{±S t}, is in
+    closed form, so that errors do not double with it.
     """
 
     def __init__(self, L: Array, B: Array, turns: Turns, sign: float) -> None:
@@ -65,10 +66,10 @@ class Driven:
         first = t / 2.0**halvings
         step = np.multiply.outer(first, self._M)
         total = unit = np.broadcast_to(np.eye(len(self._M)), step.shape)
-        for k in range(_TAYLOR, 0, -1):
+        for k in range(_TAYLOR, 1, -1):
             total = unit + step @ total / k
-        total = total * d[:, None] / d
-        E, F = total[:, :q, :q], total[:, :q, q:]
+        total = step @ total * d[:, None] / d
+        G, F = total[:, :q, :q], total[:, :q, q:]
         for k in range(halvings):
-            E, F = E @ E, E @ F + F @ self._turns(self._sign * first * 2.0**k)
-        return E, F
+            G, F = 2 * G + G @ G, F + G @ F + F @ self._turns(self._sign * first * 2.0**k)
+        return np.eye(q) + G, F

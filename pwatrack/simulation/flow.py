@@ -63,17 +63,21 @@ class Clock:
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """ż = (F0 + Σ_p F_p[mode_p]) z, continuous in z; mode_p is the cell of part p.
+    """ζ' = (F0 + Σ_p F_p[mode_p]) ζ, continuous in ζ = z − counted z; mode_p is the cell of part p.
+
+    What follows something large is counted from it: rounding is then relative to how far it is away, not to both.
 
     Attributes:
         F0: What does not switch, (N, N).
         parts: What does.
         clock: What makes z jump, if anything does.
+        counted: Rows that some entries of z are counted from; they read none of these, (N, N). None: ζ = z.
     """
 
     F0: Array
     parts: tuple[SwitchedPart, ...]
     clock: Clock | None = None
+    counted: Array | None = None
 
     def matrix(self, mode: Mode) -> Array:
         """Return F(mode), (N, N)."""
@@ -81,6 +85,18 @@ class Flow:
         for part, cell in zip(self.parts, mode, strict=True):
             total += part.F[cell]
         return total
+
+    def relative(self, z: Array) -> Array:
+        """Return ζ of states z, (…, N)."""
+        return z if self.counted is None else z - z @ self.counted.T
+
+    def absolute(self, zeta: Array) -> Array:
+        """Return z of ζ, (…, N)."""
+        return zeta if self.counted is None else zeta + zeta @ self.counted.T
+
+    def rows(self, rows: Array) -> Array:
+        """Return the rows that read from ζ what the given ones, (q, N), read from z."""
+        return rows if self.counted is None else rows + rows @ self.counted
 
     def guards(self) -> Array:
         """Return all guards of all parts, (K, N)."""
@@ -96,6 +112,7 @@ class Flow:
             F0=self.F0 / d[:, None] * d,
             parts=tuple(replace(p, guards=p.guards * d, F=p.F / d[:, None] * d) for p in self.parts),
             clock=None if self.clock is None else self.clock.scaled(d),
+            counted=None if self.counted is None else self.counted / d[:, None] * d,
         )
 
     def subsystem(self, name: str, keep: IntArray) -> "Flow":

@@ -101,6 +101,7 @@ class Resets(NamedTuple):
         row: Where in `values` the new ones are, or -1 where the controller's program runs, (R,).
         start, stop: Which entries take new values, (R,).
         values: (V, N).
+        counted: Rows that entries are counted from, transposed: where these jump, such an entry does not, (N, N).
     """
 
     step: Array
@@ -108,6 +109,7 @@ class Resets(NamedTuple):
     start: IntArray
     stop: IntArray
     values: Array
+    counted: Array
 
 
 class Routine(NamedTuple):
@@ -1108,11 +1110,14 @@ def _run(ticks: Ticks, at: Trajectory) -> None:
 @_inlined
 def _reset(resets: Resets, at: Trajectory) -> None:
     """Carry out what is due: all entries that take new values at once; the controller comes after that."""
-    s = at.state[0]
+    s, z = at.state[0], at.z
     r, step = s.resets, resets.step[s.resets]
     while r < len(resets.step) and resets.step[r] <= step and resets.row[r] >= 0:
         for i in range(resets.start[r], resets.stop[r]):
-            at.z[i] = resets.values[resets.row[r], i]
+            jump = resets.values[resets.row[r], i] - z[i]
+            z[i] = resets.values[resets.row[r], i]
+            for k in range(len(z)):
+                z[k] -= resets.counted[i, k] * jump
         r += 1
     s.resets, s.settling = r, True
 

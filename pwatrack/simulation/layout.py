@@ -72,6 +72,12 @@ class Layout:
         """What the controller has for w: its own, where it is sampled."""
         return self.w_held if self.w_held.stop > self.w_held.start else self.w
 
+    def counted(self, base: Array) -> Array:
+        """Return what entries of z are counted from, (N, N), where x and x̂ are from base z, (n, N)."""
+        rows = np.zeros((self.order, self.order))
+        rows[self.x] = rows[self.x_hat] = base
+        return rows
+
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
         """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""
         F = np.zeros((self.order, self.order))

@@ -34,7 +34,7 @@ _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off
 _MOST_STEPS = 30  # of Newton's method, from one guess
 _FINEST = 2.0**-10  # part of the way from a linear system to what is asked, in which that must settle
 _DEGREE = 9  # of the polynomials that are played back
-_FITTED, _NOISE = 1e-13, 1e-11  # of the largest value: how near they are, and what may be rounding
+_FITTED, _NOISE = 1e-14, 1e-13  # of the largest value: how near they are, and what may be rounding
 _LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
 _MOST_POINTS = 2_000_000  # at which cells are looked up
@@ -106,13 +106,19 @@ def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajec
         found[..., :-1] += rows[..., :p] @ eta
         return found
 
+    rate = read(trajectory.rate)
+    turns = np.zeros((len(rate), *2 * rate.shape[-1:]))
+    turns[:, :-1, :-1] = system.S
+    rate[..., :-1] -= eta @ system.S
+    turns[:, :-1] += eta.T @ rate  # η' as (15) has it
     return replace(
         trajectory,
         exosystem=system,
         names=(),
         to_eta=np.zeros((0, trajectory.to_eta.shape[1])),
         eta_offset=np.zeros(0),
-        rate=np.zeros((len(trajectory.rate), 0, len(system.w0) + 1)),
+        rate=np.zeros((len(rate), 0, len(system.w0) + 1)),
+        turns=turns,
         x_d=read(trajectory.x_d),
         u_ff=read(trajectory.u_ff),
         guards=read(trajectory.guards),

@@ -170,7 +170,7 @@ class Walk:
     """A trajectory in balanced coordinates: what the compiled kernel works on.
 
     Attributes:
-        log: What was written down; `log.z` are the samples in coordinates D⁻¹ z.
+        log: What was written down; `log.z` are the samples in coordinates D⁻¹ ζ.
         first: Number of the first sample in the log.
     """
 
@@ -189,6 +189,7 @@ class Walk:
         for k in range(early):
             where = slice(self.resets.start[k], self.resets.stop[k])
             self.z[where] = self.resets.values[self.resets.row[k], where]
+        self.z = np.array(flow.relative(self.z))
         starts = propagator.field.first[:-1]
         cells = starts.copy()
         kernel.fit(propagator.field.first, propagator.field.signs, np.sign(flow.guards() @ self.z).astype(int), cells)
@@ -288,7 +289,8 @@ class Walk:
 
     def norms(self, rows: Array, result: Array) -> None:
         """Write ‖rows z‖ at every sample to `result`, (K,), for rows (q, N)."""
-        self.kernel.norms(np.ascontiguousarray(rows * self.propagator.d), self.log.z, result)
+        on = self.propagator
+        self.kernel.norms(np.ascontiguousarray(on.flow.rows(rows * on.d)), self.log.z, result)
 
     def trace(self, count: int | None = None) -> Trace:
         """Return what was written down, or so many samples of it."""
@@ -301,7 +303,7 @@ class Walk:
             near += self._staying()
         return Trace(
             t=on.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
-            z=log.z[:count] * on.d,
+            z=on.flow.absolute(log.z[:count]) * on.d,
             modes=np.array(met)[log.mode[:count]],
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
             unresolved=tuple(
@@ -349,6 +351,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
         start=start,
         stop=stop,
         values=values,
+        counted=np.ascontiguousarray((np.zeros_like(flow.F0) if flow.counted is None else flow.counted).T),
     )
 
 

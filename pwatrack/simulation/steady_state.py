@@ -93,7 +93,7 @@ def periodic_state(
 
 def period_map_derivative(flow: Flow, trace: Trace) -> Array:
     """Return the derivative of the last state of a trace with respect to its first, (N, N)."""
-    product = np.eye(trace.z.shape[1])
+    product = flow.relative(np.eye(trace.z.shape[1])).T
     for mode, start, end in trace.stays():
         product = expm(flow.matrix(mode) * (end - start)) @ product
-    return product
+    return flow.absolute(product.T).T
