@@ -221,14 +221,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
     if not sampling:
         turns = reference @ (F0 + F) if trajectory.turns is None else trajectory.turns @ reference
-        acting = _loads(model, at)
-        left = _left_over(controller, x_d, u_ff, turns, acting[at.x_hat] - added.X.floats @ acting[at.s_hat])
-        estimated = acting[at.x_hat] + added.X.floats @ L[len(base) :] @ (model.C @ x_hat - seen)
-        for part in (at.x, at.x_hat):  # less base', which is x_d' in the first cell
-            F0[part] -= estimated
-            F[:, part] -= model.B @ u_ff
-            F[:, part] -= _field(model, x_d)
-            F[:, part] += left - (trajectory.x_d[0] - trajectory.x_d) @ turns
+        _count(F0, F, controller, at, x_d=x_d, u_ff=u_ff, turns=turns, off=model.C @ x_hat - seen)
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
         SwitchedPart.of("plant", plant, x, _placed(_field(plant, x), at.x)),
@@ -277,20 +270,34 @@ def _field(plant: PWASystem, x: Array) -> Array:
     return np.asarray(rates)
 
 
-def _left_over(controller: Controller, x_d: Array, u_ff: Array, turns: Array, loads: Array) -> Array:
-    """Return what is left over of (3) in each cell, f(x_d) + B u_ff + E ŝ − x_d', (l, n, N); 0 where it is rounding.
+def _count(
+    F0: Array, F: Array, controller: Controller, at: Layout, *, x_d: Array, u_ff: Array, turns: Array, off: Array
+) -> None:
+    """Take the derivative of x_d in the first cell off those of x and x̂, in all cells of x_d.
+
+    It is f(x_d) + B u_ff + E ŝ + X L_s (ŷ − y), see `control.compensation`, less what is left over of (3); that is 0
+    where rounding explains it, so that of both only the errors are left. In other cells rows of x_d may differ.
 
     Args:
+        F0, F: What does not switch, (N, N), and what does, (l, N, N); changed.
         controller: The design.
+        at: Where everything sits.
         x_d, u_ff: Rows by the cell of x_d.
-        turns: The derivatives of what x_d reads, (l, S, N).
-        loads: What estimates of loads add, (n, N).
+        turns: The derivatives of what x_d reads but for ŝ, (l, S, N).
+        off: ŷ − y, (q, N).
     """
-    plant, X = controller.plant, controller.trajectory.x_d
-    left = _field(plant, x_d) + plant.B @ u_ff - X @ turns + loads
-    size = np.abs(plant.A) @ np.abs(x_d) + np.abs(plant.B) @ np.abs(u_ff) + np.abs(X) @ np.abs(turns) + np.abs(loads)
+    plant, rows, X = controller.plant, controller.trajectory.x_d, controller.compensation.X.floats
+    loads = _loads(plant, at)
+    field, kept = _field(plant, x_d), loads[at.x_hat] - X @ loads[at.s_hat]
+    left = field + plant.B @ u_ff - rows @ turns + kept
+    size = np.abs(plant.A) @ np.abs(x_d) + np.abs(plant.B) @ np.abs(u_ff) + np.abs(rows) @ np.abs(turns) + np.abs(kept)
     size[:, :, -1] += np.abs(plant.b)
-    return np.where(np.abs(left) > ROUNDING * size, left, 0.0)
+    left = np.where(np.abs(left) > ROUNDING * size, left, 0.0)
+    for part in (at.x, at.x_hat):
+        F0[part] -= loads[at.x_hat] + X @ controller.design.L[len(X) :] @ off
+        F[:, part] -= plant.B @ u_ff
+        F[:, part] -= field
+        F[:, part] += left - (rows[0] - rows) @ turns
 
 
 def _placed(rates: Array, where: slice) -> Array:
