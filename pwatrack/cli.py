@@ -69,18 +69,19 @@ def check(
 ) -> None:
     """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
     with refusals():
-        from pwatrack.control.applicability import applicability
         from pwatrack.errors import PwatrackError
-        from pwatrack.merged import checked
-        from pwatrack.report.plant import check_json, print_plant
-        from pwatrack.sizing import spec_sizes
         from pwatrack.spec.load import assignments, load_spec
-        from pwatrack.tracking import reference_remarks
 
         report, refusal, reference, sizes, name = None, None, "", None, ""
         remarks: tuple[str, ...] = ()
         try:
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
+
+            from pwatrack.control.applicability import applicability  # which a spec in error does not need
+            from pwatrack.merged import checked
+            from pwatrack.sizing import spec_sizes
+            from pwatrack.tracking import reference_remarks
+
             sizes = spec_sizes(spec)
             name, report = (
                 spec.name,
@@ -97,8 +98,12 @@ def check(
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:
+            from pwatrack.report.plant import check_json
+
             typer.echo(json.dumps(check_json(name, report, reference, sizes, refusal, remarks), indent=2))
         elif report is not None:
+            from pwatrack.report.plant import print_plant
+
             print_plant(console(), name, report, reference, sizes, remarks)
         if refusal is not None:
             raise refusal
