@@ -4,13 +4,14 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pwatrack import load_spec
-from pwatrack.errors import ExitCode
+from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource, header
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
@@ -192,6 +193,15 @@ def test_sizes_and_digests_are_in_the_header(machine: Subject, tmp_path: Path) -
     (folder / "loop.h").write_text(wrong)
     with pytest.raises(AssertionError, match="state_size"):
         built(folder, COMPILERS[0], "-O2")
+
+
+def test_numbers_that_single_floats_do_not_hold_are_refused(machine: Subject, tmp_path: Path) -> None:
+    K = [[1e39, *machine.file.K[0][1:]]]
+    subject = replace(machine, file=machine.file.model_copy(update={"K": K}))
+    assert "1e+39" in (written(subject, tmp_path / "double") / "loop.c").read_text(encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=r"a number of 1e\+39, and single floats end at 3\.4e\+38"):
+        written(subject, tmp_path / "single", single=True)
+    assert not list((tmp_path / "single").glob("*"))
 
 
 def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:

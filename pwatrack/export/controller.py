@@ -49,7 +49,7 @@ class Controller:
         self.file = file
         self.status = _RAN
         self._real: Any = np.float32 if single else np.float64
-        self._programs = {given: runs(file, given=given) for given in (False, True)}
+        self._programs = {given: runs(file, given=given, single=single) for given in (False, True)}
         self._given: bool | None = None
         self.reset()
 

@@ -58,7 +58,7 @@ class Source:
     @cached_property
     def program(self) -> Program:
         """What runs."""
-        return runs(self.file, given=self.given)
+        return runs(self.file, given=self.given, single=self.single)
 
     @cached_property
     def follows(self) -> Follows | None:

@@ -18,6 +18,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
+_SINGLE = float(np.finfo(np.float32).max)
 
 
 def content(
@@ -123,12 +124,16 @@ def parsed(found: Any, path: Path) -> ControllerFile:
     return known
 
 
-def runs(known: ControllerFile, *, given: bool = False) -> Program:
+def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> Program:
     """Return the program of a file.
 
     Args:
         known: The file; it has one.
         given: Whether the reference comes from outside.
+        single: Whether it is for single floats.
+
+    Raises:
+        InvalidSpec: If single floats do not hold its numbers.
     """
     part = known.program
     assert part is not None
@@ -137,7 +142,7 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
     p, s_hat = len(known.trajectory.eta), len(known.L) - n
     s = len(part.outside.reference) if given else len(part.inside.w0)
     columns = s_hat + p + s + 1
-    return Program(
+    found = Program(
         sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
         H=np.array(known.plant.H, dtype=np.float64).reshape(-1, n),
         h=np.array(known.plant.h, dtype=np.float64),
@@ -155,6 +160,15 @@ def runs(known: ControllerFile, *, given: bool = False) -> Program:
         follows=None if given else _follows(part.inside, s),
         reference=tuple(part.outside.reference) if given else (),
     )
+    if single:
+        for name in ("H", "h", "observer", "generator", "x_d", "u_ff", "guards", "K"):
+            largest = float(np.abs(getattr(found, name)).max(initial=0.0))
+            if largest > _SINGLE:
+                raise InvalidSpec(
+                    f"{name} of '{known.name}' has a number of {largest:.3g}, and single floats end at {_SINGLE:.3g}",
+                    hint="use double floats; a shorter sample time makes smaller numbers",
+                )
+    return found
 
 
 def _follows(inside: Inside, s: int) -> Follows:
