@@ -127,6 +127,17 @@ def test_the_field_is_the_merged_one_and_the_deviations(seed: int) -> None:
         assert np.allclose([float(v) for v in rest], [float(v) for v in field(less, point)], atol=1e-12)
 
 
+def least_of_both(cells: Partition) -> PWASystem:
+    """Return x' = y in the first of four cells and x in the second, 0 in the others."""
+    return PWASystem.create(
+        partition=cells,
+        A=[[[0, 1], [0, 0]], [[1, 0], [0, 0]], [[0, 0], [0, 0]], [[0, 0], [0, 0]]],
+        b=[[0, 0]] * 4,
+        B=[[0], [1]],
+        C=[[1, 0]],
+    )
+
+
 def test_cells_that_are_no_sum_of_elements_are_left_alone() -> None:
     corner = Partition.create(
         H=[[1.0, 0.0], [0.0, 1.0], [1.0, -1.0]],
@@ -134,13 +145,7 @@ def test_cells_that_are_no_sum_of_elements_are_left_alone() -> None:
         signs=[[1, 1, 1], [1, 1, -1], [-1, 0, 0], [1, -1, 0]],
         names=["a", "b", "c", "d"],
     )  # min(x, y) in the first quadrant, 0 elsewhere: each border is bent along one half only
-    plant = PWASystem.create(
-        partition=corner,
-        A=[[[0, 1], [0, 0]], [[1, 0], [0, 0]], [[0, 0], [0, 0]], [[0, 0], [0, 0]]],
-        b=[[0, 0]] * 4,
-        B=[[0], [1]],
-        C=[[1, 0]],
-    )
+    plant = least_of_both(corner)
     assert scalar_form(plant) is None
 
 
@@ -152,13 +157,7 @@ def test_a_border_that_ends_inside_a_cell_is_no_element() -> None:
         signs=[[0, 1, 1, 0], [1, 0, -1, 0], [0, -1, 0, 1], [-1, 0, 0, -1]],
         names=["a", "b", "below", "left"],
     )
-    plant = PWASystem.create(
-        partition=corner,
-        A=[[[0, 1], [0, 0]], [[1, 0], [0, 0]], [[0, 0], [0, 0]], [[0, 0], [0, 0]]],
-        b=[[0, 0]] * 4,
-        B=[[0], [1]],
-        C=[[1, 0]],
-    )
+    plant = least_of_both(corner)
     assert len(plant.partition.facets) == 4
     assert scalar_form(plant) is None
 
