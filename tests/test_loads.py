@@ -149,10 +149,10 @@ def test_errors_are_driven_as_the_proof_says(tmp_path: Path) -> None:
     wind, hum = loop.load_rows
     turned = np.zeros(at.order)
     turned[at.d] = hum[at.d] @ S_w / 3  # ḋ / ω
-    z = np.eye(at.order)  # of ζ, whose x and x̂ are counted from x_d
+    z = np.eye(at.order)  # of ζ, whose x is counted from x_d, and x̂ from x
     assert loop.flow.counted is not None
     assert np.array_equal(loop.flow.counted[at.x], loop.x_d[0])
-    e, Delta = z[at.x], z[at.x_hat] - z[at.x]
+    e, Delta = z[at.x], z[at.x_hat]
     sigma = z[at.s_hat] - np.array([wind, hum, turned])
     X = loop.x_d[0, :, at.s_hat]
     E = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [2, -1, 0]])

@@ -195,6 +195,15 @@ def test_an_observer_with_all_cells_has_no_error_in_the_end_and_a_smaller_bound(
     assert response.observer_error[-1] < 1e-9 * response.observer_error[0]
 
 
+def test_no_gain_of_the_observer_enlarges_rounding() -> None:
+    """Of x̂ and x, each by itself, doubles keep so little that with L = 6e5 2e-7 would be left of x̂ − x for good."""
+    plant, form = plant_with_gaps(97)
+    controller = practical_controller(plant, form, watched=True)
+    assert np.abs(controller.design.L).max() > 1e5
+    seen = worst_found(controller, 97, tries=10, steps=10)
+    assert max(seen.final, seen.part) < 1 + 1e-9
+
+
 def test_a_simulation_above_its_own_bound_is_said_first(gear: tuple[Spec, Path]) -> None:
     controller = design(gear[0])
     practical = controller.practical

@@ -28,8 +28,8 @@ class ClosedLoop:
         controller: The design.
         conditions: What is not as the theorems assume.
         at: Where everything sits in z.
-        flow: ζ' = F(mode) ζ, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator); in ζ x and x̂
-            are counted from x_d of the first cell, but for a sampled controller.
+        flow: ζ' = F(mode) ζ, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator); in ζ x is
+            counted from x_d of the first cell and x̂ from x, but for a sampled controller.
         x_d, u_ff, u: Rows with x_d = x_d[cell of x_d] z, (l, n, N); likewise u_ff, and u before its limits, (l, m, N).
     """
 
@@ -205,40 +205,43 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     shift = added.X.floats @ s_hat
     x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat
     base = np.zeros_like(x_d[0]) if sampling else x_d[0]  # a program holds what it computes: nothing to count from
-    x, x_hat = z[at.x] + base, z[at.x_hat] + base
+    x = z[at.x] + base
+    x_hat = z[at.x_hat] + (0.0 if sampling else x)
     y = plant.C @ x + (z[at.v] if conditions.noise else 0.0)
     F0 = np.zeros_like(z)
     F0[at.w, at.w] = trajectory.exosystem.S
     if conditions.disturbance is not None:
         F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    steady, switched, seen = K @ z[at.x_hat], u_ff + K @ (base - x_d), y  # the input, a sum; what the observer sees
+    steady, switched = K @ (x_hat - base), u_ff + K @ (base - x_d)  # the input, a sum
+    off = model.C @ (x_hat - x) - (y - model.C @ x)  # ŷ − y: of an observer that has the plant's C, C (x̂ − x) alone
     if sampling:  # both are held
-        steady, switched, seen = z[at.u], np.zeros_like(u_ff), z[at.y]
+        steady, switched, off = z[at.u], np.zeros_like(u_ff), model.C @ x_hat - z[at.y]
         F0[at.w_held, at.w_held] = F0[at.w, at.w]
     F0 += at.driven(steady, plant, model) + _loads(model, at)
-    F0[at.observer] += L @ (model.C @ x_hat - seen)
+    F0[at.observer] += L @ off
     F = np.array([at.driven(rows, plant, model) for rows in switched])
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
-    if not sampling:
-        turns = reference @ (F0 + F) if trajectory.turns is None else trajectory.turns @ reference
-        _count(F0, F, controller, at, x_d=x_d, u_ff=u_ff, turns=turns, off=model.C @ x_hat - seen)
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
         SwitchedPart.of("plant", plant, x, _placed(_field(plant, x), at.x)),
         SwitchedPart.of("observer", model.model, x_hat, _placed(_field(model.model, x_hat), at.x_hat)),
         SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F),
     ]
-    u = switched + steady
-    parts += _limits(conditions, u, parts[-1], model, at)
-    flow = Flow(F0=F0, parts=tuple(parts), counted=at.counted(base))
+    parts += _limits(conditions, switched + steady, parts[-1], model, at)
+    flow = Flow(F0=F0, parts=tuple(parts))
+    if sampling:
+        flow = sampled(flow, runs or program(controller, conditions), conditions, at, measured=y)
+    else:
+        turns = reference @ (F0 + F) if trajectory.turns is None else trajectory.turns @ reference
+        flow = _counted(flow, controller, at, x_d=x_d, u_ff=u_ff, turns=turns, off=off)
     return ClosedLoop(
         controller=controller,
         conditions=conditions,
         at=at,
-        flow=sampled(flow, runs or program(controller, conditions), conditions, at, measured=y) if sampling else flow,
+        flow=flow,
         x_d=trajectory.x_d @ np.vstack([z[at.eta_hat], z[at.w], z[-1:]]) + shift,
         u_ff=u_ff,
-        u=u - K @ base,
+        u=switched + steady if sampling else u_ff + K @ (z[at.x_hat] - x_d),
     )
 
 
@@ -270,16 +273,17 @@ def _field(plant: PWASystem, x: Array) -> Array:
     return np.asarray(rates)
 
 
-def _count(
-    F0: Array, F: Array, controller: Controller, at: Layout, *, x_d: Array, u_ff: Array, turns: Array, off: Array
-) -> None:
-    """Take the derivative of x_d in the first cell off those of x and x̂, in all cells of x_d.
+def _counted(
+    flow: Flow, controller: Controller, at: Layout, *, x_d: Array, u_ff: Array, turns: Array, off: Array
+) -> Flow:
+    """Return the rates of x less those of x_d in the first cell, and those of x̂ less those of x.
 
-    It is f(x_d) + B u_ff + E ŝ + X L_s (ŷ − y), see `control.compensation`, less what is left over of (3); that is 0
-    where rounding explains it, so that of both only the errors are left. In other cells rows of x_d may differ.
+    The derivative of x_d is f(x_d) + B u_ff + E ŝ + X L_s (ŷ − y), see `control.compensation`, less what is left over
+    of (3); that is 0 where rounding explains it, so that of x only its error is left. In other cells rows of x_d may
+    differ.
 
     Args:
-        F0, F: What does not switch, (N, N), and what does, (l, N, N); changed.
+        flow: Reads x and x̂ from ζ, and has their own rates.
         controller: The design.
         at: Where everything sits.
         x_d, u_ff: Rows by the cell of x_d.
@@ -293,11 +297,18 @@ def _count(
     size = np.abs(plant.A) @ np.abs(x_d) + np.abs(plant.B) @ np.abs(u_ff) + np.abs(rows) @ np.abs(turns) + np.abs(kept)
     size[:, :, -1] += np.abs(plant.b)
     left = np.where(np.abs(left) > ROUNDING * size, left, 0.0)
-    for part in (at.x, at.x_hat):
-        F0[part] -= loads[at.x_hat] + X @ controller.design.L[len(X) :] @ off
-        F[:, part] -= plant.B @ u_ff
-        F[:, part] -= field
-        F[:, part] += left - (rows[0] - rows) @ turns
+    F0, parts = flow.F0.copy(), {part.name: part.F.copy() for part in flow.parts}
+    for F in (F0, *parts.values()):
+        F[..., at.x_hat, :] -= F[..., at.x, :]
+    F0[at.x] -= loads[at.x_hat] + X @ controller.design.L[len(X) :] @ off
+    parts["generator"][:, at.x] -= plant.B @ u_ff
+    parts["generator"][:, at.x] -= field
+    parts["generator"][:, at.x] += left - (rows[0] - rows) @ turns
+    return Flow(
+        F0=F0,
+        parts=tuple(replace(part, F=parts[part.name]) for part in flow.parts),
+        counted=at.counted(x_d[0]),
+    )
 
 
 def _placed(rates: Array, where: slice) -> Array:

@@ -71,7 +71,8 @@ class Flow:
         F0: What does not switch, (N, N).
         parts: What does.
         clock: What makes z jump, if anything does.
-        counted: Rows that some entries of z are counted from; they read none of these, (N, N). None: ζ = z.
+        counted: Rows of z that some entries are counted from, (N, N). They read only entries that are counted from
+            none, or from such. None: ζ = z.
     """
 
     F0: Array
@@ -92,11 +93,11 @@ class Flow:
 
     def absolute(self, zeta: Array) -> Array:
         """Return z of ζ, (…, N)."""
-        return zeta if self.counted is None else zeta + zeta @ self.counted.T
+        return zeta if self.counted is None else zeta + (zeta + zeta @ self.counted.T) @ self.counted.T
 
     def rows(self, rows: Array) -> Array:
         """Return the rows that read from ζ what the given ones, (q, N), read from z."""
-        return rows if self.counted is None else rows + rows @ self.counted
+        return rows if self.counted is None else rows + (rows + rows @ self.counted) @ self.counted
 
     def guards(self) -> Array:
         """Return all guards of all parts, (K, N)."""

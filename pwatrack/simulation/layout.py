@@ -72,10 +72,10 @@ class Layout:
         """What the controller has for w: its own, where it is sampled."""
         return self.w_held if self.w_held.stop > self.w_held.start else self.w
 
-    def counted(self, base: Array) -> Array:
-        """Return what entries of z are counted from, (N, N), where x and x̂ are from base z, (n, N)."""
+    def counted(self, x_d: Array) -> Array:
+        """Return what entries of z are counted from, (N, N): x from x_d = x_d z, (n, N), and x̂ from x."""
         rows = np.zeros((self.order, self.order))
-        rows[self.x] = rows[self.x_hat] = base
+        rows[self.x], rows[self.x_hat, self.x] = x_d, np.eye(len(x_d))
         return rows
 
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
