@@ -192,7 +192,7 @@ def batch(
     parameters: Set = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time, here.")] = 1,
     scheduler: Scheduler = None,
-    timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up.")] = 600.0,
+    timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up; inf for never.")] = 600.0,
     memory: Annotated[
         float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
     ] = None,
