@@ -69,11 +69,11 @@ def main(folder: Path) -> None:
 def overhead(small: Path, out: Path) -> None:
     """Print what a spec of a batch costs beyond its own design, with what the certificate proves, and simulation."""
     import pwatrack.batch.warm  # noqa: F401
-    from pwatrack import pipeline
     from pwatrack.batch.elsewhere import done
     from pwatrack.batch.job import Job
     from pwatrack.batch.work import simulate
     from pwatrack.spec.load import load_spec
+    from pwatrack.study import pipeline
 
     own, whole = list[float](), list[float]()
     for k, spec in enumerate(sorted(small.iterdir())[:40]):

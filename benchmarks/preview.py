@@ -29,7 +29,7 @@ from pwatrack.arrays import EPS, Array
 from pwatrack.control.controller import Controller
 from pwatrack.errors import PwatrackError
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import desired_trajectory
+from pwatrack.study.tracking import desired_trajectory
 from tests.plants import saddle
 
 _CONSTANTS = 30  # after so many time constants nothing is left of a start

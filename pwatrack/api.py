@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pwatrack import pipeline, variation
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
-from pwatrack.result import Result as Simulated
 from pwatrack.spec.spec import Spec
-from pwatrack.variation import EnsembleResult, Over
+from pwatrack.study import pipeline, variation
+from pwatrack.study.result import Result as Simulated
+from pwatrack.study.variation import EnsembleResult, Over
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -361,7 +361,7 @@ def ensemble(
         result: What `simulate` returned.
         count: How many members; the first members of a larger ensemble are the same.
         over: What differs: the "initial" states, "parameters" of the plant, or the seed of the "noise"; within the
-            regions and intervals that the problem gives, else within those that `pwatrack.variation` names.
+            regions and intervals that the problem gives, else within those that `pwatrack.study.variation` names.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
         executor: Where members run instead of threads here, `workers` at a time.

@@ -78,9 +78,9 @@ def check(
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
 
             from pwatrack.control.applicability import applicability  # which a spec in error does not need
-            from pwatrack.merged import checked
-            from pwatrack.sizing import spec_sizes
-            from pwatrack.tracking import reference_remarks
+            from pwatrack.study.merged import checked
+            from pwatrack.study.sizing import spec_sizes
+            from pwatrack.study.tracking import reference_remarks
 
             sizes = spec_sizes(spec)
             name, report = (
@@ -192,7 +192,9 @@ def batch(
     parameters: Set = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Specs at a time, here.")] = 1,
     scheduler: Scheduler = None,
-    timeout: Annotated[float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up; inf for never.")] = 600.0,
+    timeout: Annotated[
+        float, typer.Option("--timeout", min=1, help="Seconds before a spec is given up; inf for never.")
+    ] = 600.0,
     memory: Annotated[
         float | None, typer.Option("--memory", min=1, help="Megabytes that a spec may take.", show_default="any")
     ] = None,

@@ -12,14 +12,14 @@ from rich.console import Console
 from pwatrack import ensemble, load_spec, simulate
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
-from pwatrack.merged import checked as known
-from pwatrack.pipeline import design
 from pwatrack.report import summary, terminal
 from pwatrack.report.files import write_result
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.verify import verify
-from pwatrack.sizing import spec_sizes
+from pwatrack.study.merged import checked as known
+from pwatrack.study.pipeline import design
+from pwatrack.study.sizing import spec_sizes
 from tests.test_outcome import ROD, RUNAWAY, cart
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)

@@ -19,7 +19,7 @@ from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import Propagator, simulate_flow
 from pwatrack.simulation.region import Box, Ellipsoid, Region
-from pwatrack.variation import EnsembleResult, Over, other_starts
+from pwatrack.study.variation import EnsembleResult, Over, other_starts
 from tests.plants import reset
 from tests.scenarios import in_scenario
 from tests.test_cli import call, refused, shortened

@@ -17,7 +17,6 @@ from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible
-from pwatrack.how_far import HowFar, how_far
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.polynomial import Polynomial
 from pwatrack.lmi.role import CONTROLLER
@@ -26,8 +25,9 @@ from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
-from pwatrack.sizing import spec_sizes
 from pwatrack.spec.spec import Spec
+from pwatrack.study.how_far import HowFar, how_far
+from pwatrack.study.sizing import spec_sizes
 
 HIDDEN = """\
 name: hidden

@@ -29,8 +29,8 @@ from pwatrack.report.files import write_result
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.sample_map import SampleMaps
-from pwatrack.sizing import spec_sizes
 from pwatrack.spec.expression import formula
+from pwatrack.study.sizing import spec_sizes
 from tests.conftest import SPECS
 from tests.plants import random_plant
 from tests.promises import run, track, worst

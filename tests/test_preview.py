@@ -17,7 +17,6 @@ from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
-from pwatrack.how_far import how_far
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility
@@ -31,6 +30,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
+from pwatrack.study.how_far import how_far
 from tests.conftest import SPECS
 from tests.plants import saddle
 

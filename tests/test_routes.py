@@ -7,8 +7,8 @@ import pytest
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec
 from pwatrack.control.applicability import ROUTES, Applicability, applicability
 from pwatrack.control.route import Needs, No
-from pwatrack.sizing import spec_sizes
-from pwatrack.tracking import check_reference
+from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.tracking import check_reference
 from tests.conftest import SPECS
 
 TAKEN = {

@@ -113,14 +113,14 @@ def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
 def test_a_long_run_is_written_in_full_and_kept_in_part(
     paper: Result, paper_spec: Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pwatrack.pipeline.MOST_KEPT", 700)
+    monkeypatch.setattr("pwatrack.study.pipeline.MOST_KEPT", 700)
     result = simulate(paper_spec, paper.controller)
     assert len(result.response.t) == 667  # every ninth of 6001
     np.testing.assert_array_equal(result.response.x, paper.response.x[::9])
     all_of_it, in_part = (figure_content(asdict(one.figures)) for one in (paper, result))
     for name, figure in all_of_it.items():
         assert in_part[name] == pytest.approx(figure, rel=1e-12), name
-    monkeypatch.delattr("pwatrack.pipeline.trace_blocks")  # writing does not simulate
+    monkeypatch.delattr("pwatrack.study.pipeline.trace_blocks")  # writing does not simulate
     for one, other in ((paper, "whole"), (result, "part")):
         write_result(one, tmp_path / other)
     assert (tmp_path / "whole/events.csv").read_bytes() == (tmp_path / "part/events.csv").read_bytes()

@@ -19,7 +19,7 @@ from pwatrack.errors import Infeasible, InvalidSpec
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.plant import print_plant
-from pwatrack.sizing import spec_sizes
+from pwatrack.study.sizing import spec_sizes
 from tests.conftest import SPECS
 from tests.units import Units, apart, in_units
 

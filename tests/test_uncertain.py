@@ -16,7 +16,6 @@ from scipy.linalg import expm
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.bands import covered
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
@@ -25,6 +24,7 @@ from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures
 from pwatrack.report.verify import verify
 from pwatrack.spec.corners import corners
+from pwatrack.study.bands import covered
 
 SPRING = """
 name: mass on a spring

@@ -21,7 +21,6 @@ from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.control.within import Within
 from pwatrack.errors import CheckFailed
-from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.conditions import Conditions
@@ -31,8 +30,9 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.sizing import spec_sizes
-from pwatrack.tracking import desired_trajectory
+from pwatrack.study.limiting import room_within_limits
+from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.tracking import desired_trajectory
 from tests.conftest import SPECS
 from tests.plants import random_plant
 from tests.promises import track

@@ -99,9 +99,9 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
 
 def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, simulated: bool) -> Point:
     """Design at one place, and simulate if asked."""
-    from pwatrack import pipeline
     from pwatrack.report.figures import figure_content, gain_figures, measures
     from pwatrack.spec.load import load_spec
+    from pwatrack.study import pipeline
 
     figures: dict[str, Any] = {}
     code, said, proof = int(ExitCode.DONE), "", NONE

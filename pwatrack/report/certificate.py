@@ -22,15 +22,15 @@ from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.merged import merged_spec
 from pwatrack.model.loads import Loads
 from pwatrack.model.merging import Merge
 from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
-from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
+from pwatrack.study.merged import merged_spec
+from pwatrack.study.sizing import spec_form
 
 CLAIM = (
     "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "

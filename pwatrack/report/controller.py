@@ -10,12 +10,12 @@ from pwatrack.control.controller import Controller
 from pwatrack.errors import PwatrackError
 from pwatrack.export.stored import content
 from pwatrack.model.nonlinearity import MOST_LISTED
-from pwatrack.pipeline import start_of
 from pwatrack.report.certificate import design_certificate, generator_content
 from pwatrack.report.run_folder import json_text
-from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.spec.spec import Spec
+from pwatrack.study.pipeline import start_of
+from pwatrack.study.result import Result
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pwatrack import pipeline
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
@@ -28,6 +27,7 @@ from pwatrack.report.run_folder import INDEX, json_text, named_spec
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
+from pwatrack.study import pipeline
 
 CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector

@@ -10,9 +10,9 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.report.wording import load_kind
-from pwatrack.result import Result
 from pwatrack.simulation.region import Box, Region
-from pwatrack.variation import EnsembleResult
+from pwatrack.study.result import Result
+from pwatrack.study.variation import EnsembleResult
 
 
 def measures(result: Result) -> dict[str, Any]:

@@ -13,8 +13,6 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
-from pwatrack.how_far import HowFar
-from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import refusal_certificate
@@ -35,7 +33,6 @@ from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.report.wording import error_unit
-from pwatrack.result import Result
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
@@ -43,8 +40,11 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.spec.values import WRITTEN
-from pwatrack.tracking import reference_remarks
-from pwatrack.variation import EnsembleResult
+from pwatrack.study.how_far import HowFar
+from pwatrack.study.largest_box import LargestBox
+from pwatrack.study.result import Result
+from pwatrack.study.tracking import reference_remarks
+from pwatrack.study.variation import EnsembleResult
 from pwatrack.version import versions
 
 _ROWS = 10_000  # that are turned to text at a time

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from pwatrack.how_far import HowFar, Proved
+from pwatrack.study.how_far import HowFar, Proved
 
 
 def texts(found: HowFar) -> list[str]:

@@ -9,10 +9,10 @@ from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.report.figures import gain_figures, measures
 from pwatrack.report.wording import error_unit
-from pwatrack.result import Result
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
-from pwatrack.variation import EnsembleResult
+from pwatrack.study.result import Result
+from pwatrack.study.variation import EnsembleResult
 
 Figures = Mapping[str, Any]
 

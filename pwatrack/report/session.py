@@ -11,7 +11,6 @@ from typing import Literal
 
 from rich.status import Status
 
-from pwatrack import pipeline
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.program import Program
@@ -19,8 +18,6 @@ from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
 from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.stored import read
-from pwatrack.how_far import HowFar, how_far
-from pwatrack.largest_box import LargestBox, largest_box
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -30,10 +27,13 @@ from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
 from pwatrack.report.terminal import console
 from pwatrack.report.uncertain import largest_text
-from pwatrack.result import Result
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.variation import EnsembleResult, Over, ensemble
+from pwatrack.study import pipeline
+from pwatrack.study.how_far import HowFar, how_far
+from pwatrack.study.largest_box import LargestBox, largest_box
+from pwatrack.study.result import Result
+from pwatrack.study.variation import EnsembleResult, Over, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]
 

@@ -15,7 +15,6 @@ from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.largest_box import LargestBox
 from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
@@ -27,10 +26,11 @@ from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.report.uncertain import box_rows, largest_text, run_rows
 from pwatrack.report.wording import down, error_unit, load_kind, signal_text, sized, states_unit
-from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import reference_remarks
-from pwatrack.variation import EnsembleResult
+from pwatrack.study.largest_box import LargestBox
+from pwatrack.study.result import Result
+from pwatrack.study.tracking import reference_remarks
+from pwatrack.study.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked
 

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import up
-from pwatrack.bands import covered
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
-from pwatrack.largest_box import LargestBox
 from pwatrack.report.bounds import cause, limit_texts
 from pwatrack.report.wording import down, signal_text, sized
-from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
+from pwatrack.study.bands import covered
+from pwatrack.study.largest_box import LargestBox
+from pwatrack.study.result import Result
 
 
 def robust_content(spec: Spec, robust: Robust) -> dict[str, Any]:

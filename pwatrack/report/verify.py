@@ -16,11 +16,9 @@ from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.stored import LARGEST
-from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
-from pwatrack.merged import merged_spec
 from pwatrack.model.merging import Merge, merges
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.report.bounds import BOUNDS
@@ -34,11 +32,13 @@ from pwatrack.report.certificate import (
     subject_content,
 )
 from pwatrack.report.run_folder import INDEX, REFUSAL, named_spec
-from pwatrack.sizing import spec_sizes
 from pwatrack.spec.corners import corners
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import desired_trajectory
+from pwatrack.study.limiting import room_within_limits
+from pwatrack.study.merged import merged_spec
+from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.tracking import desired_trajectory
 
 CERTIFICATE = "certificate.json"
 _CLOSE = 1e-12  # relative: figures that are computed again

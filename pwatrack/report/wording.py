@@ -6,8 +6,8 @@ from pwatrack.arrays import number_text
 from pwatrack.control.bounds import Form
 from pwatrack.model.loads import Load
 from pwatrack.model.sizes import Sizes
-from pwatrack.result import Result
 from pwatrack.spec.spec import Spec
+from pwatrack.study.result import Result
 
 
 def error_unit(result: Result) -> str:
@@ -43,7 +43,7 @@ def size_texts(sizes: Sizes, most: int) -> list[str]:
 
     Example:
         >>> from pwatrack import load_spec
-        >>> from pwatrack.sizing import spec_sizes
+        >>> from pwatrack.study.sizing import spec_sizes
         >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")), 20)[1]
         'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001449 1/s'
     """

@@ -10,6 +10,7 @@ from pwatrack.control.program import Program, program
 from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import actuators, rate_limits
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.layout import Layout
@@ -205,19 +206,13 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     shift = added.X.floats @ s_hat
     x_d, u_ff = trajectory.x_d @ reference + shift, trajectory.u_ff @ reference + added.u_ff @ s_hat
     base = np.zeros_like(x_d[0]) if sampling else x_d[0]  # a program holds what it computes: nothing to count from
-    x = z[at.x] + base
-    x_hat = z[at.x_hat] + (0.0 if sampling else x)
+    x, x_hat = z[at.x] + base, z[at.x_hat] + (0.0 if sampling else z[at.x] + base)
     y = plant.C @ x + (z[at.v] if conditions.noise else 0.0)
-    F0 = np.zeros_like(z)
-    F0[at.w, at.w] = trajectory.exosystem.S
-    if conditions.disturbance is not None:
-        F0[at.d, at.d], F0[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
     steady, switched = K @ (x_hat - base), u_ff + K @ (base - x_d)  # the input, a sum
     off = model.C @ (x_hat - x) - (y - model.C @ x)  # ŷ − y: of an observer that has the plant's C, C (x̂ − x) alone
     if sampling:  # both are held
         steady, switched, off = z[at.u], np.zeros_like(u_ff), model.C @ x_hat - z[at.y]
-        F0[at.w_held, at.w_held] = F0[at.w, at.w]
-    F0 += at.driven(steady, plant, model) + _loads(model, at)
+    F0 = _exosystems(trajectory.exosystem, conditions, at) + at.driven(steady, plant, model) + _loads(model, at)
     F0[at.observer] += L @ off
     F = np.array([at.driven(rows, plant, model) for rows in switched])
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
@@ -232,8 +227,7 @@ def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: 
     if sampling:
         flow = sampled(flow, runs or program(controller, conditions), conditions, at, measured=y)
     else:
-        turns = reference @ (F0 + F) if trajectory.turns is None else trajectory.turns @ reference
-        flow = _counted(flow, controller, at, x_d=x_d, u_ff=u_ff, turns=turns, off=off)
+        flow = _counted(flow, controller, at, reference, x_d=x_d, u_ff=u_ff, off=off)
     return ClosedLoop(
         controller=controller,
         conditions=conditions,
@@ -258,6 +252,17 @@ def _limits(
     return parts
 
 
+def _exosystems(reference: Exosystem, conditions: Conditions, at: Layout) -> Array:
+    """Return what drives itself: the reference, for a program also a copy, and disturbances, (N, N)."""
+    F = np.zeros((at.order, at.order))
+    F[at.w, at.w] = reference.S
+    if conditions.sampling:
+        F[at.w_held, at.w_held] = reference.S
+    if conditions.disturbance is not None:
+        F[at.d, at.d], F[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
+    return F
+
+
 def _loads(model: PWASystem, at: Layout) -> Array:
     """Return what estimates of loads do in the observer: E ŝ in x̂' and S ŝ, (N, N)."""
     F = np.zeros((at.order, at.order))
@@ -274,7 +279,7 @@ def _field(plant: PWASystem, x: Array) -> Array:
 
 
 def _counted(
-    flow: Flow, controller: Controller, at: Layout, *, x_d: Array, u_ff: Array, turns: Array, off: Array
+    flow: Flow, controller: Controller, at: Layout, reference: Array, *, x_d: Array, u_ff: Array, off: Array
 ) -> Flow:
     """Return the rates of x less those of x_d in the first cell, and those of x̂ less those of x.
 
@@ -286,18 +291,19 @@ def _counted(
         flow: Reads x and x̂ from ζ, and has their own rates.
         controller: The design.
         at: Where everything sits.
+        reference: Rows of what x_d reads but for ŝ, (S, N).
         x_d, u_ff: Rows by the cell of x_d.
-        turns: The derivatives of what x_d reads but for ŝ, (l, S, N).
         off: ŷ − y, (q, N).
     """
-    plant, rows, X = controller.plant, controller.trajectory.x_d, controller.compensation.X.floats
+    plant, trajectory, X = controller.plant, controller.trajectory, controller.compensation.X.floats
+    F0, parts, rows = flow.F0.copy(), {part.name: part.F.copy() for part in flow.parts}, trajectory.x_d
+    turns = reference @ (F0 + parts["generator"]) if trajectory.turns is None else trajectory.turns @ reference
     loads = _loads(plant, at)
     field, kept = _field(plant, x_d), loads[at.x_hat] - X @ loads[at.s_hat]
     left = field + plant.B @ u_ff - rows @ turns + kept
     size = np.abs(plant.A) @ np.abs(x_d) + np.abs(plant.B) @ np.abs(u_ff) + np.abs(rows) @ np.abs(turns) + np.abs(kept)
     size[:, :, -1] += np.abs(plant.b)
     left = np.where(np.abs(left) > ROUNDING * size, left, 0.0)
-    F0, parts = flow.F0.copy(), {part.name: part.F.copy() for part in flow.parts}
     for F in (F0, *parts.values()):
         F[..., at.x_hat, :] -= F[..., at.x, :]
     F0[at.x] -= loads[at.x_hat] + X @ controller.design.L[len(X) :] @ off

@@ -35,7 +35,7 @@ def feedforward_peak(
 
         >>> from pwatrack import load_spec
         >>> from pwatrack.simulation.startup import steady_start
-        >>> from pwatrack.tracking import desired_trajectory
+        >>> from pwatrack.study.tracking import desired_trajectory
         >>> spec = load_spec("specs/two_mass_backlash.yaml")
         >>> trajectory, generator = desired_trajectory(spec, False)
         >>> start = steady_start(trajectory, generator)

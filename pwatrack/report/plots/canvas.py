@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
-from pwatrack.result import Result
+from pwatrack.study.result import Result
 
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}

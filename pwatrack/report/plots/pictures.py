@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from pwatrack.report.plots.cells import active_cells, portrait
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
-from pwatrack.result import Result
+from pwatrack.study.result import Result
 
 
 def draw(result: Result) -> dict[str, Figure]:

@@ -6,9 +6,9 @@ from matplotlib.axes import Axes
 
 from pwatrack.arrays import Array
 from pwatrack.report.plots.canvas import REQUIRED
-from pwatrack.result import Result
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
+from pwatrack.study.result import Result
 
 
 def limits(result: Result, figure: str, signal: str | None = None) -> list[float]:

@@ -11,7 +11,7 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
-from pwatrack.starting import generator_start, starts_of
+from pwatrack.study.starting import generator_start, starts_of
 
 
 def room_within_limits(
@@ -31,8 +31,8 @@ def room_within_limits(
 
     Example:
         >>> from pwatrack import load_spec
-        >>> from pwatrack.sizing import spec_sizes
-        >>> from pwatrack.tracking import desired_trajectory
+        >>> from pwatrack.study.sizing import spec_sizes
+        >>> from pwatrack.study.tracking import desired_trajectory
         >>> spec = load_spec("specs/two_mass_machine.yaml")
         >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
         >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()

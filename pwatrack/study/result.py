@@ -7,10 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.bands import bands
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
-from pwatrack.outcome import Outcome
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
@@ -18,7 +16,9 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import reference_remarks, start_fixed
+from pwatrack.study.bands import bands
+from pwatrack.study.outcome import Outcome
+from pwatrack.study.tracking import reference_remarks, start_fixed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,12 +15,8 @@ from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
-from pwatrack.limiting import room_within_limits
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.merged import may_merge, practical_design
 from pwatrack.model.sizes import Sizes
-from pwatrack.outcome import Outcome, Watch
-from pwatrack.result import Result
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
@@ -30,12 +26,16 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
-from pwatrack.sizing import spec_sizes
 from pwatrack.spec.box import Box
 from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec
-from pwatrack.starting import generator_start, initial_values
-from pwatrack.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
+from pwatrack.study.limiting import room_within_limits
+from pwatrack.study.merged import may_merge, practical_design
+from pwatrack.study.outcome import Outcome, Watch
+from pwatrack.study.result import Result
+from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.starting import generator_start, initial_values
+from pwatrack.study.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
 

@@ -14,9 +14,9 @@ from pwatrack.model.merging import Merge, merged
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
-from pwatrack.sizing import spec_sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.tracking import check_reference, desired_trajectory
+from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.tracking import check_reference, desired_trajectory
 
 Designed = Callable[[Spec], Controller]
 

@@ -10,8 +10,6 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.causes import Subject
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
-from pwatrack.outcome import Outcome, Watch
-from pwatrack.result import Result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
@@ -20,7 +18,9 @@ from pwatrack.simulation.region import Box, Region
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
-from pwatrack.tracking import start_given_twice
+from pwatrack.study.outcome import Outcome, Watch
+from pwatrack.study.result import Result
+from pwatrack.study.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
 

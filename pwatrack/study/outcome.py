@@ -9,7 +9,6 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from pwatrack.arrays import EPS, Array
-from pwatrack.bands import covered
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.envelope import from_start
 from pwatrack.control.robust import Robust
@@ -17,6 +16,7 @@ from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.box import Box
+from pwatrack.study.bands import covered
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from pwatrack.control.controller import Controller
 from pwatrack.errors import OutsideTheory, Undecided
-from pwatrack.pipeline import prove_for_box
 from pwatrack.real import Real
 from pwatrack.spec.box import Box
 from pwatrack.spec.spec import Spec
+from pwatrack.study.pipeline import prove_for_box
 
 _NEAR = 0.01  # of the factor: where the search ends
 _MOST = 64.0  # times

@@ -30,8 +30,8 @@ from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
 from pwatrack.simulation.preview import played_back
-from pwatrack.sizing import spec_form
 from pwatrack.spec.spec import Spec
+from pwatrack.study.sizing import spec_form
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
