@@ -243,9 +243,9 @@ class Result(Simulated):
 
     def plot(self) -> "dict[str, Figure]":
         """Return the pictures of a run folder as figures of matplotlib, by name, such as "tracking_error"."""
-        from pwatrack.report.plots.pictures import draw
+        from pwatrack.report.plots.pictures import pictures
 
-        return {name.removesuffix(".png"): figure for name, figure in draw(self).items()}
+        return {name.removesuffix(".png"): draw() for name, draw in pictures(self).items()}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -1,6 +1,7 @@
 """The command line: parse, call, print."""
 
 import json
+from contextlib import nullcontext
 from functools import partial
 from math import isnan
 from pathlib import Path
@@ -13,6 +14,9 @@ from pwatrack.report.terminal import STYLE, console, refusals
 from pwatrack.version import __version__
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
+
     from pwatrack.lmi.inequality import Solver
     from pwatrack.report.session import Shown
 
@@ -379,11 +383,22 @@ def _run(
         from pwatrack.batch.find import run_name
         from pwatrack.report.session import Members, run
 
-        task = partial(run, path, out or Path("runs") / run_name(path), parameters or [], solver, **options)
-        if members is None or scheduler is None:
-            task(members=Members(**members) if members else None)
-            return
-        from pwatrack.batch.cluster import Cluster
+        with _drawing(options.get("plots", "none")) as drawing:
+            folder = out or Path("runs") / run_name(path)
+            task = partial(run, path, folder, parameters or [], solver, drawing=drawing, **options)
+            if members is None or scheduler is None:
+                task(members=Members(**members) if members else None)
+                return
+            from pwatrack.batch.cluster import Cluster
 
-        with Cluster(scheduler) as cluster:
-            task(members=Members(executor=cluster, workers=cluster.jobs, **members))
+            with Cluster(scheduler) as cluster:
+                task(members=Members(executor=cluster, workers=cluster.jobs, **members))
+
+
+def _drawing(plots: str) -> "AbstractContextManager[Executor | None]":
+    """Return who draws pictures while the rest goes on: other processes, on a single core nobody."""
+    from pwatrack.batch.pool import PRELOAD, Pool
+    from pwatrack.report.drawing import PROCESSES
+    from pwatrack.simulation.ensemble import cores
+
+    return Pool(PROCESSES, preload=PRELOAD) if plots == "all" and cores() > 1 else nullcontext()

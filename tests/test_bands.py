@@ -9,7 +9,7 @@ from pwatrack import Result, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
-from pwatrack.report.plots.pictures import draw
+from pwatrack.report.plots.pictures import pictures
 
 PUSHED = "  disturbance: {v1: {constant: 0.05, sine: {amplitude: 0.2, frequency: 3}}}\n"
 NOISY = "  noise: {std: {y: 0.01}, sample_time: 0.05}\n"
@@ -78,7 +78,8 @@ def test_a_limit_that_no_input_comes_to_changes_no_band_and_one_that_it_comes_to
 
 def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required(specs: Path, tmp_path: Path) -> None:
     wishes = "require: {final_error: 0.2, largest_input: 50, settling_time: 50}\n"
-    figures = draw(changed(specs, tmp_path, "  actuator: {limits: {u: [-60, 60]}}\n" + wishes))
+    result = changed(specs, tmp_path, "  actuator: {limits: {u: [-60, 60]}}\n" + wishes)
+    figures = {name: draw() for name, draw in pictures(result).items()}
     shown = {
         name: {text.get_text() for axes in figure.axes if (box := axes.get_legend()) for text in box.get_texts()}
         for name, figure in figures.items()
@@ -93,7 +94,7 @@ def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required
 
 def test_a_spike_at_the_start_does_not_squash_the_rest_of_an_input(specs: Path) -> None:
     result = simulate(load_spec(specs / "gallery" / "payload_in_wind.yaml"))
-    whole, start, _ = draw(result)["input.png"].axes
+    whole, start, _ = pictures(result)["input.png"]().axes
     late = result.response.u[result.response.t > 1.5]
     assert float(result.response.u.max()) > 4 * float(late.max())
     assert whole.get_ylim()[1] < 1.5 * float(late.max())

@@ -328,13 +328,14 @@ def test_a_folder_that_cannot_be_written_ends_with_2(spec: Path, out: str) -> No
 def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, code: int
 ) -> None:
-    def fail(result: object) -> None:
+    def fail(*_: object) -> None:
         raise error
 
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
     before = contents(out)
-    monkeypatch.setattr("pwatrack.report.plots.pictures.draw", fail)
+    monkeypatch.setattr("pwatrack.report.plots.pictures.pictures", fail)
+    monkeypatch.setattr("pwatrack.simulation.ensemble.cores", lambda: 1)  # where no other process draws
     message = refused(call("simulate", spec, "--out", out), code)
     assert str(error.args[-1]) in message
     assert contents(out) == before
@@ -519,19 +520,33 @@ def test_output_that_nobody_takes_is_no_bug(arguments: tuple[str, ...]) -> None:
     assert (pipe.returncode, pipe.stderr) == (141, "")
 
 
+def in_group(number: int) -> bool:
+    try:
+        os.killpg(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
 def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 3000"))
+    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 2000"))
     assert call("design", specs / "two_mass_paper_gains.yaml", "--out", out).exit_code == 0
     before = contents(out)
     command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "plant.yaml"), "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
         while process.poll() is None and not list(out.glob(".*/trace.csv")):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate()
     assert (process.returncode, said) == (130, "")
     assert contents(out) == before
+    limit = time.monotonic() + 30
+    while in_group(process.pid) and time.monotonic() < limit:
+        time.sleep(0.02)
+    assert not in_group(process.pid)  # those that drew are gone too
 
 
 @pytest.mark.parametrize("name", ["..yaml", "...yaml"])

@@ -18,7 +18,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.files import write_result
-from pwatrack.report.plots.pictures import draw
+from pwatrack.report.plots.pictures import pictures
 from pwatrack.simulation.actuator import Actuator
 from tests.scenarios import in_scenario
 
@@ -327,8 +327,8 @@ def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Resul
     extra = EXTRAS["limits"] + EXTRAS["noise"] + "  controller: {sample_time: 0.01}\n"
     result = simulate(loaded(paper_spec, tmp_path, extra), paper.controller)
     assert result.tracking_bound is None
-    for figure in draw(result).values():
-        title = figure.get_suptitle()
+    for draw in pictures(result).values():
+        title = draw().get_suptitle()
         assert all(
             text in title.replace("\n", " ") for text in ("u limited to [-3, 4]", "noise of 0.01 on y", "0.01 s")
         )
@@ -336,8 +336,8 @@ def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Resul
 
 def test_a_portrait_shows_the_facets_and_cells_that_can_be_seen_in_it(paper_spec: Spec, tmp_path: Path) -> None:
     spec = loaded(paper_spec, tmp_path, "  portraits: [[z2 - z1, v2 - v1], [2*z1, v1 + 1]]\n")
-    figures = draw(simulate(spec))
-    across, own = figures["portrait_1.png"].axes[0], figures["portrait_2.png"].axes[0]
+    figures = pictures(simulate(spec))
+    across, own = (figures[f"portrait_{k}.png"]().axes[0] for k in (1, 2))
     assert {text.get_text() for text in across.texts} == {"lower spring", "gap", "upper spring"}
     assert (across.get_xlabel(), across.get_ylabel()) == ("z2 - z1 (m)", "v2 - v1 (m/s)")
     assert not own.texts

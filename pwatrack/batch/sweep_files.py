@@ -52,7 +52,7 @@ def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Po
         return False
     import numpy as np
 
-    from pwatrack.report.plots.canvas import save
+    from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.sweep import curves, maps
 
     names = [axis.name for axis in axes]
@@ -67,7 +67,7 @@ def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Po
         pairs = [(end[0], end[1]) for end in ends]
         figure = maps(title, (names[0], names[1]), (at[0], at[1]), verdicts, figures, pairs)
     with written_at_once(path) as temporary:
-        save(figure, temporary)
+        temporary.write_bytes(png(figure))
     return True
 
 

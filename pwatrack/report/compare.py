@@ -110,11 +110,11 @@ def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> N
     drawn = [(name, run) for name, run in zip(names_of(runs), runs, strict=True) if len(run.t)]
     if picture is None or not drawn:
         return
-    from pwatrack.report.plots.canvas import save
+    from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.compare import errors
 
     units = {run.unit for _, run in drawn}
     figure = errors({name: (run.t, run.error) for name, run in drawn}, units.pop() if len(units) == 1 else "")
     with written_at_once(picture) as temporary:
-        save(figure, temporary)
+        temporary.write_bytes(png(figure))
     screen.print(str(picture), soft_wrap=True)

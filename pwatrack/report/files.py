@@ -2,8 +2,8 @@
 
 import csv
 import hashlib
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
+from pwatrack.report.drawing import begin
 from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
@@ -112,6 +113,7 @@ def write_result(
     many: EnsembleResult | None = None,
     seconds: Mapping[str, float] | None = None,
     plots: Plots = "all",
+    executor: Executor | None = None,
 ) -> Path:
     """Write the files of `write_design` and trace.csv, events.csv and the plots.
 
@@ -121,6 +123,7 @@ def write_result(
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
         seconds: As for `write_design`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
+        executor: Who draws them, in other processes, while tables are written.
 
     Returns and raises: as `write_design`.
 
@@ -138,11 +141,13 @@ def write_result(
     index |= _requirements(required(result.spec, result.controller, result, many))
     with run_folder(folder) as run:
         _design_files(run, result.spec, result.controller, starts(result))
+        wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
+        pictures = begin(result, many, executor) if wanted else dict[str, bytes]
         _signals(run, result)
-        if plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit):
-            _pictures(run, result, many)
         if many:
             _ensemble(run, many)
+        for name, content in pictures().items():
+            run.place(name).write_bytes(content)
         run.commit(index)
     return Path(folder)
 
@@ -169,18 +174,6 @@ def _tracked_content(result: Result) -> dict[str, Any]:
     """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
     sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     return {"sizes": sizes, "unit": error_unit(result)}
-
-
-def _pictures(run: RunFolder, result: Result, many: EnsembleResult | None) -> None:
-    from pwatrack.report.plots.canvas import save
-    from pwatrack.report.plots.pictures import draw
-    from pwatrack.report.plots.spread import fan
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
-        pictures = draw(result) | ({"ensemble.png": fan(many)} if many else {})
-        for name, figure in pictures.items():
-            save(figure, run.place(name))
 
 
 def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
@@ -278,7 +271,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[
 
 
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
-    from pwatrack.report.plots.canvas import save
+    from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.spread import pareto_fronts
 
     with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
@@ -288,7 +281,7 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
             points = [(*point, 0) for point in zip(front.rates.tolist(), front.norms.tolist(), strict=True)]
             for rate, norm, chosen in sorted([*points, (*front.chosen, 1)]):
                 writer.writerow([front.role.name, repr(rate), repr(norm), chosen])
-    save(pareto_fronts(spec.name, fronts), run.place("pareto.png"))
+    run.place("pareto.png").write_bytes(png(pareto_fronts(spec.name, fronts)))
 
 
 def _signals(run: RunFolder, result: Result) -> None:
@@ -306,8 +299,8 @@ def _signals(run: RunFolder, result: Result) -> None:
             for first in range(0, len(block.t), _ROWS):
                 rows = slice(first, first + _ROWS)
                 values: Array = np.column_stack([values[rows] for _, values in signal_columns(result, block)])
-                for row, modes in zip(values.tolist(), block.trace.modes[rows].tolist(), strict=True):
-                    trace.writerow([*map(repr, row), *modes])
+                modes = block.trace.modes[rows].tolist()
+                trace.writerows([*row, *cells] for row, cells in zip(values.tolist(), modes, strict=True))
             event.writerows(_event_rows(result.loop, block.trace))
 
 

@@ -22,6 +22,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
+from pwatrack.report.drawing import prepare
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
@@ -73,6 +74,7 @@ def run(
     stored: Path | None = None,
     members: Members | None = None,
     plots: Plots = "all",
+    drawing: Executor | None = None,
     shown: Shown = "summary",
     outside: bool = False,
 ) -> None:
@@ -84,7 +86,7 @@ def run(
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
         stored, members: A controller.json that is simulated instead of a new one, and an ensemble of its loop.
-        plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
+        plots, drawing: Whether pictures are drawn, or only if the run does not end as its spec expects; who else draws.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.
 
@@ -92,7 +94,8 @@ def run(
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
-    made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
+    made = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored, drawing=drawing)
+    many = None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
@@ -114,7 +117,7 @@ def run(
             raise
         status.update("Writing the files")
         if result is not None:
-            files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots)
+            files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots, executor=drawing)
         else:
             files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
     made.tell(folder, result, many, checked, shown)
@@ -130,6 +133,7 @@ class _Made:
     outside: bool
     seconds: dict[str, float] = field(default_factory=dict)
     stored: Path | None = None
+    drawing: Executor | None = None
     spec: Spec | None = None
     controller: Controller | None = None
     runs: Program | None = None
@@ -139,6 +143,8 @@ class _Made:
         with self.timed("load"):
             spec = load_spec(self.path, self.parameters, outside=self.outside)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
+        if self.drawing is not None:
+            prepare(self.drawing)
         known = None if self.stored is None else read(self.stored)
         if known is not None:
             self.spec = spec = with_gains(spec, known)

@@ -143,7 +143,7 @@ def simulate_ensemble(
         if one.judge is not None:
             verdicts[number] = one.judge(walk.trace())
 
-    _do_all(run, count, workers or _cores(), progress)
+    _do_all(run, count, workers or cores(), progress)
     return Ensemble(
         t=sample_time * np.arange(samples, dtype=np.float64),
         error=error,
@@ -175,6 +175,6 @@ def _named(label: str) -> Iterator[None]:
         raise type(refusal)(*problems) from None
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -55,8 +55,8 @@ def canvas(
     return figure, [panels[key] for key in sorted(panels)]
 
 
-def save(figure: Figure, file: Path) -> None:
-    """Write a picture as PNG, the names of panels that are below each other in line.
+def png(figure: Figure) -> bytes:
+    """Return a picture as a PNG file, the names of panels that are below each other in line.
 
     matplotlib would measure every panel once more for each of them.
     """
@@ -68,7 +68,9 @@ def save(figure: Figure, file: Path) -> None:
     for axes in left:
         axes.yaxis.set_label_coords((edge - axes.bbox.x0) / axes.bbox.width, 0.5)
     canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+    file = BytesIO()
     canvas.print_png(file, pil_kwargs={"compress_level": 1})
+    return file.getvalue()
 
 
 def label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:

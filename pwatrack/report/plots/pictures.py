@@ -1,33 +1,39 @@
 """Every picture of a run, by file name."""
 
+from collections.abc import Callable
+from functools import partial
+
 from matplotlib.figure import Figure
 
 from pwatrack.report.plots.cells import active_cells, portrait
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
+from pwatrack.report.plots.spread import fan
 from pwatrack.study.result import Result
+from pwatrack.study.variation import EnsembleResult
 
 
-def draw(result: Result) -> dict[str, Figure]:
-    """Return every picture by file name.
+def pictures(result: Result, many: EnsembleResult | None = None) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each picture of a run, and of its ensemble, by file name.
 
     tracking_error and observer_error are the paper's Figure 2, internal_states
     its Figure 3, steady_state its Figure 4.
     """
-    figures = {
-        "tracking_error.png": tracking_error(result),
-        "observer_error.png": observer_error(result),
-        "outputs.png": outputs(result),
-        "states.png": states(result),
-        "input.png": control_input(result),
-        "cells.png": active_cells(result),
+    of_result = {
+        "tracking_error.png": tracking_error,
+        "observer_error.png": observer_error,
+        "outputs.png": outputs,
+        "states.png": states,
+        "input.png": control_input,
+        "cells.png": active_cells,
     }
     if result.response.eta.shape[1]:
-        figures["internal_states.png"] = internal_states(result)
+        of_result["internal_states.png"] = internal_states
     if result.steady_state is not None:
-        figures["steady_state.png"] = steady_state(result)
+        of_result["steady_state.png"] = steady_state
     if result.response.estimates.shape[1]:
-        figures["estimates.png"] = estimates(result)
+        of_result["estimates.png"] = estimates
+    found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
     for k, forms in enumerate(result.spec.scenario.portraits):
-        figures[f"portrait_{k + 1}.png"] = portrait(result, forms)
-    return figures
+        found[f"portrait_{k + 1}.png"] = partial(portrait, result, forms)
+    return found | ({} if many is None else {"ensemble.png": partial(fan, many)})
