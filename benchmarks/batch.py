@@ -1,17 +1,24 @@
 """Time batches: against a process for each spec, as it was before; small specs on one core and two; nothing changed.
 
     python -m benchmarks.batch [FOLDER]
+    python -m benchmarks.batch --against PWATRACK [FOLDER]
+
+The second runs the batch of another version beside this one, on the specs that end alike in both. That version is an
+executable: such as `bin/pwatrack` of a virtual environment in which an older commit is installed.
 
 Prints seconds of wall time: run it on an idle machine.
 """
 
+import argparse
+import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +27,8 @@ from statistics import median
 from pwatrack.batch.find import find_specs
 
 SMALL = 500
+OURS = (sys.executable, "-m", "pwatrack")
+ROUNDS = 3  # that another version takes in turn with this one
 
 
 def timed(what: str, call: Callable[[], object]) -> float:
@@ -33,9 +42,9 @@ def timed(what: str, call: Callable[[], object]) -> float:
     return wall
 
 
-def pwatrack(*arguments: object) -> None:
+def pwatrack(*arguments: object, program: Sequence[str] = OURS) -> None:
     """Run the command line."""
-    command = [sys.executable, "-m", "pwatrack", *map(str, arguments)]
+    command = [*program, *map(str, arguments)]
     subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
@@ -89,6 +98,40 @@ def overhead(small: Path, out: Path) -> None:
     sys.stdout.write(f"CPU of a small spec: {1e3 * median(own):.0f} ms, and {1e3 * beyond:.1f} ms beyond that\n")
 
 
+def against(other: str, folder: Path) -> None:
+    """Print how long the batches of another version and of this one take, in turn, where both come to the same."""
+    programs = {"the other version": (other,), "this version": OURS}
+    with tempfile.TemporaryDirectory() as name:
+        specs = Path(shutil.copytree(folder, Path(name) / "specs"))
+
+        def ends(program: Sequence[str], out: Path) -> dict[str, str]:
+            """Run a batch, and return how each spec ended."""
+            pwatrack("batch", specs, "--jobs", 2, "--out", out, program=program)
+            runs = [json.loads(file.read_text(encoding="utf-8")) for file in out.rglob("run.json")]
+            return {str(Path(run["spec"]).relative_to(specs)): f"{run['verdict']}, exit {run['exit']}" for run in runs}
+
+        theirs, ours = (ends(program, Path(name) / f"first {k}") for k, program in enumerate(programs.values()))
+        for path in find_specs([specs]):
+            spec = str(path.relative_to(specs))
+            if theirs.get(spec) != ours.get(spec):
+                said = f"{theirs.get(spec, 'nothing')}; here: {ours.get(spec, 'nothing')}"
+                sys.stdout.write(f"left out: {spec}: {said}\n")
+                path.unlink()
+        both = {spec: end for spec, end in ours.items() if theirs.get(spec) == end}
+        sys.stdout.write(f"{len(both)} specs that end alike\n")
+        walls = dict[str, list[float]]()
+        for k in range(ROUNDS):
+            for version, program in programs.items():
+                out = Path(name) / f"{k} {version}"
+                found = dict[str, str]()
+                wall = timed(f"batch --jobs 2, {version}", lambda p=program, o=out, f=found: f.update(ends(p, o)))  # type: ignore[misc]
+                walls.setdefault(version, []).append(wall)
+                if found != both:
+                    raise SystemExit(f"{version} came to something else: {found.items() ^ both.items()}")
+        before, now = map(median, walls.values())
+        sys.stdout.write(f"  {before / now:.2f} times as fast, in the median of {ROUNDS}\n")
+
+
 def _again(folder: Path, out: Path) -> None:
     pwatrack("batch", folder, "--jobs", 2, "--resume", "--out", out)
 
@@ -96,4 +139,11 @@ def _again(folder: Path, out: Path) -> None:
 if __name__ == "__main__":
     for thread in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(thread, "1")
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "specs"))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", nargs="?", default="specs", type=Path)
+    parser.add_argument("--against", metavar="PWATRACK", help="an executable of another version")
+    given = parser.parse_args()
+    if given.against:
+        against(given.against, given.folder)
+    else:
+        main(given.folder)

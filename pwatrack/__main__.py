@@ -13,7 +13,7 @@ from pwatrack.report.terminal import refusals
 
 def run() -> None:
     """Entry point of the console script."""
-    gc.set_threshold(100_000, 20)  # nearly all that is made when modules are imported stays
+    gc.set_threshold(300_000, 20)  # nearly all that is made when modules are imported stays
     atexit.register(gc.freeze)  # and goes with the process: to look through it at the end would take 0.3 s
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # small matrices: threads only cost time, and change the last bit

@@ -397,8 +397,11 @@ def _run(
 
 def _drawing(plots: str) -> "AbstractContextManager[Executor | None]":
     """Return who draws pictures while the rest goes on: other processes, on a single core nobody."""
-    from pwatrack.batch.pool import PRELOAD, Pool
-    from pwatrack.report.drawing import PROCESSES
     from pwatrack.simulation.ensemble import cores
 
-    return Pool(PROCESSES, preload=PRELOAD) if plots == "all" and cores() > 1 else nullcontext()
+    if plots != "all" or cores() == 1:
+        return nullcontext()
+    from pwatrack.batch.pool import PRELOAD, Pool
+    from pwatrack.report.drawing import PROCESSES
+
+    return Pool(PROCESSES, preload=PRELOAD)

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from pwatrack import design, load_spec
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec
-from pwatrack.lmi.audit.certificate import FORMAT, audit
+from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.elements import Elements
+from pwatrack.lmi.audit.reading import FORMAT
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, generate_cells, piecewise_linear
 from pwatrack.rational import fraction_of

@@ -15,8 +15,7 @@ from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
 from pwatrack.control.limits import Promise
 from pwatrack.control.robust import Robust
-from pwatrack.lmi.audit.certificate import FORMAT
-from pwatrack.lmi.audit.reading import number
+from pwatrack.lmi.audit.reading import FORMAT, number
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.infeasibility import Impossibility

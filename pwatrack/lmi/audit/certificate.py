@@ -13,10 +13,9 @@ from .merged import Deviations, merged
 from .plant import Plant, by_cell
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, no_P, refuted
-from .reading import matrix, number
+from .reading import FORMAT, matrix, number
 from .starts import near
 
-FORMAT = "pwatrack certificate 11"
 NAMES = {
     "plant": "(7) plant",
     "controller": "(8) controller",

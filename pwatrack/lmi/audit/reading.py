@@ -8,6 +8,8 @@ from typing import Any
 from .balls import Ball
 from .matrices import Fault, Matrix, transposed
 
+FORMAT = "pwatrack certificate 11"  # of the file
+
 _NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/0*[1-9][0-9]*)?")
 _LARGEST = 100_000  # characters of a number, and binary exponent
 _fraction = lru_cache(2**16)(Fraction)  # the entries of many cells are written alike
