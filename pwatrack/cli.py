@@ -401,7 +401,7 @@ def _drawing(plots: str) -> "AbstractContextManager[Executor | None]":
 
     if plots != "all" or cores() == 1:
         return nullcontext()
-    from pwatrack.batch.pool import PRELOAD, Pool
+    from pwatrack.batch.pool import DRAWING, Pool
     from pwatrack.report.drawing import PROCESSES
 
-    return Pool(PROCESSES, preload=PRELOAD)
+    return Pool(PROCESSES, preload=DRAWING)

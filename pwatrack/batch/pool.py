@@ -22,7 +22,8 @@ from typing import Any
 from pwatrack.batch.worker import OutOfMemory, serve
 from pwatrack.errors import CheckFailed
 
-PRELOAD = ("pwatrack.batch.warm",)  # what every spec needs
+DRAWING = ("pwatrack.cli", "pwatrack.report.plots.pictures")  # what it takes to draw; the first is their main program's
+PRELOAD = (*DRAWING, "pwatrack.batch.work", "pwatrack.report.session", "pwatrack.simulation.kernel")  # every spec
 
 _GRACE = 0.4  # seconds that a process has to clean up when it is told to end
 _LONGEST_WAIT = 3600.0  # seconds: a selector takes no number of any size
@@ -94,7 +95,8 @@ class Pool(Executor):
     ) -> None:
         self._jobs, self._timeout, self._memory = jobs, timeout, memory
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(list(preload))
+        self._preload = tuple(preload)
+        self._context.set_forkserver_preload(["pwatrack.batch.fork_server", *preload])
         self._lock = threading.Lock()
         self._waiting: deque[_Task] = deque()
         self._workers: list[_Worker] = []
@@ -193,7 +195,7 @@ class Pool(Executor):
     def _start(self) -> _Worker:
         ours, theirs = self._context.Pipe()
         errors, said = self._context.Pipe(duplex=False)
-        process = self._context.Process(target=serve, args=(theirs, said, self._memory), daemon=True)
+        process = self._context.Process(target=serve, args=(theirs, said, self._memory, self._preload), daemon=True)
         process.start()
         theirs.close()
         said.close()

@@ -1,14 +1,16 @@
 """What a process of the pool does: one task after the other, until there are no more or its parent is gone."""
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import resource
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -22,7 +24,7 @@ class OutOfMemory(Exception):
     """A task wanted more memory than it may have."""
 
 
-def serve(tasks: Connection, errors: Connection, memory: float | None) -> None:
+def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
     """Work off tasks.
 
     Args:
@@ -30,13 +32,20 @@ def serve(tasks: Connection, errors: Connection, memory: float | None) -> None:
             None for a start.
         errors: Where everything goes that the process says on stderr.
         memory: Megabytes that a task may take beyond the program itself.
+        preload: Modules that are there before the first task, also if the fork server was begun for another pool.
     """
     _follow_parent()
+    gc.freeze()  # what the fork server imported: its pages stay shared
+    gc.set_threshold(100_000, 20)  # as in the main program
+    gc.enable()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that nothing half-written is left
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 0)
     os.dup2(nowhere, 1)
     os.dup2(errors.fileno(), 2)
+    for name in preload:
+        with suppress(ImportError):  # a task that needs it says so
+            import_module(name)
     with suppress(OSError):
         tasks.send_bytes(ForkingPickler.dumps(None))  # from now on time counts
     while True:
