@@ -29,7 +29,7 @@ from pwatrack.ball_matrix import absolute, text, texts
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.rational import Rational, beside, decimals, floats, fraction_of, identity, left_null_space
 
-_MOST = 1000  # sets of neighbours that are looked at
+_MOST = 400  # sets of neighbours that are looked at
 _RANK_ONE = 1e-9  # of the largest entry: two cells that differ by more than a product g hᵀ by this are no neighbours
 _REAL = 1e-6  # of an eigenvalue: an imaginary part that rounding may make of a double one
 _STEPS = 12  # of Newton's method at most
