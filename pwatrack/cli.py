@@ -95,6 +95,7 @@ def check(
                     sizes=sizes,
                     asked=spec.objectives.practical,
                     uncertain=bool(spec.objectives.uncertain),
+                    known=getattr(spec.problem.reference, "preview", True),
                 ),
             )
             reference, sizes = checked(spec, report)

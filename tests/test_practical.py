@@ -13,7 +13,7 @@ import pytest
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.control.bounds import Form
 from pwatrack.control.practical import least_merges
-from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec
+from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.model.merging import Merge, merges
 from pwatrack.model.scalar_form import scalar_form
@@ -241,6 +241,35 @@ def by_ellipsoids(content: Any) -> Any:
     total = {signal: str(Fraction(merge["largest"]) * Fraction(size)) for signal, size in sizes.items()}
     practical["ends_below"] = [[kind, k, total[kind, k]] for kind, k, _ in practical["ends_below"]]
     return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("saturation, lower: -1, upper: 1", "with all cells merged that can be: no relative degree"),
+        ("spring, start: 0.5", "no scalar nonlinearity has two corners that could become one or none"),
+    ],
+)
+def test_where_it_is_asked_for_and_not_found_the_refusal_says_why(tmp_path: Path, kind: str, reason: str) -> None:
+    """A valve that ends, between pump and level: with both ends merged nothing of the pump arrives."""
+    path = tmp_path / "valve.yaml"
+    path.write_text(
+        f"""name: valve
+system:
+  states: [h, p]
+  inputs: [u]
+  outputs: [y]
+  A: [[-0.5, 0], [0, -1]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities: [{{name: valve, of: p, into: {{h: 1}}, kind: {kind}}}]
+design: {{tracking: practical}}
+reference: {{output: "0.2*sin(t)"}}
+simulation: {{duration: 20, sample_time: 0.02}}
+"""
+    )
+    with pytest.raises(OutsideTheory, match=f"practical tracking is asked for, and not found: {reason}"):
+        design(load_spec(path))
 
 
 def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:

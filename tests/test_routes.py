@@ -1,10 +1,13 @@
 """What check says of every route, against what design does."""
 
+import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec
+from pwatrack.cli import app
 from pwatrack.control.applicability import ROUTES, Applicability, applicability
 from pwatrack.control.route import Needs, No
 from pwatrack.study.sizing import spec_sizes
@@ -125,6 +128,31 @@ def test_where_cells_are_merged_check_names_that_route_too(name: str) -> None:
     controller = design(load_spec(SPECS / f"gallery/{name}.yaml"))
     assert (controller.practical is not None) == (name != "train_slack_couplings")
     assert found.taken.split(", else ")[-1] == "practical tracking"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "words"),
+    [
+        (("0.4*sin(2*t)}", "0.4*sin(2*t), preview: none}"), "the reference is not known beforehand", "not stable"),
+        (("g: 9.81", "g: -9.81"), "real part 0 to rounding in cell", "is on the imaginary axis"),
+    ],
+)
+def test_check_refuses_zero_dynamics_as_design_does(
+    tmp_path: Path, changes: tuple[str, str], reason: str, words: str
+) -> None:
+    """A reference that is not known beforehand; and a pole that hangs and swings: then there is no P of any sign."""
+    text = (SPECS / "gallery/cart_and_pole_swaying.yaml").read_text(encoding="utf-8")
+    assert changes[0] in text
+    path = tmp_path / "cart.yaml"
+    path.write_text(text.replace(*changes), encoding="utf-8")
+    check = CliRunner().invoke(app, ["check", str(path)])
+    run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path / "run")])
+    assert check.exit_code == run.exit_code == 4
+    assert words in check.stderr
+    assert run.stderr.startswith(check.stderr)
+    told = json.loads(CliRunner().invoke(app, ["check", str(path), "--json"]).stdout)
+    assert reason in told["routes"]["preview"]
+    assert told["design_takes"].startswith("none")
 
 
 def test_of_many_cells_too_it_says_whether_merging_helps(tmp_path: Path) -> None:

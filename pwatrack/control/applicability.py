@@ -6,7 +6,7 @@ import numpy as np
 
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
-from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, stable
+from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, sides, stable
 from pwatrack.errors import OutsideTheory, PwatrackError
 from pwatrack.model.merging import merged, widest
 from pwatrack.model.normal_form import normal_form
@@ -75,12 +75,18 @@ def _preview(facts: Facts) -> Answer:
     if facts.stuck:
         return No(facts.stuck)
     assert facts.zero_dynamics is not None
-    unstable = (facts.zero_dynamics.real > 0).sum(axis=1)
+    side, names = sides(facts.zero_dynamics), facts.plant.cell_names
+    still = (side == 0).any(axis=1)
+    if still.any():
+        where = names[int(still.argmax())]
+        return No(f"an eigenvalue of the zero dynamics has real part 0 to rounding in cell '{where}'")
+    unstable = (side > 0).sum(axis=1)
     few, many = int(unstable.argmin()), int(unstable.argmax())
     if not unstable[many]:
         return No("no mode of the zero dynamics is unstable")
+    if not facts.known:
+        return No("the reference is not known beforehand: preview is none")
     if unstable[few] != unstable[many]:
-        names = facts.plant.cell_names
         return No(
             f"cell '{names[few]}' has {unstable[few]} unstable modes of the zero dynamics, '{names[many]}' has "
             f"{unstable[many]}"
@@ -115,6 +121,17 @@ ROUTES: tuple[Route, ...] = (
     Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"})),
 )
 """In the order in which `design` tries them. A new one is a module with its Route, and a line here."""
+
+
+def exact_is_open(facts: Facts) -> bool:
+    """Say whether exact tracking is not ruled out before an inequality is solved."""
+    exact = (route.judge for route in ROUTES if facts.tracking in route.takes and route.judge is not _practical)
+    return any(not isinstance(judge(facts), No) for judge in exact)
+
+
+def practical_is_open(facts: Facts) -> bool:
+    """Say whether practical tracking is not ruled out before an inequality is solved."""
+    return not isinstance(_practical(facts), No)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +171,7 @@ def applicability(
     sizes: Sizes | None = None,
     asked: bool = False,
     uncertain: bool = False,
+    known: bool = True,
 ) -> Applicability:
     """Return what the theory can do for a plant.
 
@@ -163,6 +181,7 @@ def applicability(
         sizes: Those of its signals; those that balance it by default.
         asked: Whether practical tracking is asked for.
         uncertain: Whether only intervals of some parameters are known.
+        known: Whether the reference is known beforehand.
 
     Example:
         >>> from pwatrack import load_spec
@@ -178,6 +197,7 @@ def applicability(
         _facts(plant, sizes, tracking),
         asked=asked,
         uncertain=uncertain,
+        known=known,
         merged=None if less is None else _facts(less, sizes, tracking),
     )
     answers = tuple((route, route.judge(facts)) for route in ROUTES)

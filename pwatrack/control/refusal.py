@@ -9,6 +9,7 @@ from pwatrack.arrays import Array, complex_text, number_text
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
+from pwatrack.lmi.between import Between
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.no_dichotomy import NoDichotomy
@@ -42,15 +43,24 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
         modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in worst]
         hint = f"{reached_by(task, *worst[0], rate)}{slower}"
+    elif refutation.between is not None:
+        hint = f"{_reaching(task, refutation.between.v)}, or cells that differ less{slower}"
     else:
         hint = f"another actuator or another measured output may help, cells that differ less{slower}"
+
+    able = f"{'reaches that rate' if rate else 'can be stabilised'} by itself"
 
     def tell(most: int | None) -> str:
         if refutation.eigenvalues:
             return f"{claim} is infeasible: no gain moves the eigenvalue {listed(modes, most)}"
+        if (mean := refutation.between) is not None:
+            return (
+                f"{claim} is infeasible: it is about every mean of cells, and no gain moves the eigenvalue "
+                f"{number_text(float(mean.eigenvalue) - rate)} of {_mean_text(mean, task)}, though each {able}"
+            )
         return (
             f"{claim} is infeasible: {conflict_text(refutation, task.cells, most)}, no gain with a common P "
-            f"exists for them, though each {'reaches that rate' if rate else 'can be stabilised'} by itself"
+            f"exists for them, though each {able}"
         )
 
     return Infeasible(
@@ -79,7 +89,11 @@ def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
     A, B = ([decimals(A_i) for A_i in task.A], decimals(task.B)) if task.centres is None else task.centres
     N, A_u = unreachable(A[cell], B)
     values, vectors = np.linalg.eig(floats(A_u).T)
-    mode = floats(N).T @ vectors[:, np.argmin(np.abs(values + rate - eigenvalue))]
+    return _reaching(task, floats(N).T @ vectors[:, np.argmin(np.abs(values + rate - eigenvalue))])
+
+
+def _reaching(task: Task, mode: Array) -> str:
+    """Say which actuator would move a mode v (n,), or which sensor would see it."""
     seen = np.abs(mode * task.scale.state)[: len(task.states)]
     order = [k for k in np.argsort(-seen, kind="stable") if seen[k] > _SEEN * seen.max()]
     acts = task.role is CONTROLLER
@@ -90,6 +104,12 @@ def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
     which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
     best = "" if len(names) == 1 else f", {'on' if acts else 'of'} the first most"
     return f"{wanted}: any that acts on {which} does{best}" if acts else f"{wanted}: a sensor of {which} does{best}"
+
+
+def _mean_text(mean: Between, task: Task) -> str:
+    """Name a mean of cells by the share of each."""
+    parts = [f"{number_text(float(share))} of cell '{task.cells[i]}'" for i, share in mean.weights.items()]
+    return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def other_solver(solver: Solver) -> Remedy:

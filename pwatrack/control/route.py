@@ -29,6 +29,7 @@ class Facts:
         tracking: What was asked for.
         asked: Whether practical tracking is asked for, after any refusal of the theory.
         uncertain: Whether only intervals of some parameters are known.
+        known: Whether the reference is known beforehand.
         merged: The same of the plant with all cells merged that can be; None where none can.
     """
 
@@ -40,6 +41,7 @@ class Facts:
     tracking: Tracking = "output"
     asked: bool = False
     uncertain: bool = False
+    known: bool = True
     merged: "Facts | None" = None
 
 
@@ -104,6 +106,18 @@ def stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, o
     worst = int(np.argmax(abscissa))
     if abscissa[worst] < 0:
         return then
-    is_rounding = abscissa[worst] <= _ROUNDING * np.abs(eigenvalues).max()
+    is_rounding = sides(eigenvalues[worst]).max() == 0
     size = "0 to rounding" if is_rounding else number_text(abscissa[worst], "+.4g")
     return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")
+
+
+def sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
+    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it.
+
+    Example:
+        >>> sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
+        [-1, 0, 1]
+    """
+    real = eigenvalues.real
+    near = np.abs(real) <= _ROUNDING * np.abs(eigenvalues).max(initial=0.0)
+    return np.where(near, 0, np.sign(real)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Exact proof that no gain exists: of one cell whose mode no gain moves, or of several that conflict."""
+"""Exact proof that no gain exists: of a cell, or mean of cells, whose mode no gain moves, or of cells that conflict."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import null_space, orth
 
 from pwatrack.arrays import Array
+from pwatrack.lmi.between import Between, seems_stuck_between, stuck_between
 from pwatrack.lmi.conflict import conflict, sought
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Solver
@@ -29,13 +30,15 @@ class Refutation:
     """Proof that an inequality has no solution.
 
     Attributes:
-        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0.
+        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where there is another proof:
+        between: a mean of cells whose mode no gain moves.
         eigenvalues: Of each cell that no gain stabilises by itself, the eigenvalue that stays; empty where
             only the cells together have no solution.
     """
 
     Z: Mapping[int, tuple[tuple[int, ...], ...]]
     eigenvalues: Mapping[int, complex]
+    between: Between | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +91,9 @@ def refute(
     if Z:
         return Refutation(Z=whole(Z), eigenvalues=eigenvalues)
     at = corners(A).tolist()
+    mean = stuck_between(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
+    if mean is not None:
+        return Refutation(Z={}, eigenvalues={}, between=mean.of(at))
     found = conflict(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B, solver)
     if found is None:
         return None
@@ -95,7 +101,7 @@ def refute(
 
 
 def seems_impossible(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel") -> bool:
-    """Say whether floating-point multipliers speak against a solution: a hint that takes few steps of a solver.
+    """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one.
 
     Args:
         A, B, rate, solver: As for `refute`.
@@ -109,5 +115,7 @@ def seems_impossible(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = 
     seen = null_space(at.input(B).T)
     if not seen.shape[1]:
         return False
+    if seems_stuck_between(A + rate * np.eye(A.shape[1]), B):
+        return True
     scaled = at.system(A + rate * np.eye(A.shape[1]))
     return sought(scaled, [seen] * len(A), orth(at.input(B)), solver, gap=_HINT) is not None

@@ -390,7 +390,8 @@ def _refutation(evidence: Impossibility) -> dict[str, Any]:
     against = evidence.refutation
     Z = {str(i): [list(row) for row in Z_i] for i, Z_i in against.Z.items()}
     if not isinstance(against, NoDichotomy):
-        return {"rate": _decimal(evidence.rate), "Z": Z}
+        found = {"Z": Z} if against.between is None else against.between.content
+        return {"rate": _decimal(evidence.rate)} | found
     P = {str(i): _packed(proof.integers, proof.exponents) for i, proof in against.P.items()}
     return {"no_P": "of any sign"} | ({"P": P} if P else {"Z": Z})
 

@@ -16,7 +16,7 @@ from pwatrack.control.generator import assumption_2_shift, tracking_dynamics
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.stored import LARGEST
-from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.certificate import audit, refuses
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number
 from pwatrack.model.merging import Merge, merges
@@ -105,7 +105,7 @@ def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
         return ["not a certificate of a run: 'spec_sha256' or 'bounds' is missing"]
     if content.get("claim") != CLAIM:
         return ["'claim' is not what a certificate of this format proves"]
-    refusal = any("Z" in proof or "no_P" in proof for proof in content["proofs"])
+    refusal = refuses(content)
     if file.name in (REFUSAL, CERTIFICATE) and refusal != (file.name == REFUSAL):
         return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
     return []
@@ -128,7 +128,7 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> list[str]:
         for name in ("tracking", "plant", "generator")
         if content[name] != subject[name]
     ]
-    impossible = any("Z" in proof or "no_P" in proof for proof in content["proofs"])
+    impossible = refuses(content)
     faults += [] if impossible else _other_box(content.get("uncertain"), spec)
     faults += _other_starts(content.get("limits"), spec)
     if content["spec_sha256"] != spec.sha256:

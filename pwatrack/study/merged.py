@@ -3,14 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from pwatrack.control.applicability import exact_is_open, practical_is_open
 from pwatrack.control.controller import Controller
+from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.modes import check_modes
 from pwatrack.control.practical import Practical, deviation_bounds, least_merges
 from pwatrack.control.route import Facts
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.model.merging import Merge, merged
+from pwatrack.model.merging import Merge, merged, widest
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
@@ -35,7 +37,7 @@ def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
 
 
 def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
-    """Check what can be known before anything is solved; of the merged plant where practical tracking is to be tried.
+    """Check what can be known before gains are sought; of the merged plant where practical tracking is to be tried.
 
     Args:
         spec: What is asked.
@@ -45,12 +47,13 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
         What is known of the reference, and the sizes in force.
 
     Raises:
-        PwatrackError: As `check_reference` and `check_modes`, where merging cells does not help.
+        PwatrackError: As `check_reference` and `check_modes`, or as `trajectory_generator` where eigenvalues of the
+            zero dynamics leave no route; where merging cells does not help.
     """
     try:
         return _checked(spec, facts)
     except PwatrackError as refusal:
-        if facts.merged is None or not may_merge(spec, refusal):
+        if facts.merged is None or not practical_is_open(facts) or not may_merge(spec, refusal):
             raise
         less = replace(spec, problem=replace(spec.problem, plant=facts.merged.plant))
         try:
@@ -65,11 +68,13 @@ def _checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
+        if facts.form is not None and not exact_is_open(facts):  # by eigenvalues of the zero dynamics
+            trajectory_generator(facts.form, solver=spec.objectives.solver, preview=facts.known)
     return said, sizes
 
 
-def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> Controller | None:
-    """Return the design with the least of the cells merged, or None where none is found.
+def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> Controller | str:
+    """Return the design with the least of the cells merged, or why none is found.
 
     Where (9) holds for all cells too, the observer that runs these is tried as well, and the one with the smaller bound
     of what is tracked is taken.
@@ -79,21 +84,22 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
         refusal: Why exact tracking is refused.
         designed: Designs and proves for a spec, whatever its plant.
     """
-    plant = spec.problem.plant
+    plant, failed = spec.problem.plant, list[PwatrackError]()
     form = scalar_form(plant)
-    if form is None:
-        return None
+    if form is None or not widest(form):
+        return "no scalar nonlinearity has two corners that could become one or none"
 
     def works(chosen: Mapping[int, Merge]) -> bool:
         try:
             _solve(merged_spec(spec, list(chosen.values())))
-        except PwatrackError:
+        except PwatrackError as error:
+            failed.append(error)
             return False
         return True
 
     chosen = least_merges(form, spec_sizes(spec), works)
     if chosen is None:
-        return None
+        return f"with all cells merged that can be: {failed[0].problems[0].message}"
     ways = list(chosen.values())
     made = merged_spec(spec, ways)
     found = [_bounded(made, plant, ways, refusal, designed)]
@@ -101,7 +107,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
         watching = merged_spec(spec, ways, watched=True)
         found.append(_bounded(watching, plant, ways, refusal, designed))
     proved = [controller for controller in found if controller is not None]
-    return min(proved, key=tracked_bound, default=None)
+    return min(proved, key=tracked_bound, default="no bound of what merging leaves out is proved")
 
 
 def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> Spec:

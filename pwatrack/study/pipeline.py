@@ -67,9 +67,12 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         if not may_merge(spec, refusal):
             raise
         found = practical_design(spec, refusal, lambda merged: _designed(merged, growing))
-        if found is None:
+        if isinstance(found, Controller):
+            return found
+        if not spec.objectives.practical:
             raise
-        return found
+        told = (p.followed(f"; practical tracking is asked for, and not found: {found}") for p in refusal.problems)
+        raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
 def _designed(spec: Spec, growing: bool) -> Controller:

@@ -5,6 +5,7 @@ import os
 import stat
 from typing import Any
 
+from .between import between
 from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
@@ -22,7 +23,8 @@ NAMES = {
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
-KINDS = {"no_P": no_P, "bounded": both_ways, "Z": refuted, "X": cost, "degree": polynomial}  # by what proofs have
+REFUSALS = {"no_P": no_P, "Z": refuted, "between": between}  # by what proofs have, that nothing is possible
+KINDS = REFUSALS | {"bounded": both_ways, "X": cost, "degree": polynomial}
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -38,6 +40,11 @@ def audit(text: str) -> tuple[list[str], list[str]]:
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         return [], [f"not a certificate: {missing}"[:200]]
+
+
+def refuses(content: Any) -> bool:
+    """Say whether a certificate is one of a refusal: some proof in it says that nothing is possible."""
+    return any(kind in proof for proof in content["proofs"] for kind in REFUSALS)
 
 
 def judged(content: Any) -> tuple[list[str], list[str]]:
@@ -56,7 +63,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     K, L = (None if content[name] is None else matrix(content[name]) for name in ("K", "L"))
     generator = content["generator"]
     A_eta, X = (None, None) if generator is None else normal_form(plant, generator, content.get("eta_with_loads"))
-    refusal = any("Z" in proof or "no_P" in proof for proof in content["proofs"])
+    refusal = refuses(content)
     faults += misplaced(content) if refusal else []
     decided = set()
     for proof in content["proofs"]:
@@ -67,7 +74,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         kind = next((decide for name, decide in KINDS.items() if name in proof), check)
         wrong = kind(M, B, plant.placed(proof), K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
-        about = centres if "Z" in proof or "no_P" in proof else ""
+        about = centres if any(kind in proof for kind in REFUSALS) else ""
         said.append(f"{NAMES[of]}: {claim(proof, plant)}{about}")
         decided.add("" if "X" in proof else of)
     loop = Loop(plant, K or [], L or [], X)
@@ -125,10 +132,11 @@ def claim(proof: Any, plant: Plant) -> str:
         of = " and ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
         return f"proved impossible with a P of any sign, by {by} {of}"
     rate = f"{float(number(proof['rate'])):g} 1/s"
-    if "Z" in proof:
+    if "Z" in proof or "between" in proof:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
         cells = ", ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
-        return f"proved impossible{beyond}, by multipliers for {cells}"
+        by = "multipliers for" if "Z" in proof else "a mode that no gain moves of a mean of"
+        return f"proved impossible{beyond}, by {by} {cells}"
     by = f" by a polynomial of degree {number(proof['degree'])}" if "degree" in proof else ""
     return f"proved{by}, rate {rate}"
 

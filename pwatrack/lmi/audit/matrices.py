@@ -24,7 +24,7 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
     return [[sum((a * b for a, b in zip(row, c, strict=True) if a and b), Fraction(0)) for c in columns] for row in X]
 
 
-def added(X: Matrix, Y: Matrix, factor: int = 1) -> Matrix:
+def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     """Return X + factor Y."""
     return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
 

@@ -10,6 +10,8 @@ from .elements import Elements
 from .matrices import Fault, Matrix, rank, transposed
 from .reading import ball, place
 
+_BY_CELL = ("Z", "between", "P")  # what proofs of impossibility have for some cells
+
 
 class Plant:
     """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference.
@@ -67,7 +69,7 @@ class Plant:
         """Return a proof of impossibility by the places of matrices in A, not by cells; any other as it is."""
         before = len(self.A) - len(self.named)
         found = {str(before + self.named.index(int(i))): value for i, value in by_cell(proof).items()}
-        return proof | ({"Z" if "Z" in proof else "P": found} if found else {})
+        return proof | ({next(name for name in _BY_CELL if name in proof): found} if found else {})
 
     def estimate(self, content: Any) -> None:
         """Take in the loads E s, s' = S s, that the observer estimates: it runs plant and loads as one system."""
@@ -130,4 +132,5 @@ class Plant:
 
 def by_cell(proof: Any) -> Any:
     """Return what a proof of impossibility has for some cells, by their numbers; nothing of any other."""
-    return proof["Z"] if "Z" in proof else proof["P"] if "no_P" in proof else {}
+    name = next((name for name in _BY_CELL if name in proof), "")
+    return proof[name] if name and (name != "P" or "no_P" in proof) else {}

@@ -1,0 +1,222 @@
+"""A mean of cells whose mode no gain moves, though it moves those of each cell: proved by Newton's method in fractions.
+
+(8) speaks of all matrices in the hull of the cells. Let v ≠ 0, μ ≥ 0 and w_i ≥ 0 with Σ w_i = 1 have vᵀ B = 0 and
+vᵀ Σ w_i A_i = μ vᵀ. Then vᵀ Σ w_i (A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ) v = 2 μ vᵀ P v ≥ 0: no P ≻ 0 and Y have all these ≺ 0.
+The multipliers w_i v vᵀ say the same, but v, μ and w are hardly ever fractions.
+
+They are the root of n equations in n unknowns where there is one more cell than B has independent columns: with the
+rows of N all that are 0 on B, v = Nᵀ z, one entry of z 1 and x the others, μ and all w but the last, it is
+
+    F(x) = (Σ w_i A_i − μ I)ᵀ Nᵀ z = 0,      F(x + d) = F(x) + J d + Q(d),
+
+Q of second order, |Q(d)| ≤ q r² where |d_k| ≤ r. So with any C the map d ↦ d − C F(x + d) takes |d_k| ≤ r into itself
+where |C F(x)| + |I − C J| r + |C| q r² ≤ r in every row: there it has a fixed point (Brouwer), C F(x + d) = 0. With
+‖I − C J‖ < 1, C is invertible: there is a root within r of x, and that μ ≥ 0 and w ≥ 0 there is seen from x and r.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import combinations, islice
+from typing import Any, NamedTuple
+
+import flint
+import numpy as np
+from scipy.linalg import eig, orth
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import absolute, text, texts
+from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.rational import Rational, beside, decimals, floats, fraction_of, identity, left_null_space
+
+_MOST = 400  # sets of neighbours that are looked at
+_RANK_ONE = 1e-9  # of the largest entry: two cells that differ by more than a product g hᵀ by this are no neighbours
+_REAL = 1e-6  # of an eigenvalue: an imaginary part that rounding may make of a double one
+_STEPS = 12  # of Newton's method at most
+_BITS = 160  # behind the point
+
+
+@dataclass(frozen=True, kw_only=True)
+class Between:
+    """Proof that a mean of cells has a mode that no gain moves and that does not decay.
+
+    Attributes:
+        weights: w_i by cell, to within (k − 1) times the radius for k cells; they add up to 1.
+        rows: N (k, n), of full rank, N B = 0.
+        mode: z, its entries to within the radius but for one that is 1.
+        eigenvalue: μ, likewise; with the rate that was asked added to A.
+        inverse: C (n, n).
+        radius: r.
+    """
+
+    weights: Mapping[int, Fraction]
+    rows: tuple[tuple[Fraction, ...], ...]
+    mode: tuple[Fraction, ...]
+    eigenvalue: Fraction
+    inverse: Array
+    radius: Fraction
+
+    def of(self, places: Sequence[int]) -> "Between":
+        """Return the same with other numbers of the cells, by the ones they have."""
+        return replace(self, weights={places[i]: share for i, share in self.weights.items()})
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The proof as it stands in a file."""
+        return {
+            "between": {str(i): text(share) for i, share in self.weights.items()},
+            "rows": [list(map(text, row)) for row in self.rows],
+            "mode": list(map(text, self.mode)),
+            "eigenvalue": text(self.eigenvalue),
+            "inverse": texts(decimals(self.inverse)),
+            "radius": text(self.radius),
+        }
+
+    @property
+    def v(self) -> Array:
+        """The mode as a row (n,) of floats: v = Nᵀ z."""
+        rows = np.array([[float(a) for a in row] for row in self.rows])
+        return np.asarray(np.array([float(a) for a in self.mode]) @ rows)
+
+
+def stuck_between(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
+    """Return a mean of cells with a mode that does not decay and that B does not reach, if there is one.
+
+    It is looked for among cells each of which differs from a first one by a product g hᵀ, as those on both sides of a
+    facet do: as many as B has independent columns.
+
+    Args:
+        A, B: (l, n, n) and (n, m), and
+        exact_A, exact_B: the same exactly.
+
+    Example: two unstable modes, which the input pushes by 1 and 1 in one cell and by 3 and −2 in the other.
+
+        >>> A = np.array([[[0.0, 0, 0], [g, 1, 1], [h, 0, 2]] for g, h in ((1.0, 1.0), (3.0, -2.0))])
+        >>> B = np.array([[1.0], [0.0], [0.0]])
+        >>> found = stuck_between(A, B, [decimals(A_i) for A_i in A], decimals(B))
+        >>> float(found.eigenvalue), {i: round(float(w), 6) for i, w in found.weights.items()}
+        (2.0, {0: 0.666667, 1: 0.333333})
+    """
+    proofs = (_proved(guess, exact_A, exact_B) for guess in _guesses(A, B))
+    return next((found for found in proofs if found is not None), None)
+
+
+def seems_stuck_between(A: Array, B: Array) -> bool:
+    """Say whether floating point sees such a mean of cells.
+
+    Args:
+        A, B: As for `stuck_between`.
+    """
+    return next(_guesses(A, B), None) is not None
+
+
+class _Guess(NamedTuple):
+    """Cells, their weights, μ and v (n,)."""
+
+    cells: list[int]
+    w: Array
+    mu: float
+    v: Array
+
+
+def _guesses(A: Array, B: Array) -> Iterator[_Guess]:
+    """Yield what floating point sees.
+
+    With A_j = A_i + g_j h_jᵀ, j = 1, …, the w_j v with vᵀ (A_i + Σ w_j g_j h_jᵀ) = μ vᵀ, vᵀ B = 0 are the left null
+    vectors (v, c), c_j = w_j vᵀ g_j, of [A_i − μ I, B; H, 0]: μ is a zero of what the input does to the forms h_jᵀ x.
+    """
+    at = Coordinates.balanced(A, B)
+    M, E, n = at.system(A), orth(at.input(B)), A.shape[1]
+    rank = E.shape[1]
+    if not 0 < rank < min(len(M), n):
+        return
+    mass = np.diag(np.repeat([1.0, 0.0], [n, rank]))
+    sets = ((i, some) for i in range(len(M)) for some in combinations(_neighbours(M, i, everywhere=rank > 1), rank))
+    for i, some in islice(sets, _MOST):
+        G, H = np.array([g for _, g, _ in some]).T, np.array([h for *_, h in some])
+        values, left = eig(np.block([[M[i], E], [H, np.zeros((rank, rank))]]), mass, left=True, right=False)
+        with np.errstate(all="ignore"):
+            grows = np.isfinite(values) & (values.real >= 0) & (np.abs(values.imag) <= _REAL * np.abs(values))
+        for mu, y in zip(values.real[grows], left.real[:, grows].T, strict=True):
+            with np.errstate(all="ignore"):
+                w = y[n:] / (y[:n] @ G)
+            if (w > 0).all() and w.sum() < 1:
+                weights = np.array([1 - w.sum(), *w])
+                yield _Guess([i, *(j for j, _, _ in some)], weights, float(mu) * at.speed, y[:n] / np.diag(at.T))
+
+
+def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Array, Array]]:
+    """Yield cells j with M_j = M_i + g hᵀ, after cell i or everywhere, with g and h."""
+    first, n = 0 if everywhere else i + 1, M.shape[1]
+    D = M[first:] - M[i]
+    entry = np.abs(D).reshape(len(D), n * n).argmax(axis=1)
+    p, q, each = entry // n, entry % n, np.arange(len(D))
+    pivot = D[each, p, q]
+    g, h = D[each, :, q], D[each, p] / np.where(pivot, pivot, 1.0)[:, None]
+    off = np.abs(D - g[:, :, None] * h[:, None]).max(axis=(1, 2), initial=0.0)
+    for k in np.flatnonzero((pivot != 0) & (off <= _RANK_ONE * np.abs(pivot))):
+        yield first + int(k), g[k], h[k]
+
+
+def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
+    """Return the proof that there is a root near a guess, or None."""
+    cells, w, mu, v = guess
+    N, A, last = left_null_space(exact_B), [exact_A[i] for i in cells], len(cells) - 1
+    z = np.linalg.lstsq(floats(N).T, v, rcond=None)[0]
+    one = int(np.abs(z).argmax())
+    z, rest = z / z[one], [s for s in range(len(z)) if s != one]
+    changes = [(A_i - A[last]).transpose() * N.transpose() for A_i in A[:last]]
+    grown = [sum((abs(X[j, s]) for X in (N.transpose(), *changes) for s in rest), flint.fmpq(0)) for j in range(len(v))]
+    q = flint.fmpq_mat(len(v), 1, grown)
+    x = decimals(np.array([*z[rest], mu, *w[:last]])[:, None])
+    for _ in range(_STEPS):
+        entries = x.entries()
+        z_x = flint.fmpq_mat(len(z), 1, [*entries[:one], flint.fmpq(1), *entries[one : len(rest)]])
+        mean = sum((X * share for X, share in zip(changes, entries[len(rest) + 1 :], strict=True)), 0 * changes[0])
+        M = mean + A[last].transpose() * N.transpose() - N.transpose() * entries[len(rest)]
+        free = [flint.fmpq_mat(len(v), 1, [M[j, s] for j in range(len(v))]) for s in rest]
+        J = beside([*free, -N.transpose() * z_x, *(X * z_x for X in changes)])
+        try:
+            inverse = np.asarray(np.linalg.inv(floats(J)), dtype=np.float64)
+        except (np.linalg.LinAlgError, OverflowError):
+            return None
+        if not np.isfinite(inverse).all():
+            return None
+        C = decimals(inverse)
+        step = C * M * z_x
+        r = _radius(step)
+        if _stays(C, J, q, step, r):
+            weights = [*entries[len(rest) + 1 :], 1 - sum(entries[len(rest) + 1 :], flint.fmpq(0))]
+            if entries[len(rest)] < r or min(weights) < last * r:
+                return None
+            return Between(
+                weights={i: fraction_of(share) for i, share in zip(cells, weights, strict=True)},
+                rows=tuple(tuple(map(fraction_of, row)) for row in N.tolist()),
+                mode=tuple(map(fraction_of, z_x.entries())),
+                eigenvalue=fraction_of(entries[len(rest)]),
+                inverse=inverse,
+                radius=fraction_of(r),
+            )
+        x = _rounded(x - step)
+    return None
+
+
+def _stays(C: Rational, J: Rational, q: Rational, step: Rational, r: Rational) -> bool:
+    """Say whether |C F| + |I − C J| r + |C| q r² ≤ r in every row, and ‖I − C J‖ < 1."""
+    n = C.nrows()
+    off, curved = absolute(identity(n) - C * J), absolute(C) * q
+    sums = [sum((off[j, k] for k in range(n)), flint.fmpq(0)) for j in range(n)]
+    return all(sums[j] < 1 and abs(step[j, 0]) + sums[j] * r + curved[j, 0] * r * r <= r for j in range(n))
+
+
+def _radius(step: Rational) -> Rational:
+    """Return a power of two that is at least twice as large as a step, and not smaller than what is rounded."""
+    largest = 2 * max(abs(v) for v in step.entries())
+    exponent = int(largest.p).bit_length() - int(largest.q).bit_length() + 1
+    return flint.fmpq(2) ** (max(exponent, -_BITS) if largest else -_BITS)
+
+
+def _rounded(x: Rational) -> Rational:
+    """Return x with so many bits behind the point."""
+    scale = 2**_BITS
+    return flint.fmpq_mat(x.nrows(), 1, [flint.fmpq(round(fraction_of(v) * scale), scale) for v in x.entries()])
