@@ -415,7 +415,7 @@ def test_check_shows_the_first_of_many_cells_and_json_has_all(tmp_path: Path) ->
     slopes = [k % 3 for k in range(25)]
     wavy = f"    - {{name: w, kind: piecewise_linear, of: z, breakpoints: {marks}, slopes: {slopes}, into: {{v: -1}}}}"
     text = run(tmp_path, wavy, "check").stdout
-    assert "25 cells; continuous across all 24" in " ".join(text.split())
+    assert "25 cells; continuous across 24 facets" in " ".join(text.split())
     assert "… and 20 more cells (--json lists all)" in text
     assert "… and 19 more facets (--json lists all)" in text
     checked = json.loads(run(tmp_path, wavy, "check", "--json").stdout)

@@ -13,7 +13,7 @@ from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.terminal import remark_rows, titled
-from pwatrack.report.wording import size_texts
+from pwatrack.report.wording import amount, size_texts
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that
@@ -33,10 +33,10 @@ def print_plant(
     """
     plant, form = report.plant, report.form
     facets = plant.partition.facets
-    counts = {kind: len(getattr(plant, kind)) for kind in ("states", "inputs", "outputs")}
-    orders = ", ".join(f"{count} {kind}" for kind, count in (counts | {"cells": len(plant.cell_names)}).items())
+    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
+    orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
     table = titled(name)
-    table.add_row("plant (1)", f"{orders}; continuous across all {len(facets)} facets")
+    table.add_row("plant (1)", f"{orders}; continuous across {amount(len(facets), 'facet')}")
     _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
     _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
     if form is not None:

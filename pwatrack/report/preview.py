@@ -7,6 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import up
 from pwatrack.control.controller import Controller
+from pwatrack.report.wording import all_cells
 from pwatrack.spec.spec import Spec
 
 
@@ -33,7 +34,7 @@ def preview_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     assert form is not None
     cells = len(spec.problem.plant.A)
     etas = ", ".join(preview.names)
-    yield f"proved for all {cells} cells, with a P of mixed sign: there is one bounded x_d; η = {etas}"
+    yield f"proved for {all_cells(cells)}, with a P of mixed sign: there is one bounded x_d; η = {etas}"
     ahead = "" if preview.lead is None else f"; η leaves its rest {preview.lead:.3g} s before the reference moves"
     yield f"x_d and u_ff are worked out for this run and played back: the reference is known beforehand{ahead}"
     share = float(np.max(preview.residual / np.maximum(preview.terms, np.finfo(float).tiny)))

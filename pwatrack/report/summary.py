@@ -25,7 +25,7 @@ from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.report.uncertain import box_rows, largest_text, run_rows
-from pwatrack.report.wording import down, error_unit, load_kind, signal_text, sized, states_unit
+from pwatrack.report.wording import all_cells, down, error_unit, load_kind, signal_text, sized, states_unit
 from pwatrack.spec.spec import Spec
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
@@ -67,7 +67,7 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         (CONTROLLER, promised.controller, plant, plant.B, design.K, f"{norm_K:.4g}", goals.controller),
         (OBSERVER, promised.observer, plant.model, plant.C, design.L.T, f"{norm_L:.4g} 1/s", goals.observer),
     ):
-        table.add_row(f"{role.claim} {role.name}", f"proved for all {len(run.cell_names)} cells{_rate(proved)}")
+        table.add_row(f"{role.claim} {role.name}", f"proved for {all_cells(len(run.cell_names))}{_rate(proved)}")
         origin = _origin(goal) if through.any() or isinstance(goal, Given) else _NO_GAIN[role.letter]
         origin += " within the limits" * (
             role is CONTROLLER and bool(plant.B.any()) and _within_limits(goal, controller)

@@ -10,6 +10,26 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study.result import Result
 
 
+def amount(count: int, what: str) -> str:
+    """Return how many of something there are, which has a plural with an s.
+
+    Example:
+        >>> amount(1, "input"), amount(2187, "cell")
+        ('1 input', '2187 cells')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def all_cells(count: int) -> str:
+    """Return all cells of a plant in words.
+
+    Example:
+        >>> all_cells(1), all_cells(3)
+        ('the one cell', 'all 3 cells')
+    """
+    return "the one cell" if count == 1 else f"all {count} cells"
+
+
 def error_unit(result: Result) -> str:
     """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
     names = result.controller.error_names
