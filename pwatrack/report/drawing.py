@@ -1,11 +1,9 @@
 """The pictures of a run as files: drawn here, or by other processes while this one goes on."""
 
-import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 
 from pwatrack.study.result import Result
-from pwatrack.study.variation import EnsembleResult
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first
@@ -17,35 +15,32 @@ def prepare(executor: Executor) -> None:
         executor.submit(_ready)
 
 
-def begin(result: Result, many: EnsembleResult | None, executor: Executor | None) -> Callable[[], dict[str, bytes]]:
+def begin(result: Result, executor: Executor | None) -> Callable[[], dict[str, bytes]]:
     """Begin to draw the pictures of a run, and return what waits for them: the content of their files, by name.
 
     Args:
         result: What is drawn. One that is partly on disk is not sent elsewhere.
-        many: Its ensemble, if there is one.
         executor: Who draws, in other processes; where they fail, and without one, it is done here.
     """
     if executor is None or result.spool is not None:
-        return lambda: drawn(slice(None), result, many)
-    begun = [(share, executor.submit(drawn, share, result, many)) for share in _SHARES]
+        return lambda: drawn(slice(None), result)
+    begun = [(share, executor.submit(drawn, share, result)) for share in _SHARES]
 
     def wait() -> dict[str, bytes]:
         found = dict[str, bytes]()
         for share, future in begun:
-            found |= future.result() if future.exception() is None else drawn(share, result, many)
+            found |= future.result() if future.exception() is None else drawn(share, result)
         return found
 
     return wait
 
 
-def drawn(share: slice, result: Result, many: EnsembleResult | None) -> dict[str, bytes]:
+def drawn(share: slice, result: Result) -> dict[str, bytes]:
     """Draw some of the pictures of a run."""
     from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.pictures import pictures
 
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
-        return {name: png(draw()) for name, draw in list(pictures(result, many).items())[share]}
+    return {name: png(draw()) for name, draw in list(pictures(result).items())[share]}
 
 
 def _ready() -> None:

@@ -123,7 +123,7 @@ def write_result(
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
         seconds: As for `write_design`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
-        executor: Who draws them, in other processes, while tables are written.
+        executor: Who draws them, but for ensemble.png, in other processes while tables are written.
 
     Returns and raises: as `write_design`.
 
@@ -142,10 +142,10 @@ def write_result(
     with run_folder(folder) as run:
         _design_files(run, result.spec, result.controller, starts(result))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
-        pictures = begin(result, many, executor) if wanted else dict[str, bytes]
+        pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
         if many:
-            _ensemble(run, many)
+            _ensemble(run, many, picture=wanted)
         for name, content in pictures().items():
             run.place(name).write_bytes(content)
         run.commit(index)
@@ -349,8 +349,8 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
-def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
-    """Write one row for each member; a time that never comes, and a figure that it has not, are left empty."""
+def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> None:
+    """Write a row for each member, and draw all; a time that never comes, and a figure that it has not, are empty."""
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
     header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
@@ -362,6 +362,11 @@ def _ensemble(run: RunFolder, many: EnsembleResult) -> None:
         for number, (start, values, numbers, end) in enumerate(zip(drawn, errors, counts, ends, strict=True), 1):
             row = [*map(repr, start), *(repr(v) if np.isfinite(v) else "" for v in values), *numbers]
             writer.writerow([number, *row, end])
+    if picture:
+        from pwatrack.report.plots.canvas import png
+        from pwatrack.report.plots.spread import fan
+
+        run.place("ensemble.png").write_bytes(png(fan(many)))
 
 
 def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """What all pictures have in common: styles, sizes, titles, labels, scales."""
 
 import textwrap
+import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
@@ -11,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
+from pwatrack.report.plots.layout import Panels
 from pwatrack.study.result import Result
 
 # Dark solid and light dashed: told apart without colour too.
@@ -46,30 +48,22 @@ def canvas(
     result: Result, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels in the order of their numbers in the mosaic."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height))
     FigureCanvasAgg(figure)
     conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant))
     lines = [*textwrap.wrap(result.spec.name, 90), *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
-    figure.suptitle(plain("\n".join(lines)), fontsize=10)
+    figure.set_layout_engine(Panels(figure.suptitle(plain("\n".join(lines)), fontsize=10)))
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]
 
 
 def png(figure: Figure) -> bytes:
-    """Return a picture as a PNG file, the names of panels that are below each other in line.
-
-    matplotlib would measure every panel once more for each of them.
-    """
+    """Return a picture as a PNG file."""
     figure.set_dpi(150)
-    figure.draw_without_rendering()  # only now is it known where things are
-    figure.set_layout_engine("none")
-    left = [axes for axes in figure.axes if (at := axes.get_subplotspec()) is not None and at.colspan.start == 0]
-    edge = min((axes.yaxis.label.get_position()[0] for axes in left), default=0.0)
-    for axes in left:
-        axes.yaxis.set_label_coords((edge - axes.bbox.x0) / axes.bbox.width, 0.5)
-    canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
-    file = BytesIO()
-    canvas.print_png(file, pil_kwargs={"compress_level": 1})
+    file, canvas = BytesIO(), FigureCanvasAgg(figure)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
+        canvas.print_png(file, pil_kwargs={"compress_level": 1})  # type: ignore[no-untyped-call]
     return file.getvalue()
 
 

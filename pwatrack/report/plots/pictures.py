@@ -8,13 +8,11 @@ from matplotlib.figure import Figure
 from pwatrack.report.plots.cells import active_cells, portrait
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
-from pwatrack.report.plots.spread import fan
 from pwatrack.study.result import Result
-from pwatrack.study.variation import EnsembleResult
 
 
-def pictures(result: Result, many: EnsembleResult | None = None) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each picture of a run, and of its ensemble, by file name.
+def pictures(result: Result) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each picture, by file name.
 
     tracking_error and observer_error are the paper's Figure 2, internal_states
     its Figure 3, steady_state its Figure 4.
@@ -36,4 +34,4 @@ def pictures(result: Result, many: EnsembleResult | None = None) -> dict[str, Ca
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
     for k, forms in enumerate(result.spec.scenario.portraits):
         found[f"portrait_{k + 1}.png"] = partial(portrait, result, forms)
-    return found | ({} if many is None else {"ensemble.png": partial(fan, many)})
+    return found
