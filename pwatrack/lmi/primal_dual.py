@@ -333,8 +333,10 @@ class _Step:
     def _inverse(self, right: Array, lacking: Array) -> tuple[Array, Array]:
         """Return the v whose scaled left-hand sides have this adjoint, but for y times the rows of the equalities."""
         rows, v = self.linear.rows, self.equations.solve(right)
-        y = np.asarray(np.linalg.solve(rows @ self.away.T, rows @ v - lacking), dtype=np.float64)
-        v = v - y @ self.away
+        y = np.zeros(len(rows))
+        if len(rows):
+            y = np.asarray(np.linalg.solve(rows @ self.away.T, rows @ v - lacking), dtype=np.float64)
+            v = v - y @ self.away
         if not np.isfinite(v).all():
             raise np.linalg.LinAlgError("the equations are singular to working precision")
         return v, y

@@ -45,8 +45,9 @@ _R = TypeVar("_R")
 
 def _jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
     compiler: Any = njit  # its types do not know every option
+    kept = not function.__name__.startswith("_")  # what Python calls is kept on disk, with all that it calls
     try:
-        compiled: Callable[_P, _R] = compiler(cache=True, nogil=True, **options)(function)
+        compiled: Callable[_P, _R] = compiler(cache=kept, nogil=True, **options)(function)
     except RuntimeError:  # no folder for the cache is writable
         compiled = compiler(nogil=True, **options)(function)
     return compiled
