@@ -1,6 +1,7 @@
 """Zero dynamics with unstable modes: (17±), its one bounded solution, and tracking with it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.preview import preview_rows
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from tests.conftest import SPECS
@@ -390,6 +392,18 @@ def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: i
     spec = load_spec(path)
     controller = design(spec)
     assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.left_by_preview < 1e-3
+
+
+def test_how_long_before_a_move_it_begins_is_said() -> None:
+    spec = load_spec(SPECS / "gallery" / "cart_and_pole_swaying.yaml")
+    controller = design(spec)
+    trajectory = controller.trajectory
+    assert trajectory.preview is not None
+    assert trajectory.preview.lead is None
+    for lead, said in ((None, ""), (0.0, "as the reference moves"), (0.8125, "0.812 s before the reference moves")):
+        told = replace(controller, trajectory=replace(trajectory, preview=replace(trajectory.preview, lead=lead)))
+        ahead = list(preview_rows(spec, told))[1].partition("known beforehand")[2]
+        assert ahead == (said and f"; η leaves its rest {said}")
 
 
 def test_jumps_of_what_is_played_back_count_one_after_the_other() -> None:

@@ -35,7 +35,7 @@ def preview_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     cells = len(spec.problem.plant.A)
     etas = ", ".join(preview.names)
     yield f"proved for all {cells} cells, with a P of mixed sign: there is one bounded x_d; η = {etas}"
-    before = "as" if preview.lead == 0 else f"{preview.lead:.3g} s before"
+    before = f"{preview.lead:.3g} s before" if preview.lead else "as"
     ahead = "" if preview.lead is None else f"; η leaves its rest {before} the reference moves"
     yield f"x_d and u_ff are worked out for this run and played back: the reference is known beforehand{ahead}"
     share = float(np.max(preview.residual / np.maximum(preview.terms, np.finfo(float).tiny)))
