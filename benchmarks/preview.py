@@ -100,12 +100,14 @@ class Followed:
         near: From x_d(0).
         off: From a start that is off; None where the run is too short for that.
         left: What is left by what is played back, without the simulation.
+        bound: What is told of it.
         rounding: About what an error of one unit in the last place of each x_d makes of y, through K.
     """
 
     near: float
     off: float | None
     left: float
+    bound: float
     rounding: float
 
 
@@ -123,7 +125,8 @@ def followed(path: Path) -> Followed:
         off = last_tenth(spec, controller, start)[0]
     gain = max(peak(A, plant.B[:, 0], plant.tracked[0]) for A in plant.A + plant.B @ K)
     left = left_by_pieces(controller, spec.scenario.duration)
-    return Followed(near=near, off=off, left=left, rounding=float(EPS * (np.abs(K[0]) @ largest) * gain))
+    rounding = float(EPS * (np.abs(K[0]) @ largest) * gain)
+    return Followed(near=near, off=off, left=left, bound=controller.left_by_preview, rounding=rounding)
 
 
 def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float, Array]:
@@ -221,8 +224,10 @@ def main(count: int) -> None:
                 f"{kind}, from {start}: {len(errors)} loops, error in the end below 1e-8 in {(errors < 1e-8).sum()}, "
                 f"at most {errors.max(initial=0.0):.1e}, median {np.median(errors):.1e}"
             )
-    left = np.array([one.left for one in found.values()])
+    left, bounds = (np.array([getattr(one, name) for one in found.values()]) for name in ("left", "bound"))
     console.print(f"left by what is played back: below 1e-8 in {(left < 1e-8).sum()}, at most {left.max():.1e}")
+    beyond = sum(one.left > one.bound for one in found.values())
+    console.print(f"more is left than is told in {beyond}; median of what is told {np.median(bounds):.1e}")
     for verdict, proved in (("proved impossible", True), ("undecided, or refused otherwise", False)):
         lines = [f"{at}: {e.problems[0].message}" for at, e in refused.items() if isinstance(e, Infeasible) == proved]
         console.print(f"{len(lines)} of {seed} plants {verdict}", *lines, sep="\n")

@@ -4,11 +4,13 @@ import copy
 import json
 from dataclasses import replace
 from fractions import Fraction
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.control.bounds import Form
@@ -20,6 +22,7 @@ from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.session import run
+from pwatrack.report.summary import print_design
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from tests.gaps import plant_with_gaps, practical_controller, worst_found
@@ -309,3 +312,27 @@ def test_a_tampered_peak_gain_is_found(specs: Path) -> None:
         tampered = copy.deepcopy(content)
         tampered["practical"]["bounds"][0]["peaks"][0] |= change
         assert audit(json.dumps(tampered))[1], change
+
+
+def test_beside_an_estimated_load_it_is_within_its_bound_and_no_error_is_said_to_go_to_0(
+    specs: Path, tmp_path: Path
+) -> None:
+    """The gear with a drag on its load: what the estimate is off by, as the backlash drives it, is in the bound."""
+    text = (specs / "gallery/gear_with_backlash.yaml").read_text(encoding="utf-8")
+    head = text.partition("design:\n")[0]
+    path = tmp_path / "gear.yaml"
+    path.write_text(
+        f"{head}design:\n  tracking: practical\n  estimate: {{drag: {{into: {{w2: -1/J2}}}}}}\n\n"
+        "reference: {output: 0.3*sin(2*t)}\n"
+        "simulation: {duration: 20, sample_time: 0.005, disturbance: {w2: {constant: -0.1/J2}}}\n"
+    )
+    result = simulate(load_spec(path))
+    practical = result.controller.practical
+    assert practical is not None
+    assert result.verdict == "within its bound"
+    assert 0 < result.final_error < practical.final["output", 0]
+    printed = StringIO()
+    print_design(Console(width=200, file=printed), result.spec, result.controller)
+    said = printed.getvalue()
+    assert "drag (constant): estimated and compensated; errors end below the bounds said here" in said
+    assert "go to 0" not in said

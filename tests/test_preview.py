@@ -1,14 +1,16 @@
 """Zero dynamics with unstable modes: (17±), its one bounded solution, and tracking with it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
+from scipy.linalg import expm
 
-from benchmarks.preview import followed, spec_text
+from benchmarks.preview import followed, left_by_pieces, spec_text
 from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
@@ -28,6 +30,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.preview import preview_rows
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.study.how_far import how_far
@@ -379,6 +382,53 @@ def test_a_generator_that_runs_is_left_to_run() -> None:
     controller = design(load_spec(SPECS / "two_mass_backlash.yaml"))
     assert controller.trajectory.preview is None
     assert controller.left_by_preview == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 13, 18])
+def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: int) -> None:
+    """By another method: e' = (A_i + B K) e + ρ, with the jumps of x_d, in more digits."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(spec_text(seed), encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.left_by_preview < 1e-3
+
+
+def test_how_long_before_a_move_it_begins_is_said() -> None:
+    spec = load_spec(SPECS / "gallery" / "cart_and_pole_swaying.yaml")
+    controller = design(spec)
+    trajectory = controller.trajectory
+    assert trajectory.preview is not None
+    assert trajectory.preview.lead is None
+    for lead, said in ((None, ""), (0.0, "as the reference moves"), (0.8125, "0.812 s before the reference moves")):
+        told = replace(controller, trajectory=replace(trajectory, preview=replace(trajectory.preview, lead=lead)))
+        ahead = list(preview_rows(spec, told))[1].partition("known beforehand")[2]
+        assert ahead == (said and f"; η leaves its rest {said}")
+
+
+def test_jumps_of_what_is_played_back_count_one_after_the_other() -> None:
+    spec = load_spec(SPECS / "gallery" / "cart_and_pole_swaying.yaml")
+    controller = design(spec)
+    preview, promised, form = controller.trajectory.preview, controller.guarantees, controller.form
+    assert preview is not None
+    assert form is not None
+    assert len(preview.times) == len(preview.jumps) > 0
+    assert preview.jumps.max() < 1e-12
+    columns, nothing = np.array([X[:, form.r :] for X in form.T_inverse]), np.zeros(len(form.eta_names))
+    jump, late = np.array([0.0, 1.0]), 1e3 / controller.guarantees.rate
+
+    def left(*times: float) -> float:
+        return promised.left(columns, nothing, np.array(times), np.tile(jump, (len(times), 1)))
+
+    alone = left(1.0)
+    assert left() == 0.0
+    assert left(1.0, 1.0) == pytest.approx(2 * alone)
+    assert left(1.0, late) == pytest.approx(alone)
+    assert alone < left(1.0, 1.1) < 2 * alone
+    t = np.linspace(0, 20, 400)
+    for A in controller.plant.A + controller.plant.B @ controller.design.K:
+        runs = np.array([controller.plant.tracked @ expm(A * s) @ columns[0] @ jump for s in t])
+        assert np.abs(runs).max() <= alone
 
 
 def test_where_nothing_drives_an_unstable_mode_it_rests_at_0_and_no_gain_is_found() -> None:

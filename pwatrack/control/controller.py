@@ -120,14 +120,16 @@ class Controller:
 
     @property
     def left_by_preview(self) -> float:
-        """What a residual of an η that was worked out beforehand leaves of |y − y_d| in the end; 0 where there is none.
+        """What residual and jumps of an η that was worked out beforehand leave of |y − y_d| in the end, 0 without one.
 
-        With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more.
+        With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps
+        by J so does e, by −T⁻¹ [0; J], or by a mean of these where x_d changes its cell.
         """
         preview, form = self.trajectory.preview, self.form
         if preview is None or form is None:
             return 0.0
-        return max(self.guarantees.left(inverse[:, form.r :] * preview.residual) for inverse in form.T_inverse)
+        columns = np.array([inverse[:, form.r :] for inverse in form.T_inverse])
+        return self.guarantees.left(columns, preview.residual, preview.times, preview.jumps)
 
     @property
     def promises(self) -> tuple[Promise, ...]:

@@ -102,17 +102,26 @@ class Guarantees:
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
         return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
 
-    def left(self, driven: Array) -> float:
-        """Return a bound of |y − y_d| in the end where e' has more terms, Σ d_k driven_k, |d_k| ≤ 1.
+    def left(self, columns: Array, rho: Array, times: Array, jumps: Array) -> float:
+        """Return a bound of |y − y_d| in the end where x_d is off: e' has more terms, and e jumps.
+
+        W, the measure of (8), has W' ≤ −rate W + Σ ρ_k ‖column_k‖, and grows by Σ jump_k ‖column_k‖ at most.
 
         Args:
-            driven: (n, K).
+            columns: What 1 of each of so many signals is of e, in each cell, (l, n, K).
+            rho: Sizes of those in e', (K,).
+            times, jumps: When e jumps, in s and in order, (J,), and sizes of the signals in it, (J, K).
         """
-        found = (
-            size / c.rate * sum(map(c.gauge.driven, driven.T))
-            for c, size in zip(self.controller, self.output, strict=True)
-        )
-        return float(min(found)) * OVER_POWERS
+        found = []
+        for c, size in zip(self.controller, self.output, strict=True):
+            each = np.array([[c.gauge.driven(column) for column in cell.T] for cell in columns])
+            kicks, falls = (jumps @ each.T).max(axis=1, initial=0.0), np.exp(-c.rate * np.diff(times, prepend=0.0))
+            most = W = 0.0
+            for kick, fall in zip(kicks.tolist(), falls.tolist(), strict=True):
+                W = W * fall + kick
+                most = max(most, W)
+            found.append(size * (float((each @ rho).max()) / c.rate + most))
+        return min(found) * OVER_POWERS
 
     @property
     def rate(self) -> float:

@@ -20,6 +20,7 @@ class Preview:
         names: What each η is.
         residual: sup |η' − (15)| of what is played back, for each η, in its unit per second.
         terms: The largest sum of the sizes of the terms of (15), likewise.
+        times, jumps: When, in s, and by how much each η jumps from one polynomial to the next, (K,) and (K, p).
         lead: How long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way;
             None where the reference does not begin at rest.
     """
@@ -27,6 +28,8 @@ class Preview:
     names: tuple[str, ...]
     residual: Array
     terms: Array
+    times: Array
+    jumps: Array
     lead: float | None
 
 

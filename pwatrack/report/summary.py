@@ -78,9 +78,8 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
             table.add_row("", _cost_text(role, spec, controller))
     if (loads := controller.plant.loads) is not None:
         named = [f"{load.name} ({load_kind(load)})" for load in loads.each]
-        table.add_row(
-            "loads", f"{', '.join(named)}: estimated and compensated; errors go to 0 as said here whatever their size"
-        )
+        end = "go to 0 as said here" if controller.practical is None else "end below the bounds said here"
+        table.add_row("loads", f"{', '.join(named)}: estimated and compensated; errors {end} whatever their size")
     if generator is None:
         until, bounded = controller.trajectory.until, controller.trajectory.bounded
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"

@@ -71,8 +71,21 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
     starts = tuple(k * (period or 0.0) + a for k in range(turns) for a, _, _ in fitted)
     pieces = [c for _, _, c in fitted] * turns
     signals = tuple(Signal(starts, tuple(ExponentialPolynomial.polynomial(c[k]) for c in pieces)) for k in range(p))
-    lead = _lead(trajectory, solution, duration)
-    return signals, Preview(names=trajectory.names, residual=residual, terms=terms, lead=lead)
+    return signals, Preview(
+        names=trajectory.names,
+        residual=residual,
+        terms=terms,
+        times=np.array(starts[1:]),
+        jumps=_jumps(fitted, turns),
+        lead=_lead(trajectory, solution, duration),
+    )
+
+
+def _jumps(fitted: Sequence[tuple[float, float, Array]], turns: int) -> Array:
+    """Return by how much polynomials that follow each other, some turns of them, jump from one to the next, (K, p)."""
+    first = np.array([c[:, 0] for _, _, c in fitted])
+    last = np.array([c @ (b - a) ** np.arange(c.shape[1]) for a, b, c in fitted])
+    return np.asarray(np.abs(np.roll(first, -1, axis=0) - last)[np.arange(turns * len(fitted) - 1) % len(fitted)])
 
 
 def _lead(trajectory: DesiredTrajectory, solution: "_Solution", duration: float) -> float | None:

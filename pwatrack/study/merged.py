@@ -47,8 +47,8 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
         What is known of the reference, and the sizes in force.
 
     Raises:
-        PwatrackError: As `check_reference` and `check_modes`, or as `trajectory_generator` where eigenvalues of the
-            zero dynamics leave no route; where merging cells does not help.
+        PwatrackError: As `check_reference` and `check_modes`, or as `trajectory_generator` where the zero dynamics
+            leave no route; where merging cells does not help.
     """
     try:
         return _checked(spec, facts)

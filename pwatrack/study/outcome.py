@@ -226,7 +226,7 @@ class Watch:
     def _practical(self) -> Outcome | None:
         """Say that the error is below what it is proved to end below, where cells are merged and it is."""
         practical = self._loop.controller.practical
-        if practical is None or not self._loop.conditions.nominal:
+        if practical is None or self._loop.beyond_the_proofs:
             return None
         bound = practical.norm(self._tracked, self._loop.controller.error_sizes.tolist())
         if self._final_norm > bound:
