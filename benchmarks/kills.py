@@ -76,11 +76,13 @@ def main(kills: int, number: signal.Signals) -> None:
         specs.mkdir()
         for k in range(SPECS):
             (specs / f"spec{k}.yaml").write_text(text.replace("duration: 20", f"duration: {2 + k % 3}"))
+        begun(specs, Path(name) / "first").wait()  # which may have to compile what is kept on disk from then on
         done, out, whole, round_ = 0, Path(name) / "0", 0.0, 0
         while done < kills:
+            sys.stderr.write(f"\r{done} of {kills} times, {round_} batches ended")
             before, start = finished(out), time.monotonic()
             process = begun(specs, out)
-            limit = draw.uniform(0, whole) if whole else None  # the first batch is measured and not killed
+            limit = draw.uniform(0, whole) if whole else None  # the next batch is measured and not killed
             try:
                 process.wait(limit)
                 whole = whole or time.monotonic() - start
@@ -100,6 +102,7 @@ def main(kills: int, number: signal.Signals) -> None:
                 counts["repeated"] += stages
                 counts["in flight at most"] = max(counts["in flight at most"], stages)
     said = ", ".join(f"{count} {what}" for what, count in counts.items())
+    sys.stderr.write("\r\033[K")
     sys.stdout.write(f"{done} times {number.name}, {round_} batches of {SPECS} specs ended: {said}\n")
 
 
