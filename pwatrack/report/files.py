@@ -292,15 +292,16 @@ def _signals(run: RunFolder, result: Result) -> None:
         run.place("trace.csv").open("w", encoding="utf-8", newline="") as traces,
         run.place("events.csv").open("w", encoding="utf-8", newline="") as events,
     ):
-        trace, event = csv.writer(traces), csv.writer(events)
-        trace.writerow(columns)
+        event = csv.writer(events)
+        csv.writer(traces).writerow(columns)
         event.writerow(["t", "part", "from_cell", "to_cell", "guard"])
         for block in result.blocks():
             for first in range(0, len(block.t), _ROWS):
                 rows = slice(first, first + _ROWS)
                 values: Array = np.column_stack([values[rows] for _, values in signal_columns(result, block)])
                 modes = block.trace.modes[rows].tolist()
-                trace.writerows([*row, *cells] for row, cells in zip(values.tolist(), modes, strict=True))
+                for row, cells in zip(values.tolist(), modes, strict=True):  # numbers need no quotes
+                    traces.write(",".join(map(repr, row + cells)) + "\r\n")
             event.writerows(_event_rows(result.loop, block.trace))
 
 
