@@ -1,7 +1,7 @@
 """Time batches: against a process for each spec, as it was before; small specs on one core and two; nothing changed.
 
     python -m benchmarks.batch [FOLDER]
-    python -m benchmarks.batch --against PWATRACK [FOLDER]
+    python -m benchmarks.batch --against PWATRACK [--rounds N] [FOLDER]
 
 The second runs the batch of another version beside this one, on the specs that end alike in both. That version is an
 executable: such as `bin/pwatrack` of a virtual environment in which an older commit is installed.
@@ -28,7 +28,6 @@ from pwatrack.batch.find import find_specs
 
 SMALL = 500
 OURS = (sys.executable, "-m", "pwatrack")
-ROUNDS = 3  # that another version takes in turn with this one
 
 
 def timed(what: str, call: Callable[[], object]) -> float:
@@ -100,7 +99,7 @@ def overhead(small: Path, out: Path) -> None:
     sys.stdout.write(f"CPU of a small spec: {1e3 * median(own):.0f} ms, and {1e3 * beyond:.1f} ms beyond that\n")
 
 
-def against(other: str, folder: Path) -> None:
+def against(other: str, folder: Path, rounds: int) -> None:
     """Print how long the batches of another version and of this one take, in turn, where both come to the same."""
     programs = {"the other version": (other,), "this version": OURS}
     with tempfile.TemporaryDirectory() as name:
@@ -122,7 +121,7 @@ def against(other: str, folder: Path) -> None:
         both = {spec: end for spec, end in ours.items() if theirs.get(spec) == end}
         sys.stdout.write(f"{len(both)} specs that end alike\n")
         walls = dict[str, list[float]]()
-        for k in range(ROUNDS):
+        for k in range(rounds):
             for version, program in programs.items():
                 out = Path(name) / f"{k} {version}"
                 found = dict[str, str]()
@@ -131,7 +130,7 @@ def against(other: str, folder: Path) -> None:
                 if found != both:
                     raise SystemExit(f"{version} came to something else: {found.items() ^ both.items()}")
         before, now = map(median, walls.values())
-        sys.stdout.write(f"  {before / now:.2f} times as fast, in the median of {ROUNDS}\n")
+        sys.stdout.write(f"  {before / now:.2f} times as fast, in the median of {rounds}\n")
 
 
 def _again(folder: Path, out: Path) -> None:
@@ -144,8 +143,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", nargs="?", default="specs", type=Path)
     parser.add_argument("--against", metavar="PWATRACK", help="an executable of another version")
+    parser.add_argument("--rounds", default=3, type=int, help="how often each of the two runs")
     given = parser.parse_args()
     if given.against:
-        against(given.against, given.folder)
+        against(given.against, given.folder, given.rounds)
     else:
         main(given.folder)

@@ -380,29 +380,30 @@ def _run(
     scheduler: str | None = None,
     **options: Any,
 ) -> None:
-    with refusals():
+    with refusals(), _drawing(options.get("plots", "none")) as drawing:
         from pwatrack.batch.find import run_name
         from pwatrack.report.session import Members, run
 
-        with _drawing(options.get("plots", "none")) as drawing:
-            folder = out or Path("runs") / run_name(path)
-            task = partial(run, path, folder, parameters or [], solver, drawing=drawing, **options)
-            if members is None or scheduler is None:
-                task(members=Members(**members) if members else None)
-                return
-            from pwatrack.batch.cluster import Cluster
+        folder = out or Path("runs") / run_name(path)
+        task = partial(run, path, folder, parameters or [], solver, drawing=drawing, **options)
+        if members is None or scheduler is None:
+            task(members=Members(**members) if members else None)
+            return
+        from pwatrack.batch.cluster import Cluster
 
-            with Cluster(scheduler) as cluster:
-                task(members=Members(executor=cluster, workers=cluster.jobs, **members))
+        with Cluster(scheduler) as cluster:
+            task(members=Members(executor=cluster, workers=cluster.jobs, **members))
 
 
 def _drawing(plots: str) -> "AbstractContextManager[Executor | None]":
     """Return who draws pictures while the rest goes on: other processes, on a single core nobody."""
-    from pwatrack.simulation.ensemble import cores
+    from pwatrack.cores import cores
 
     if plots != "all" or cores() == 1:
         return nullcontext()
     from pwatrack.batch.pool import DRAWING, Pool
-    from pwatrack.report.drawing import PROCESSES
+    from pwatrack.report.drawing import PROCESSES, prepare
 
-    return Pool(PROCESSES, preload=DRAWING)
+    pool = Pool(PROCESSES, preload=DRAWING)
+    prepare(pool)  # at once: both import as long as this process does
+    return pool

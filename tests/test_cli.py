@@ -335,7 +335,7 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     assert call("design", spec, "--out", out).exit_code == 0
     before = contents(out)
     monkeypatch.setattr("pwatrack.report.plots.pictures.pictures", fail)
-    monkeypatch.setattr("pwatrack.simulation.ensemble.cores", lambda: 1)  # where no other process draws
+    monkeypatch.setattr("pwatrack.cores.cores", lambda: 1)  # where no other process draws
     message = refused(call("simulate", spec, "--out", out), code)
     assert str(error.args[-1]) in message
     assert contents(out) == before

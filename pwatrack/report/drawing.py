@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from typing import TYPE_CHECKING
 
-from pwatrack.study.result import Result
+if TYPE_CHECKING:
+    from pwatrack.study.result import Result
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first
@@ -15,7 +17,7 @@ def prepare(executor: Executor) -> None:
         executor.submit(_ready)
 
 
-def begin(result: Result, executor: Executor | None) -> Callable[[], dict[str, bytes]]:
+def begin(result: "Result", executor: Executor | None) -> Callable[[], dict[str, bytes]]:
     """Begin to draw the pictures of a run, and return what waits for them: the content of their files, by name.
 
     Args:
@@ -35,7 +37,7 @@ def begin(result: Result, executor: Executor | None) -> Callable[[], dict[str, b
     return wait
 
 
-def drawn(share: slice, result: Result) -> dict[str, bytes]:
+def drawn(share: slice, result: "Result") -> dict[str, bytes]:
     """Draw some of the pictures of a run."""
     from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.pictures import pictures

@@ -22,7 +22,6 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.report import files, summary
-from pwatrack.report.drawing import prepare
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
@@ -94,8 +93,7 @@ def run(
         PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
-    made = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored, drawing=drawing)
-    many = None
+    made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
     with console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
@@ -133,7 +131,6 @@ class _Made:
     outside: bool
     seconds: dict[str, float] = field(default_factory=dict)
     stored: Path | None = None
-    drawing: Executor | None = None
     spec: Spec | None = None
     controller: Controller | None = None
     runs: Program | None = None
@@ -143,8 +140,6 @@ class _Made:
         with self.timed("load"):
             spec = load_spec(self.path, self.parameters, outside=self.outside)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
-        if self.drawing is not None:
-            prepare(self.drawing)
         known = None if self.stored is None else read(self.stored)
         if known is not None:
             self.spec = spec = with_gains(spec, known)

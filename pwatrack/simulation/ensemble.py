@@ -1,6 +1,5 @@
 """The same closed loop many times: members on all cores, of which only the tracking error is kept."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -9,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.cores import cores
 from pwatrack.errors import PwatrackError
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
@@ -173,8 +173,3 @@ def _named(label: str) -> Iterator[None]:
     except PwatrackError as refusal:
         problems = (replace(p, message=f"{label}: {p.message}") for p in refusal.problems)
         raise type(refusal)(*problems) from None
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
