@@ -129,15 +129,19 @@ class Pool(Executor):
             self._dispatcher.join()
 
     def kill_workers(self) -> None:
-        """Cancel what has not begun, and end all processes: what they are at is lost."""
+        """Cancel what has not begun, and end all processes: what they are at is lost.
+
+        Where none is there yet nobody waits for the first, which ends as it begins.
+        """
         with self._lock:
             self._killing = True
-        self.shutdown(cancel_futures=True)
+        self.shutdown(wait=bool(self._workers), cancel_futures=True)
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is not None:
+        if kind is None:
+            self.shutdown()
+        else:
             self.kill_workers()
-        self.shutdown()
 
     def _dispatch(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # what is started here is not for Ctrl-C to end
