@@ -42,9 +42,15 @@ def timed(what: str, call: Callable[[], object]) -> float:
 
 
 def pwatrack(*arguments: object, program: Sequence[str] = OURS) -> None:
-    """Run the command line."""
-    command = [*program, *map(str, arguments)]
-    subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    """Run the command line; that of another version where it finds nothing of this one."""
+    command, here = [*program, *map(str, arguments)], Path.cwd()
+    environment = {**os.environ, "PYTHONPATH": str(here)}
+    if program is not OURS:
+        here = Path(program[0]).parent
+        del environment["PYTHONPATH"]
+    subprocess.run(
+        command, cwd=here, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False
+    )
 
 
 def separately(specs: Path, out: Path) -> None:
@@ -101,7 +107,7 @@ def overhead(small: Path, out: Path) -> None:
 
 def against(other: str, folder: Path, rounds: int) -> None:
     """Print how long the batches of another version and of this one take, in turn, where both come to the same."""
-    programs = {"the other version": (other,), "this version": OURS}
+    programs: dict[str, Sequence[str]] = {"the other version": (str(Path(other).resolve()),), "this version": OURS}
     with tempfile.TemporaryDirectory() as name:
         specs = Path(shutil.copytree(folder, Path(name) / "specs"))
 
