@@ -3,25 +3,31 @@
     make false-accepts
 
 A tampered certificate may be accepted only where the changed claim is true, which a third method decides: the
-leading minors, each an exact determinant, and for polynomials in two variables Sturm's count of real roots. A nearly
-singular case is a stack of matrices with a real mode at ±10^-10 … ±10^-17 of their size; they are triangular, so its
-sign is known exactly.
+leading minors, each an exact determinant; for polynomials in two variables Sturm's count of real roots; for a mean of
+cells with a mode that no gain moves that det [B, A B, …] of means changes its sign within the radius. Certificates have
+no bounds here: these are another claim. A nearly singular case is a stack of matrices with a real mode at
+±10^-10 … ±10^-17 of their size; they are triangular, so its sign is known exactly.
 """
 
 import argparse
 import copy
 import json
+from collections.abc import Callable
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 
+from benchmarks.preview import spec_text
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.errors import Infeasible
 from pwatrack.lmi.audit import proofs
 from pwatrack.lmi.audit.balls import Ball, flipped
 from pwatrack.lmi.audit.certificate import audit
@@ -32,8 +38,9 @@ from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.role import CONTROLLER
-from pwatrack.report.certificate import design_certificate
+from pwatrack.report.certificate import design_certificate, refusal_certificate
 
+PROGRESS = Console(stderr=True)
 SPECS = Path(__file__).parent.parent / "specs"
 NAMES = ("two_mass_backlash.yaml", "gallery/quarter_car_bump_stop.yaml")
 POLYNOMIAL = "gallery/two_mass_stiff_springs.yaml"
@@ -125,6 +132,85 @@ def form_positive(p: Any, degree: int) -> bool:
     return bool(p.degree() == degree and p[degree] > 0 and left == right)
 
 
+def refused_mean() -> dict[str, Any]:
+    """Return the proof that there is no gain for a plant of `benchmarks.preview`, with its cells listed."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "plant.yaml"
+        path.write_text(spec_text(61), encoding="utf-8")
+        spec = load_spec(path)
+        evidence: Any = None
+        try:
+            design(spec)
+        except Infeasible as refusal:
+            evidence = refusal.evidence
+        return dict(json.loads(json.dumps(refusal_certificate(spec, evidence))))
+
+
+def tampered_mean(content: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
+    """Return the proof of a mean of cells with one number changed, in the plant or in what is claimed."""
+    changed = copy.deepcopy(content)
+    proof = changed["proofs"][0]
+    where = str(random.choice(["A", "B", "between", "rows", "mode", "eigenvalue", "inverse", "radius", "rate"]))
+    entry: Any = changed["plant"][where] if where in PLANT else proof[where]
+    size = float(random.choice([-1, 1]) * 10.0 ** random.uniform(-17, 2))
+    if isinstance(entry, str | int):
+        factor = 1 + size if where != "radius" else abs(size) * 1e6
+        proof[where] = text(Fraction(entry) * Fraction(factor) if Fraction(entry) else Fraction(size))
+        return changed
+    while not isinstance(next(iter(entry.values() if isinstance(entry, dict) else entry)), str):
+        entry = entry[random.integers(len(entry))]
+    k = str(random.choice(list(entry))) if isinstance(entry, dict) else int(random.integers(len(entry)))
+    entry[k] = text(Fraction(entry[k]) + Fraction(size))
+    if where == "between" and random.integers(2):  # they still add up to 1
+        other = next(cell for cell in entry if cell != k)
+        entry[other] = text(1 - Fraction(entry[k]))
+    return changed
+
+
+def mean_is_stuck(content: dict[str, Any]) -> bool:
+    """Decide that a mean within the radius has an eigenvalue within it that one input does not reach.
+
+    det [B, A B, …] has another sign at the other end; where it is 0 is found by bisection.
+    """
+    plant, (proof,) = Plant(content["plant"], [0, 1]), content["proofs"]
+    A, B = plant.problem(proof["of"], None, None, None)
+    first, other = (A[int(i)][0] for i in plant.placed(proof)["between"])
+    w = Fraction(next(iter(proof["between"].values())))
+    radius, mu, rate = (Fraction(proof[name]) for name in ("radius", "eigenvalue", "rate"))
+
+    def mean(w: Fraction) -> list[list[Fraction]]:
+        pairs = (zip(*rows, strict=True) for rows in zip(first, other, strict=True))
+        return [[w * a + (1 - w) * b for a, b in row] for row in pairs]
+
+    low, high = w - radius, w + radius
+    sign = reached(mean(low), B)
+    if not 0 <= low <= high <= 1 or mu < radius or sign * reached(mean(high), B) > 0:
+        return False
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if sign * reached(mean(middle), B) > 0 else (low, middle)
+    values = np.linalg.eigvals(np.array([[float(v) for v in row] for row in mean(high)]))
+    return bool(np.abs(values - float(mu - rate)).min() <= 1e-10 * np.abs(values).max() + float(radius))
+
+
+def reached(A: list[list[Fraction]], B: list[list[Fraction]]) -> int:
+    """Return the sign of det [B, A B, …] for one input, an exact determinant (FLINT's)."""
+    import flint
+
+    X, column = flint.fmpq_mat([list(map(_fmpq, row)) for row in A]), flint.fmpq_mat([[_fmpq(v)] for (v,) in B])
+    columns = [column]
+    for _ in range(len(B) - 1):
+        columns.append(X * columns[-1])
+    size = flint.fmpq_mat([[Y[j, 0] for Y in columns] for j in range(len(B))]).det()
+    return int(size > 0) - int(size < 0)
+
+
+def _fmpq(v: Fraction) -> Any:
+    import flint
+
+    return flint.fmpq(v.numerator, v.denominator)
+
+
 def is_true(content: dict[str, Any]) -> bool:
     """Decide every matrix inequality of a certificate by leading minors in exact rational arithmetic."""
     plant = Plant(content["plant"])
@@ -180,29 +266,35 @@ def claim_of(proof: Proof) -> dict[str, Any]:
     return {name: repr(getattr(proof, name)) for name in ("rate", "margin", "radius")} | {"P": P}
 
 
-def main() -> None:
-    """Print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tampered", type=int, default=10_000)
-    parser.add_argument("--polynomials", type=int, default=2_000)
-    parser.add_argument("--singular", type=int, default=5_000)
-    options, console = parser.parse_args(), Console(highlight=False)
-    for kind, names, change, count in (
-        ("tampered certificates", NAMES, tampered, options.tampered),
-        ("tampered polynomials", (POLYNOMIAL,), tampered_polynomial, options.polynomials),
-    ):
-        false = true = 0
-        for name in names:
-            spec = load_spec(SPECS / name)
-            content = json.loads(json.dumps(design_certificate(spec, design(spec))))
-            random = np.random.default_rng(2026)
-            for _ in range(count // len(names)):
-                changed = change(content, random)
-                if not audit(json.dumps(changed))[1]:
-                    true, false = (true + 1, false) if is_true(changed) else (true, false + 1)
-        console.print(f"{kind}: {count}, accepted {true + false}, of these false: {false}")
-    proved = refuted = wrong = 0
-    for seed in range(options.singular):
+def proved(name: str) -> dict[str, Any]:
+    """Return the certificate of a design, without bounds."""
+    spec = load_spec(SPECS / name)
+    content = json.loads(json.dumps(design_certificate(spec, design(spec))))
+    return dict(content | {"bounds": [], "limits": []})
+
+
+def attacked(
+    contents: list[dict[str, Any]],
+    change: Callable[[dict[str, Any], np.random.Generator], dict[str, Any]],
+    holds: Callable[[dict[str, Any]], bool],
+    count: int,
+) -> tuple[int, int]:
+    """Return how many tampered certificates are accepted, and how many of these are false."""
+    accepted = false = 0
+    for content in contents:
+        random = np.random.default_rng(2026)
+        for _ in track(range(count // len(contents)), change.__name__, console=PROGRESS):
+            changed = change(content, random)
+            if not audit(json.dumps(changed))[1]:
+                accepted += 1
+                false += not holds(changed)
+    return accepted, false
+
+
+def nearly_singular_stacks(count: int) -> str:
+    """Say how many are proved stable or impossible, and how often wrongly."""
+    stable_ones = refuted = wrong = 0
+    for seed in track(range(count), "nearly singular", console=PROGRESS):
         M, stable = nearly_singular(seed)
         n = M.shape[1]
         P = np.diag(1.0 / 4.0 ** np.arange(n)) if seed % 2 else np.eye(n)
@@ -211,17 +303,32 @@ def main() -> None:
         proof = None if certificate is None else prove_exactly(CONTROLLER, exact, certificate.P, certificate.rate)
         balls = [(matrix(ball.texts), []) for ball in exact]
         if proof is not None:
-            proved += 1
+            stable_ones += 1
             wrong += not stable or bool(proofs.check(balls, [], claim_of(proof), None))
         found = refute(M, np.zeros((n, 0))) if not stable else refute(M[:1], np.zeros((n, 0)))
         if found is not None:
             refuted += 1
             Z = {"rate": 0, "Z": {str(i): Z_i for i, Z_i in found.Z.items()}}
             wrong += stable or bool(proofs.refuted(balls, [], Z, None))
-    console.print(
-        f"nearly singular stacks: {options.singular}, proved stable {proved}, proved impossible {refuted}, "
-        f"wrong or in disagreement: {wrong}"
-    )
+    return f"proved stable {stable_ones}, proved impossible {refuted}, wrong or in disagreement: {wrong}"
+
+
+def main() -> None:
+    """Print the counts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tampered", type=int, default=10_000)
+    parser.add_argument("--polynomials", type=int, default=2_000)
+    parser.add_argument("--means", type=int, default=2_000)
+    parser.add_argument("--singular", type=int, default=5_000)
+    options, console = parser.parse_args(), Console(highlight=False, width=140)
+    for kind, contents, change, holds, count in (
+        ("tampered certificates", [proved(name) for name in NAMES], tampered, is_true, options.tampered),
+        ("tampered polynomials", [proved(POLYNOMIAL)], tampered_polynomial, is_true, options.polynomials),
+        ("tampered means of cells", [refused_mean()], tampered_mean, mean_is_stuck, options.means),
+    ):
+        accepted, false = attacked(contents, change, holds, count)
+        console.print(f"{kind}: {count}, accepted {accepted}, of these false: {false}")
+    console.print(f"nearly singular stacks: {options.singular}, {nearly_singular_stacks(options.singular)}")
 
 
 if __name__ == "__main__":

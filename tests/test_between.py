@@ -100,6 +100,22 @@ def test_what_is_found_has_a_mode_out_of_reach_and_a_mean_of_cells(inputs: int) 
     assert count > 5
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_units_do_not_matter(tmp_path: Path, seed: int) -> None:
+    """States in units that differ by 1e18, time in others: the same shares, and the same eigenvalue in the new unit."""
+    path, random = tmp_path / "plant.yaml", np.random.default_rng(seed)
+    path.write_text(spec_text(63), encoding="utf-8")
+    plant = load_spec(path).problem.plant
+    known = found_in(plant.A, plant.B)
+    d, speed = 10.0 ** random.uniform(-9, 9, size=len(plant.B)), 10.0 ** int(random.integers(-6, 7))
+    found = found_in(plant.A / d[:, None] * d * speed, plant.B / d[:, None] * 10.0 ** random.uniform(-9, 9))
+    assert known is not None
+    assert found is not None
+    assert float(found.eigenvalue) == pytest.approx(float(known.eigenvalue) * speed, rel=1e-6)
+    shares = [[float(share) for share in one.weights.values()] for one in (found, known)]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-6)
+
+
 def test_a_mode_that_decays_is_no_obstacle() -> None:
     """An actuator that is turned round on the way, where what it then does not reach decays by itself."""
     for pole, stuck in ((1.0, True), (-1.0, False)):

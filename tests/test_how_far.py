@@ -163,6 +163,39 @@ def test_each_value_is_one_with_which_it_is_designed(specs: Path, stiff: tuple[S
             assert p.degree == 10
 
 
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ("{far: 3}", "no parameter of the file enters it: what has a name under 'parameters' is looked at"),
+        ("{far: 3, push: -3}", "(8) is proved with push = -0.99"),
+    ],
+)
+def test_a_file_whose_parameters_do_not_enter_is_told_so(tmp_path: Path, parameters: str, words: str) -> None:
+    """From push = −1 on the input turns round on the way from one cell to the next."""
+    push = "push" if "push" in parameters else "-3"
+    path = tmp_path / "turned.yaml"
+    path.write_text(
+        f"""\
+name: turned
+parameters: {parameters}
+system:
+  states: [v, p]
+  inputs: [u]
+  outputs: [y, z]
+  A: [[0, 0], [1, 1]]
+  B: [[1], [0]]
+  C: [[1, 0], [0, 1]]
+  nonlinearities: [{{name: valve, kind: spring, of: v, start: far, slope: 1, into: {{p: {push}}}}}]
+design: {{tracking: state}}
+reference: {{setpoint: {{y: 0, z: 0}}}}
+simulation: {{duration: 5, sample_time: 0.01}}
+"""
+    )
+    run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 4
+    assert words in " ".join(run.stderr.split())
+
+
 def test_a_refused_rate_is_told_the_largest_one_that_is_proved(specs: Path, tmp_path: Path) -> None:
     path = specs / "refused" / "rate_out_of_reach.yaml"
     run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path)])

@@ -394,6 +394,33 @@ def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: i
     assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.left_by_preview < 1e-3
 
 
+TANKS = """\
+name: four tanks and two pumps
+system:
+  states: [h1, h2, h3, h4]
+  inputs: [p1, p2]
+  outputs: [y1, y2]
+  A: [[-0.05, 0, 0.08, 0], [0, -0.06, 0, 0.09], [0, 0, -0.08, 0], [0, 0, 0, -0.09]]
+  B: [[0.03, 0], [0, 0.03], [0, 0.07], [0.07, 0]]
+  C: [[1, 0, 0, 0], [0, 1, 0, 0]]
+  nonlinearities: [{name: drain, kind: spring, of: h3, start: 0.3, slope: 0.02, into: {h3: -1, h1: 1}}]
+reference: {output: {y1: "0.5 + 0.2*sin(0.02*t)", y2: {constant: 0.4, step: {size: 0.2, at: 200, smooth: 100}}}}
+simulation: {duration: 800, sample_time: 0.5}
+"""
+
+
+def test_a_stay_of_no_length_has_the_slope_of_the_field(tmp_path: Path) -> None:
+    """Where x_d crosses a facet stays of 1e-13 s are left over: in so short a time rounding looks like a slope."""
+    path = tmp_path / "tanks.yaml"
+    path.write_text(TANKS, encoding="utf-8")
+    controller = design(load_spec(path))
+    preview = controller.trajectory.preview
+    assert preview is not None
+    assert np.diff(preview.times).min() < 1e-9
+    assert (preview.residual / preview.terms).max() < 1e-11
+    assert controller.left_by_preview < 1e-8
+
+
 def test_how_long_before_a_move_it_begins_is_said() -> None:
     spec = load_spec(SPECS / "gallery" / "cart_and_pole_swaying.yaml")
     controller = design(spec)

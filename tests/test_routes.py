@@ -1,6 +1,7 @@
 """What check says of every route, against what design does."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,16 @@ def test_state_tracking_is_advised_only_where_no_eigenvalue_decides_against_it(t
         hint = refusal.value.problems[0].hint
         assert "another output may" in hint
         assert ("write 'tracking: state'" in hint) == state
+
+
+def test_of_zero_dynamics_too_state_tracking_is_advised_only_where_it_may_be_had() -> None:
+    """Without an outlet the level of a tank that is not measured is seen by nobody; the cart and pole has both."""
+    for name, state in (("refused/tank_without_outlet", False), ("gallery/cart_and_pole_swaying", True)):
+        spec = load_spec(SPECS / f"{name}.yaml")
+        reference = replace(spec.problem.reference, preview=False)  # type: ignore[arg-type]
+        with pytest.raises(PwatrackError, match=r"\(17\), convergence") as refusal:
+            design(replace(spec, problem=replace(spec.problem, reference=reference)))
+        assert ("write 'tracking: state'" in refusal.value.problems[0].hint) == state
 
 
 @pytest.mark.parametrize(

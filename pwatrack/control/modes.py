@@ -10,6 +10,7 @@ from pwatrack.errors import PwatrackError
 from pwatrack.lmi.between import stuck_between
 from pwatrack.lmi.infeasibility import Refutation
 from pwatrack.lmi.multipliers import whole
+from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.stuck import stuck_modes
 from pwatrack.model.pwa import PWASystem
@@ -55,9 +56,10 @@ def _check(task: Task, rate: float) -> None:
         named = {cells[i]: v for i, v in eigenvalues.items()}
         proof = Refutation(Z=whole({cells[i]: Z_i for i, Z_i in Z.items()}), eigenvalues=named)
         raise refusal.no_gain(task, rate, proof, np.nan)
-    mean = stuck_between(task.A + rate * np.eye(B.nrows()), task.B, [A_i + shift for A_i in A], B)
+    at = corners(task.A).tolist()
+    mean = stuck_between(task.A[at] + rate * np.eye(B.nrows()), task.B, [A[i] + shift for i in at], B)
     if mean is not None:
-        raise refusal.no_gain(task, rate, Refutation(Z={}, eigenvalues={}, between=mean), np.nan)
+        raise refusal.no_gain(task, rate, Refutation(Z={}, eigenvalues={}, between=mean.of(at)), np.nan)
 
 
 def _looked_at(task: Task, rate: float) -> list[int]:

@@ -111,12 +111,13 @@ def seems_stuck_between(A: Array, B: Array) -> bool:
 
 
 class _Guess(NamedTuple):
-    """Cells, their weights, μ and v (n,)."""
+    """Cells, their weights, μ, and v (n,) in coordinates in which A and B have size 1."""
 
     cells: list[int]
     w: Array
     mu: float
     v: Array
+    at: Coordinates
 
 
 def _guesses(A: Array, B: Array) -> Iterator[_Guess]:
@@ -142,7 +143,7 @@ def _guesses(A: Array, B: Array) -> Iterator[_Guess]:
                 w = y[n:] / (y[:n] @ G)
             if (w > 0).all() and w.sum() < 1:
                 weights = np.array([1 - w.sum(), *w])
-                yield _Guess([i, *(j for j, _, _ in some)], weights, float(mu) * at.speed, y[:n] / np.diag(at.T))
+                yield _Guess([i, *(j for j, _, _ in some)], weights, float(mu) * at.speed, y[:n], at)
 
 
 def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Array, Array]]:
@@ -160,9 +161,10 @@ def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Ar
 
 def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
     """Return the proof that there is a root near a guess, or None."""
-    cells, w, mu, v = guess
-    N, A, last = left_null_space(exact_B), [exact_A[i] for i in cells], len(cells) - 1
-    z = np.linalg.lstsq(floats(N).T, v, rcond=None)[0]
+    cells, w, mu, v, at = guess
+    A, last, inverse_T = [exact_A[i] for i in cells], len(cells) - 1, decimals(at.inverse)
+    N = left_null_space(inverse_T * exact_B)
+    z, N, rows = np.linalg.lstsq(floats(N).T, v, rcond=None)[0], N * inverse_T, np.diag(at.T) / at.speed
     one = int(np.abs(z).argmax())
     z, rest = z / z[one], [s for s in range(len(z)) if s != one]
     changes = [(A_i - A[last]).transpose() * N.transpose() for A_i in A[:last]]
@@ -177,7 +179,7 @@ def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Be
         free = [flint.fmpq_mat(len(v), 1, [M[j, s] for j in range(len(v))]) for s in rest]
         J = beside([*free, -N.transpose() * z_x, *(X * z_x for X in changes)])
         try:
-            inverse = np.asarray(np.linalg.inv(floats(J)), dtype=np.float64)
+            inverse = np.asarray(np.linalg.inv(floats(J) * rows[:, None]) * rows, dtype=np.float64)
         except (np.linalg.LinAlgError, OverflowError):
             return None
         if not np.isfinite(inverse).all():
@@ -185,10 +187,8 @@ def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Be
         C = decimals(inverse)
         step = C * M * z_x
         r = _radius(step)
-        if _stays(C, J, q, step, r):
-            weights = [*entries[len(rest) + 1 :], 1 - sum(entries[len(rest) + 1 :], flint.fmpq(0))]
-            if entries[len(rest)] < r or min(weights) < last * r:
-                return None
+        weights = [*entries[len(rest) + 1 :], 1 - sum(entries[len(rest) + 1 :], flint.fmpq(0))]
+        if entries[len(rest)] >= r and min(weights) >= last * r and _stays(C, J, q, step, r):
             return Between(
                 weights={i: fraction_of(share) for i, share in zip(cells, weights, strict=True)},
                 rows=tuple(tuple(map(fraction_of, row)) for row in N.tolist()),

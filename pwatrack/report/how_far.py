@@ -23,6 +23,10 @@ def texts(found: HowFar) -> list[str]:
     quadratic = [p for p in found.parameters if p.degree == 2]
     if quadratic:
         said.append(f"{found.claim} is proved with {_listed(quadratic)}")
+    elif not found.entering:
+        said.append(
+            f"{found.claim}: no parameter of the file enters it: what has a name under 'parameters' is looked at"
+        )
     else:
         said.append(f"{found.claim}: no value of a single parameter was found with which it is proved")
     if found.ended:

@@ -37,6 +37,7 @@ _DEGREE = 9  # of the polynomials that are played back
 _FITTED, _NOISE = 1e-14, 1e-13  # of the largest value: how near they are, and what may be rounding
 _LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
+_SHORT = 2.0**-6  # of that time: over so short a one a Taylor polynomial is exact
 _MOST_POINTS = 2_000_000  # at which cells are looked up
 
 
@@ -347,6 +348,9 @@ class _Solution:
             todo = [(stay.start, min(stay.end, until), np.inf)] if stay.start < until else []
             while todo:
                 a, b, before = todo.pop()
+                if b - a <= resolved * _SHORT:  # of which a difference of values has no slope
+                    yield a, b, self._taylor(k, a) * self.problem.d[:, None]
+                    continue
                 fitted, off = interpolation(self.eta(k, a + (b - a) * interpolation.points), b - a)
                 missed = float(off.max()) / size if size else 0.0  # nothing drives it: it is 0
                 noise = missed < _NOISE and missed > before / 8  # halving would take it to 1/1000
@@ -354,6 +358,15 @@ class _Solution:
                     todo += [((a + b) / 2, b, missed), (a, (a + b) / 2, missed)]
                 else:
                     yield a, b, fitted.T * self.problem.d[:, None]
+
+    def _taylor(self, k: int, a: float) -> Array:
+        """Return the Taylor coefficients of η at a time in s of a stay, (p, degree + 1), in balanced units."""
+        p, stay = self.problem.p, self.stays[k]
+        z, turns = self.z(k, np.array([a]))[0], self.problem.turns.S
+        found = [z]
+        for j in range(1, _DEGREE + 1):
+            found.append(np.concatenate([self.rate[stay.cell] @ found[-1], turns @ found[-1][p:]]) / j)
+        return np.array(found).T[:p]
 
     def residual(self, fitted: Sequence[tuple[float, float, Array]]) -> tuple[Array, Array]:
         """Return sup |η' − A_i η − B_i (w, 1)| of polynomials, and sup Σ |terms|, of each entry, (p,) each.

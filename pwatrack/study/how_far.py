@@ -59,6 +59,7 @@ class HowFar:
         rate: The largest rate in 1/s that is proved, where one was refused; None where none was found.
         asked: The rate that was refused; 0 if none was.
         ended: Whether the number of proofs that may be tried ended the search for some parameter.
+        entering: Whether any parameter of the file enters it.
     """
 
     claim: str
@@ -66,6 +67,7 @@ class HowFar:
     rate: float | None
     asked: float
     ended: bool = False
+    entering: bool = True
 
 
 def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], object] = lambda _: None) -> HowFar | None:
@@ -109,7 +111,14 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         nearer = inequality.polynomial_between(name, now, found)
         higher += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
     parameters = (*sorted(quadratic, key=_distance), *sorted(higher, key=_distance))
-    return HowFar(claim=evidence.claim, parameters=parameters, rate=rate, asked=evidence.rate, ended=inequality.ended)
+    return HowFar(
+        claim=evidence.claim,
+        parameters=parameters,
+        rate=rate,
+        asked=evidence.rate,
+        ended=inequality.ended,
+        entering=bool(entering),
+    )
 
 
 def _distance(found: Proved) -> float:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from pwatrack.control.applicability import exact_is_open, practical_is_open
 from pwatrack.control.controller import Controller
-from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.modes import check_modes
 from pwatrack.control.practical import Practical, deviation_bounds, least_merges
 from pwatrack.control.route import Facts
@@ -18,7 +17,7 @@ from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.tracking import check_reference, desired_trajectory
+from pwatrack.study.tracking import check_reference, desired_trajectory, spec_generator
 
 Designed = Callable[[Spec], Controller]
 
@@ -47,7 +46,7 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
         What is known of the reference, and the sizes in force.
 
     Raises:
-        PwatrackError: As `check_reference` and `check_modes`, or as `trajectory_generator` where the zero dynamics
+        PwatrackError: As `check_reference` and `check_modes`, or as `spec_generator` where the zero dynamics
             leave no route; where merging cells does not help.
     """
     try:
@@ -69,7 +68,7 @@ def _checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     with spec.located():
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         if facts.form is not None and not exact_is_open(facts):  # by eigenvalues of the zero dynamics
-            trajectory_generator(facts.form, solver=spec.objectives.solver, preview=facts.known)
+            spec_generator(spec, facts.form, known=facts.known)
     return said, sizes
 
 

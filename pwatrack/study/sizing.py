@@ -9,7 +9,7 @@ from pwatrack.arrays import Array
 from pwatrack.causes import Remedy, Way
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
-from pwatrack.errors import Infeasible, OutsideTheory
+from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError
 from pwatrack.model.merging import widest
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
@@ -69,23 +69,28 @@ def spec_form(spec: Spec) -> NormalForm:
     try:
         return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
     except OutsideTheory as refusal:
-        raise _advised(refusal, spec) from None
+        raise advised(refusal, spec) from None
 
 
-def _advised(refusal: OutsideTheory, spec: Spec) -> OutsideTheory:
-    """Return the refusal with the kinds of tracking that may help in place of the one it names."""
+def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
+    """Return the refusal with the kinds of tracking that may help in place of the one it names.
+
+    What is proved impossible is tried with cells merged by itself: that is not advised.
+    """
     plant, goals = spec.problem.plant, spec.objectives
     try:
         check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
         by_state = True
     except Infeasible:
         by_state = False
-    form = None if goals.practical or goals.uncertain else scalar_form(plant)
+    by_itself = isinstance(refusal, Infeasible)
+    form = None if by_itself or goals.practical or goals.uncertain else scalar_form(plant)
     merging = form is not None and bool(widest(form))
     ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
     way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
     remedy = None if way is None else Remedy(way)
-    return OutsideTheory(*(replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems))
+    told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
+    return type(refusal)(*told, evidence=refusal.evidence)
 
 
 def _given(spec: Spec) -> Iterator[Known]:

@@ -14,7 +14,7 @@ from pwatrack.control.synthesis import Design
 from pwatrack.control.timing import check_timing
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.control.visibility import check_loads
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.model.course import Table
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.reference import (
@@ -31,7 +31,7 @@ from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
 from pwatrack.simulation.preview import played_back
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import spec_form
+from pwatrack.study.sizing import advised, spec_form
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
@@ -83,12 +83,29 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
             return replace(trajectory, bounded=False, growth=growth.problems[0]), None
     form = spec_form(spec)
     y_d = _output_signals(reference, form)
-    generator = trajectory_generator(form, solver=solver, preview=reference.preview)
+    generator = spec_generator(spec, form, known=reference.preview)
     trajectory = output_trajectory(generator, exosystem(y_d))
     if not generator.played_back:
         return trajectory, generator
     check_played_back(form)
     return played_back(trajectory, spec.scenario.duration), generator
+
+
+def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGenerator:
+    """Return the generator of a spec's plant in the form (11).
+
+    Args:
+        spec: What is asked.
+        form: Its plant.
+        known: Whether the reference is known beforehand.
+
+    Raises:
+        PwatrackError: As `trajectory_generator`; state tracking is advised where no eigenvalue decides against it.
+    """
+    try:
+        return trajectory_generator(form, solver=spec.objectives.solver, preview=known)
+    except PwatrackError as refusal:
+        raise advised(refusal, spec) from None
 
 
 def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:
