@@ -21,6 +21,7 @@ from typing import Any
 
 from pwatrack.batch.worker import OutOfMemory, serve
 from pwatrack.errors import CheckFailed
+from pwatrack.interruption import uninterrupted
 
 DRAWING = ("pwatrack.cli", "pwatrack.report.plots.pictures")  # what it takes to draw; the first is their main program's
 PRELOAD = (*DRAWING, "pwatrack.batch.work", "pwatrack.report.session", "pwatrack.simulation.kernel")  # every spec
@@ -107,24 +108,24 @@ class Pool(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Return the future of a call, which some process will make."""
         task = _Task(future=Future(), content=bytes(ForkingPickler.dumps((fn, args, kwargs))))
-        with self._lock:
+        with uninterrupted(), self._lock:
             if self._closing:
                 raise RuntimeError("the pool is closed")
             self._waiting.append(task)
             if self._dispatcher is None:
                 self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
                 self._dispatcher.start()
-        self._wake.send_bytes(b"!")
+            self._wake.send_bytes(b"!")
         return task.future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more tasks, end those that are there or cancel those that have not begun, and end the processes."""
-        with self._lock:
+        with uninterrupted(), self._lock:
             self._closing = True
             if cancel_futures:
                 for task in self._waiting:
                     task.future.cancel()
-        self._wake.send_bytes(b"!")
+            self._wake.send_bytes(b"!")
         if wait and self._dispatcher is not None:
             self._dispatcher.join()
 

@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +17,7 @@ from pwatrack.batch.outcomes import Outcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
 from pwatrack.batch.work import simulate
+from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep
 
 Submit = Callable[[Job], "Future[Done]"]
@@ -140,13 +141,13 @@ def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options
         while waiting and len(running) < at_once:
             job = waiting.popleft()
             running[submit(job)] = job
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            outcome = _outcome(running.pop(future), out, future)
-            yield outcome
-            if options.fail_fast and outcome.failed:
-                for job in waiting:
-                    yield Outcome(spec=job.spec, folder=job.out, exit=None, reason="skipped", how="skipped")
-                waiting.clear()
+        future = next(as_ended(running))
+        outcome = _outcome(running.pop(future), out, future)
+        yield outcome
+        if options.fail_fast and outcome.failed:
+            for job in waiting:
+                yield Outcome(spec=job.spec, folder=job.out, exit=None, reason="skipped", how="skipped")
+            waiting.clear()
 
 
 def _outcome(job: Job, out: Path, future: "Future[Done]") -> Outcome:

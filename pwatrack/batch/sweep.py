@@ -1,7 +1,7 @@
 """A spec at many values of its parameters, and where on the way between two of them a kind of proof ends."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from itertools import product
 from math import prod
@@ -12,6 +12,7 @@ from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
 from pwatrack.control.controller import Controller
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
+from pwatrack.interruption import as_ended
 from pwatrack.report.terminal import told
 from pwatrack.spec.axis import MOST, Axis
 
@@ -207,7 +208,7 @@ def _told(*points: Point) -> bool:
 
 
 def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:
-    for done, _ in enumerate(as_completed(futures), 1):
+    for done, _ in enumerate(as_ended(futures), 1):
         progress(done, len(futures))
     return futures
 

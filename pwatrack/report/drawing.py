@@ -4,6 +4,8 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
+from pwatrack.interruption import as_ended
+
 if TYPE_CHECKING:
     from pwatrack.study.result import Result
 
@@ -26,12 +28,12 @@ def begin(result: "Result", executor: Executor | None) -> Callable[[], dict[str,
     """
     if executor is None or result.spool is not None:
         return lambda: drawn(slice(None), result)
-    begun = [(share, executor.submit(drawn, share, result)) for share in _SHARES]
+    begun = {executor.submit(drawn, share, result): share for share in _SHARES}
 
     def wait() -> dict[str, bytes]:
         found = dict[str, bytes]()
-        for share, future in begun:
-            found |= future.result() if future.exception() is None else drawn(share, result)
+        for future in as_ended(begun):
+            found |= future.result() if future.exception() is None else drawn(begun[future], result)
         return found
 
     return wait

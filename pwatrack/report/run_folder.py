@@ -13,8 +13,6 @@ import os
 import re
 import secrets
 import shutil
-import signal
-import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -24,6 +22,7 @@ from tempfile import gettempdir
 from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.interruption import uninterrupted
 from pwatrack.spec.values import WRITTEN
 
 Plots = Literal["all", "failed", "none"]  # which runs have pictures
@@ -134,7 +133,7 @@ class RunFolder:
             self._write_index({**index, "files": new}, INDEX)
             self._write_index({"verdict": INCOMPLETE, "files": old}, _GOING)
             self._write_index({"verdict": INCOMPLETE, "files": new}, _COMING)
-            with _uninterrupted():
+            with uninterrupted():
                 if not _index(self.path):
                     _keep(self.path / INDEX)
                 (self._stage / _GOING).replace(self.path / INDEX)
@@ -309,27 +308,6 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(lock)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Put off what interrupts the program until the block ends. Signals come to the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    handlers = {number: signal.getsignal(number) for number in numbers}
-    ours = {number: handler for number, handler in handlers.items() if handler is not None}
-    try:
-        for number in ours:
-            signal.signal(number, lambda number, _: came.append(number))
-        yield
-    finally:
-        for number, handler in ours.items():
-            signal.signal(number, handler)
-        for missed in came:
-            signal.raise_signal(missed)
 
 
 def _unwritable(what: str, error: OSError, hint: str) -> InvalidSpec:

@@ -10,6 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.cores import cores
 from pwatrack.errors import PwatrackError
+from pwatrack.interruption import in_order, uninterrupted
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
 from pwatrack.simulation.trace import Trace, last_tenth
@@ -157,8 +158,10 @@ def _do_all(run: Callable[[int], None], count: int, workers: int, progress: Call
     """Call `run` with each number on so many threads; what the first of them raises ends it."""
     pool = ThreadPoolExecutor(workers)
     try:
-        for number, done in enumerate([pool.submit(run, number) for number in range(count)], 1):
-            done.result()
+        with uninterrupted():
+            futures = [pool.submit(run, number) for number in range(count)]
+        for number, future in enumerate(in_order(futures), 1):
+            future.result()
             if progress:
                 progress(number)
     finally:

@@ -10,6 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.causes import Subject
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
+from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
@@ -168,7 +169,7 @@ def _handed_on(
     ]
     parts = list[Ensemble]()
     try:
-        for future in futures:
+        for future in in_order(futures):
             parts.append(future.result())
             if progress:
                 progress(sum(len(part.verdicts) for part in parts))

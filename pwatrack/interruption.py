@@ -1,0 +1,81 @@
+"""What interrupts the program, Ctrl-C or a signal, put off to where it does no harm."""
+
+import signal
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
+from typing import TypeVar
+
+_T = TypeVar("_T")
+_LONGEST_WAIT = 0.5  # s: a signal that comes just before a wait begins does not end it
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def uninterrupted(told: Callable[[], object] = lambda: None) -> Iterator[None]:
+    """Put off what interrupts the program until the block ends. Signals come to the main thread only.
+
+    Args:
+        told: Called at once when something does, in the middle of whatever the block is at.
+
+    Example:
+        >>> with uninterrupted():
+        ...     pass  # what must be whole
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        came.append(number)
+        told()
+
+    handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+    ours = {number: handler for number, handler in handlers.items() if handler is not None}
+    try:
+        for number in ours:
+            signal.signal(number, note)
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        for missed in came:
+            signal.raise_signal(missed)
+
+
+def as_ended(futures: Collection[Future[_T]]) -> Iterator[Future[_T]]:
+    """Yield each future when it has ended. The program can be interrupted while this waits.
+
+    So it can in `concurrent.futures.wait`, `as_completed` and `result`, but there perhaps while they hold the lock of
+    a future, for good: whoever works for it, and wants to end it, would then wait for ever.
+
+    Example:
+        >>> from pwatrack.batch.pool import Pool
+        >>> with Pool(2) as pool:
+        ...     sorted(future.result() for future in as_ended([pool.submit(abs, -k) for k in range(3)]))
+        [0, 1, 2]
+    """
+    ended: SimpleQueue[Future[_T] | None] = SimpleQueue()  # a signal may come in the middle of its methods
+    with uninterrupted():
+        for future in futures:
+            future.add_done_callback(ended.put)
+    left = len(futures)
+    while left:
+        one = None
+        with uninterrupted(lambda: ended.put(None)), suppress(Empty):
+            one = ended.get(timeout=_LONGEST_WAIT)
+        if one is not None:
+            left -= 1
+            yield one
+
+
+def in_order(futures: Sequence[Future[_T]]) -> Iterator[Future[_T]]:
+    """Yield each future when it has ended, and those before it: see `as_ended`."""
+    ended, there = as_ended(futures), set[Future[_T]]()
+    for future in futures:
+        while future not in there:
+            there.add(next(ended))
+        yield future

@@ -1,0 +1,66 @@
+"""Whoever waits for futures can be interrupted at any moment, and those that work for them can still end them."""
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import Future
+
+import numpy as np
+import pytest
+
+from pwatrack.interruption import as_ended, in_order, uninterrupted
+
+
+def wait_for_ever(futures: list[Future[None]], delay: float) -> None:
+    """Wait again and again, one of the futures being done, and be interrupted."""
+
+    def interrupt() -> None:
+        time.sleep(delay)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    while True:
+        assert next(as_ended(futures)) is futures[0]
+
+
+def test_no_future_stays_locked_wherever_the_wait_is_interrupted() -> None:
+    draw = np.random.default_rng(1)
+    for _ in range(300):
+        futures = [Future[None]() for _ in range(4)]
+        futures[0].set_result(None)
+        with pytest.raises(KeyboardInterrupt):
+            wait_for_ever(futures, draw.exponential(1e-3))
+
+        def end(futures: list[Future[None]] = futures) -> None:
+            for future in futures[1:]:
+                future.set_result(None)
+
+        worker = threading.Thread(target=end, daemon=True)
+        worker.start()
+        worker.join(20)
+        assert not worker.is_alive()
+
+
+def test_futures_come_as_they_end_or_in_order() -> None:
+    futures = [Future[int]() for _ in range(3)]
+    came = as_ended(futures)
+    for k in (2, 0, 1):
+        futures[k].set_result(k)
+        assert next(came) is futures[k]
+    assert list(came) == []
+    assert list(in_order(futures)) == futures
+
+
+def test_an_interruption_is_put_off_to_the_end_of_the_block_and_told_at_once() -> None:
+    done = list[str]()
+
+    def interrupted() -> None:
+        with uninterrupted(lambda: done.append("told")):
+            signal.raise_signal(signal.SIGINT)
+            done.append("whole")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert done == ["told", "whole"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
