@@ -2,12 +2,12 @@
 
 import atexit
 import gc
-import os
 import signal
 import sys
 import warnings
 
 from pwatrack.cli import app
+from pwatrack.cores import one_thread
 from pwatrack.report.terminal import refusals
 
 
@@ -15,8 +15,7 @@ def run() -> None:
     """Entry point of the console script."""
     gc.set_threshold(300_000, 20)  # nearly all that is made when modules are imported stays
     atexit.register(gc.freeze)  # and goes with the process: to look through it at the end would take 0.3 s
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # small matrices: threads only cost time, and change the last bit
+    one_thread()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nothing half-written is left
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # whoever reads our output has had enough: no word, as customary
     warnings.filterwarnings(

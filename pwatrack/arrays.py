@@ -80,6 +80,16 @@ def number_text(value: float, form: str = ".5g") -> str:
     return text if any(c in "123456789in" for c in text.partition("e")[0]) else format(0.0, form)
 
 
+def amount(count: int, what: str) -> str:
+    """Return how many of something there are, which has a plural with an s.
+
+    Example:
+        >>> amount(1, "input"), amount(2187, "cell")
+        ('1 input', '2187 cells')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def up(value: float) -> str:
     """Return a number in three digits, not smaller.
 

@@ -36,7 +36,7 @@ def serve(tasks: Connection, errors: Connection, memory: float | None, preload: 
     """
     _follow_parent()
     gc.freeze()  # what the fork server imported: its pages stay shared
-    gc.set_threshold(100_000, 20)  # as in the main program
+    gc.set_threshold(100_000, 20)  # much of what a task makes stays until it ends
     gc.enable()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that nothing half-written is left
     nowhere = os.open(os.devnull, os.O_RDWR)

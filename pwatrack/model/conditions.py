@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array, amount, number_text
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
@@ -109,7 +109,7 @@ class Conditions:
         if self.sampling is not None:
             late = self.sampling.delay
             text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
-            said.append(text + (f", its output {late} sample{'s' * (late > 1)} late" if late else ""))
+            said.append(text + (f", its output {amount(late, 'sample')} late" if late else ""))
         if self.quanta is not None:
             both = ((plant.outputs, self.quanta.outputs), (plant.inputs, self.quanta.inputs))
             sizes = [(name, size) for names, values in both for name, size in zip(names, values.tolist(), strict=True)]

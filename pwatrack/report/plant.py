@@ -6,14 +6,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from pwatrack.arrays import complex_text
+from pwatrack.arrays import amount, complex_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.errors import PwatrackError
 from pwatrack.model.cells import Facet
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.terminal import remark_rows, titled
-from pwatrack.report.wording import amount, size_texts
+from pwatrack.report.wording import size_texts
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that

@@ -10,16 +10,6 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study.result import Result
 
 
-def amount(count: int, what: str) -> str:
-    """Return how many of something there are, which has a plural with an s.
-
-    Example:
-        >>> amount(1, "input"), amount(2187, "cell")
-        ('1 input', '2187 cells')
-    """
-    return f"{count} {what}{'s' * (count != 1)}"
-
-
 def all_cells(count: int) -> str:
     """Return all cells of a plant in words.
 

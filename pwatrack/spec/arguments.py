@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pwatrack.arrays import amount
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
@@ -112,8 +113,8 @@ class Plant:
 
     def __repr__(self) -> str:
         plant = self.system
-        cells, (n, m), q = len(plant.A), plant.B.shape, len(plant.C)
-        return f"<plant with {cells} cell{'s' * (cells > 1)}, n = {n}, m = {m}, q = {q}>"
+        (n, m), q = plant.B.shape, len(plant.C)
+        return f"<plant with {amount(len(plant.A), 'cell')}, n = {n}, m = {m}, q = {q}>"
 
 
 plant = Plant  # as who calls it says

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, amount
 from pwatrack.causes import Subject
 from pwatrack.control.goal import Goal
 from pwatrack.errors import Place, PwatrackError
@@ -153,7 +153,7 @@ class Spec:
 
     def __repr__(self) -> str:
         (n, m), plant = self.problem.plant.B.shape, self.problem.plant
-        cells = f"{len(plant.A)} cell" + "s" * (len(plant.A) > 1)
+        cells = amount(len(plant.A), "cell")
         return f"<spec {self.name!r}: {self.problem.tracking} tracking, {cells}, n = {n}, m = {m}>"
 
     @contextmanager

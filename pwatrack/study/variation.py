@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array, IntArray, amount
 from pwatrack.causes import Subject
 from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
 from pwatrack.interruption import in_order
@@ -367,6 +367,5 @@ def _check_generator(result: Result, entries: int) -> None:
     if result.generator_start_fixed:
         raise start_given_twice(subject)
     if entries != expected:
-        found = f"{entries} interval" + "s" * (entries != 1)
-        message = f"{where}: {found}, expected {expected}, one for each state of the generator"
+        message = f"{where}: {amount(entries, 'interval')}, expected {expected}, one for each state of the generator"
         raise InvalidSpec(Problem(message=message, subject=subject))
