@@ -3,7 +3,7 @@
 from fractions import Fraction
 from typing import Any
 
-from .matrices import Fault, Matrix, added, identity, inverted, product, sizes, transposed
+from .matrices import Fault, Matrix, added, identity, inverted, product, sizes, spend, total, transposed
 
 Ball = tuple[Matrix, Matrix]  # centre and radius
 
@@ -69,6 +69,7 @@ def stacked(one: Ball, other: Ball) -> Ball:
     """Return one matrix on top of another."""
     (X, R), (Y, S) = one, other
     zero = [[[Fraction(0)] * len(row) for row in Z] for Z in (X, Y)]
+    spend(sum(len(row) / 4 for row in (*X, *Y)))
     return X + Y, ((R or zero[0]) + (S or zero[1]) if R or S else [])
 
 
@@ -81,6 +82,7 @@ def unlike(matrices: list[Ball]) -> list[tuple[int, Ball]]:
     """Return the matrices that are no repetition of an earlier one, with their cells."""
     first: dict[Any, tuple[int, Ball]] = {}
     for i, ball in enumerate(matrices):
+        spend(sum(len(row) for X in ball for row in X))
         first.setdefault(tuple(tuple(map(tuple, X)) for X in ball), (i, ball))
     return list(first.values())
 
@@ -91,4 +93,4 @@ def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
     For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j.
     """
     for j, row in enumerate(added(half, transposed(half))):
-        left[j][j] += sum((v * powers[j] / power for v, power in zip(row, powers, strict=True)), Fraction(0))
+        left[j][j] += total([v * powers[j] / power for v, power in zip(row, powers, strict=True)])

@@ -8,7 +8,7 @@ from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, 
 from .matrices import Fault, Matrix, added, definite, identity, product, sizes, transposed
 from .peaks import peak_bound
 from .plant import Plant
-from .reading import number, packed, place
+from .reading import distinct, number, packed, place
 
 
 class Loop:
@@ -21,6 +21,7 @@ class Loop:
         """Return what is wrong with the bounds of what one disturbance, noise or start can do to each signal."""
         found: dict[Any, Fraction] = {}
         faults = [] if entry["signals"] else ["it bounds nothing"]
+        distinct([signal[:2] for signal in entry["signals"]], "a signal of a bound")
         for proof in entry["parts"]:
             loop, channel = proof["loop"], proof["channel"]
             M, g = self.matrices(loop), self.drive(loop, channel)

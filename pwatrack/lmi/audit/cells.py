@@ -5,7 +5,7 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from .matrices import Fault
+from .matrices import Fault, less, spend
 from .reading import number
 
 
@@ -15,7 +15,10 @@ class Cells:
     def __init__(self, content: Any) -> None:
         self.planes = [[number(v) for v in (*row, h)] for row, h in zip(content["H"], content["h"], strict=True)]
         self.parallel = [normalised(plane) for plane in self.planes]
-        self.signs = [[int(s) for s in row] for row in content["signs"]]
+        self.signs = content["signs"]
+        spend(sum(map(len, self.signs)) / 10)
+        if any(s not in (-1, 0, 1) for row in self.signs for s in row):
+            raise Fault("a sign is none")
 
     def faults(self, jumps: Any) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps: `jumps(i, j, plane)` says it may."""
@@ -34,6 +37,7 @@ class Cells:
         """Yield pairs of cells on opposite sides of one hyperplane at most: the others do not touch in a facet."""
         if not all(map(all, self.signs)):  # some hyperplanes do not bound some cells
             for i, j in combinations(range(len(self.signs)), 2):
+                spend(1 + len(self.planes) / 10)
                 pairs = zip(self.signs[i], self.signs[j], strict=True)
                 opposite = [k for k, (s, t) in enumerate(pairs) if s * t < 0]
                 if len(opposite) <= 1:
@@ -41,6 +45,7 @@ class Cells:
             return
         places: dict[tuple[int, ...], int] = {}
         for j, row in enumerate(map(tuple, self.signs)):
+            spend(len(row) * (1 + len(row) / 50))
             if row in places:
                 yield places[row], j, []
             for k in range(len(row)):
@@ -54,6 +59,7 @@ class Cells:
         if not self.interior(region):
             return False
         for position, i in enumerate(cells):
+            spend(1 + len(region) / 20)
             if any(s * t < 0 for s, t in zip(region, self.signs[i], strict=True)):
                 continue
             inside = list(region)
@@ -74,14 +80,14 @@ class Cells:
         rows = [[s * v for v in self.planes[k]] for k, s in enumerate(signs) if s and k != on]
         plane = self.planes[on]
         pivot = next(p for p, v in enumerate(plane) if v)
-        rows = [[v - row[pivot] / plane[pivot] * p for v, p in zip(row, plane, strict=True)] for row in rows]
-        return strictly_feasible(rows)
+        return strictly_feasible([less(row, row[pivot] / plane[pivot], plane) for row in rows])
 
     def between(self, signs: list[int]) -> bool:
         """Decide the same off all hyperplanes: of those that are parallel only the nearest on either side count."""
         above: dict[Any, Fraction] = {}
         below: dict[Any, Fraction] = {}
         for s, (direction, offset, turned) in zip(signs, self.parallel, strict=True):
+            spend(1 + len(direction) / 2)
             if s * turned > 0:
                 above[direction] = min(offset, above.get(direction, offset))
             elif s:
@@ -119,13 +125,14 @@ def strictly_feasible(rows: list[list[Fraction]]) -> bool:
     while True:
         row = table[leaving]
         factor = -1 / row[entering]
+        spend(len(table) + len(row))
         row[entering] = Fraction(-1)
         table[leaving] = row = [factor * v for v in row]
         basis[leaving], free[entering] = free[entering], basis[leaving]
         for other in (*(t for k, t in enumerate(table) if k != leaving), goal):
             scale, other[entering] = other[entering], Fraction(0)
             if scale:
-                other[:] = [v + scale * p for v, p in zip(other, row, strict=True)]
+                other[:] = less(other, -scale, row)
         if goal[-1] < 1:
             return True
         falling = [k for k in range(width) if goal[k] < 0]

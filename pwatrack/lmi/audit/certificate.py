@@ -1,6 +1,5 @@
 """Every claim of a certificate, decided."""
 
-import json
 import os
 import stat
 from typing import Any
@@ -9,12 +8,13 @@ from .between import between
 from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
-from .matrices import Fault, transposed
+from .matrices import Fault, begin, transposed
 from .merged import Deviations, merged
-from .plant import Plant, by_cell
+from .plant import Plant
 from .polynomials import polynomial
-from .proofs import both_ways, check, cost, no_P, refuted
-from .reading import FORMAT, matrix, number
+from .proofs import both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
+from .reading import FORMAT, matrix, number, parsed
+from .shape import CELLS, DESIGN, REFUSAL, by_cell, fit, kind, refuses
 from .starts import near
 
 NAMES = {
@@ -23,28 +23,35 @@ NAMES = {
     "observer": "(9) observer",
     "generator": "(17) generator",
 }
-REFUSALS = {"no_P": no_P, "Z": refuted, "between": between}  # by what proofs have, that nothing is possible
-KINDS = REFUSALS | {"bounded": both_ways, "X": cost, "degree": polynomial}
+DECIDED = {  # each claim of `shape.PROOFS`
+    "common P": check,
+    "polynomial": polynomial,
+    "P of any sign": both_ways,
+    "cost": cost,
+    "multipliers": refuted,
+    "mode of a mean": between,
+    "no P, by multipliers": no_P_by_Z,
+    "no P, by unstable modes": no_P_by_modes,
+}
+ACTS = ("disturbance", "noise", "start")  # what bounds are of, in this order
 _MOST_BYTES = 2**28  # of the file
 
 
 def audit(text: str) -> tuple[list[str], list[str]]:
     """Return what a certificate proves, and what is wrong with it, both in sentences."""
     try:
-        content = json.loads(text, parse_float=str, parse_constant=str)
+        begin(len(text))
+        content = parsed(text)
         if content["format"] != FORMAT:
-            return [], [f"the format is '{str(content['format'])[:80]}', this program reads '{FORMAT}'"]
+            return [], [f"the format is '{ascii(content['format'])[1:-1][:80]}', this program reads '{FORMAT}'"]
+        fit(content["proofs"], REFUSAL["proofs"], "proofs")
+        fit(content, REFUSAL if refuses(content) else DESIGN, "the certificate")
         return judged(content)
     except Fault as fault:
         return [], [str(fault)]
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         return [], [f"not a certificate: {missing}"[:200]]
-
-
-def refuses(content: Any) -> bool:
-    """Say whether a certificate is one of a refusal: some proof in it says that nothing is possible."""
-    return any(kind in proof for proof in content["proofs"] for kind in REFUSALS)
 
 
 def judged(content: Any) -> tuple[list[str], list[str]]:
@@ -67,19 +74,18 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     faults += misplaced(content) if refusal else []
     decided = set()
     for proof in content["proofs"]:
-        of = proof["of"]
-        if "X" in proof and of not in ("controller", "observer"):
-            raise Fault(f"no cost is that of {NAMES[of]}")
+        of, which = proof["of"], kind(proof)
+        if of not in NAMES or (which == "cost" and of not in ("controller", "observer")):
+            raise Fault(f"there is no {which} of '{of}'")
         M, B = plant.problem(of, K, L, A_eta)
-        kind = next((decide for name, decide in KINDS.items() if name in proof), check)
-        wrong = kind(M, B, plant.placed(proof), K if of == "controller" else L and transposed(L))
+        wrong = DECIDED[which](M, B, plant.placed(proof), K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
-        about = centres if any(kind in proof for kind in REFUSALS) else ""
-        said.append(f"{NAMES[of]}: {claim(proof, plant)}{about}")
-        decided.add("" if "X" in proof else of)
+        said.append(f"{NAMES[of]}: {claim(proof, plant)}{centres if which in CELLS else ''}")
+        decided |= {of} - ({of} if which == "cost" else set())
     loop = Loop(plant, K or [], L or [], X)
-    if not all(isinstance(content.get(name, []), list) for name in ("bounds", "limits")):
-        raise Fault("bounds or limits are no list")
+    channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in content.get("bounds", []))]
+    if channels != sorted(set(channels)):
+        raise Fault("the bounds are not in order, or one is there twice")
     for entry in content.get("bounds", []):
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
     if content.get("bounds"):
@@ -93,7 +99,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"uncertain parameters: {fault}" for fault in wrong]
         said.append(sentence)
     if practical is not None:
-        wrong, sentence = merged(Deviations(plant, practical, K or [], L or [], X), practical)
+        wrong, sentence = merged(Deviations(plant, practical, K or [], L or [], X), practical, content["tracking"])
         faults += [f"practical tracking: {fault}" for fault in wrong]
         said.append(sentence + centres)
     if not refusal:
@@ -112,8 +118,7 @@ def misplaced(content: Any) -> list[str]:
     """Return what does not belong into the proof of a refusal."""
     proof, *more = content["proofs"]
     of = proof["of"]
-    extra = more or any(content.get(name) for name in ("bounds", "limits", "uncertain", "practical"))
-    faults = ["a refusal has one proof, and no bounds"] if extra else []
+    faults = ["a refusal has one proof"] if more else []
     if of == "plant" or (of == "generator" and number(proof.get("rate", 0))):
         faults.append(f"no theorem needs {NAMES[of]}" + " at a rate" * (of == "generator"))
     if (of != "controller" and content["K"] is not None) or (of != "observer" and content["L"] is not None):
@@ -123,21 +128,20 @@ def misplaced(content: Any) -> list[str]:
 
 def claim(proof: Any, plant: Plant) -> str:
     """Say what one entry claims."""
-    if "X" in proof:
+    which, names = kind(proof), [f"'{plant.name(int(i))}'" for i in by_cell(proof)]
+    if which == "cost":
         return "the bound of the cost is proved"
-    if "bounded" in proof:
+    if which == "P of any sign":
         return "proved with a P of any sign, for a bounded solution that is played back"
-    if "no_P" in proof:
-        by = "multipliers for" if "Z" in proof else "the numbers of unstable modes in"
-        of = " and ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
-        return f"proved impossible with a P of any sign, by {by} {of}"
-    rate = f"{float(number(proof['rate'])):g} 1/s"
-    if "Z" in proof or "between" in proof:
+    if which.startswith("no P"):
+        by = "multipliers for" if which == "no P, by multipliers" else "the numbers of unstable modes in"
+        return f"proved impossible with a P of any sign, by {by} {' and '.join(names)}"
+    rate = f"{proof['rate']} 1/s"
+    if which in CELLS:
         beyond = f" at a rate of {rate}" if number(proof["rate"]) else ""
-        cells = ", ".join(f"'{plant.name(int(i))}'" for i in by_cell(proof))
-        by = "multipliers for" if "Z" in proof else "a mode that no gain moves of a mean of"
-        return f"proved impossible{beyond}, by {by} {cells}"
-    by = f" by a polynomial of degree {number(proof['degree'])}" if "degree" in proof else ""
+        by = "multipliers for" if which == "multipliers" else "a mode that no gain moves of a mean of"
+        return f"proved impossible{beyond}, by {by} {', '.join(names)}"
+    by = f" by a polynomial of degree {proof['degree']}" if which == "polynomial" else ""
     return f"proved{by}, rate {rate}"
 
 

@@ -6,6 +6,7 @@ from .balls import Ball, flipped, less, plus, sides, stacked, times, unlike
 from .bounds import Loop
 from .matrices import Fault, Matrix
 from .plant import Plant
+from .reading import distinct
 
 
 class Box(Loop):
@@ -54,15 +55,13 @@ def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str]
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
     box = Box(plant, content["corners"], K, L)
     faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
-    bounded, signals = set[int](), [{(kind, k) for kind, k, _ in entry["signals"]} for entry in content["bounds"]]
-    for entry in content["bounds"]:
-        kind, k = entry["channel"]
-        if kind != "disturbance":
-            raise Fault("a bound of uncertain parameters is one of an entry of w")
-        bounded.add(k)
-        faults += [f"entry {k + 1}: {fault}" for fault in box.faults(entry)]
-    if bounded < box.varying() or any(one != signals[0] for one in signals):
-        faults.append("an entry of w, or a signal of one, has no bound")
-    names = ", ".join(str(name) for name, _, _ in content["parameters"])
+    signals = [[signal[:2] for signal in entry["signals"]] for entry in content["bounds"]]
+    if [entry["channel"] for entry in content["bounds"]] != [["disturbance", k] for k in sorted(box.varying())]:
+        raise Fault("the bounds of uncertain parameters are not those of the entries of w that vary, each once")
+    if any(one != signals[0] for one in signals):
+        faults.append("a signal has no bound of some entry of w")
+    faults += [f"entry {entry['channel'][1] + 1}: {f}" for entry in content["bounds"] for f in box.faults(entry)]
+    distinct([name for name, _, _ in content["parameters"]], "a parameter")
+    names = ", ".join(name for name, _, _ in content["parameters"])
     count = len(box.matrices("joint"))
     return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {len(box.corners)} corners"

@@ -1,5 +1,6 @@
 """A plant as it is written: a linear field and scalar elements. Its cells are counted, and never listed."""
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import product
@@ -7,7 +8,7 @@ from math import prod
 from typing import Any
 
 from .balls import Ball
-from .matrices import Fault, rank
+from .matrices import Fault, bits, rank, spend
 from .reading import matrix, number, place
 
 _MOST_CORNERS = 2**16  # that are decided one by one
@@ -26,15 +27,17 @@ class Function:
         self.intercepts = [number(content["value"]) - self.slopes[0] * self.breakpoints[0]]
         for k, s in enumerate(self.breakpoints):
             self.intercepts.append(self.intercepts[-1] + (self.slopes[k] - self.slopes[k + 1]) * s)
+            spend(2, bits(self.intercepts[-1:]))
 
     def at(self, s: Fraction) -> Fraction:
         """Return its value."""
-        k = sum(mark < s for mark in self.breakpoints)
+        k = bisect_left(self.breakpoints, s)
         return self.slopes[k] * s + self.intercepts[k]
 
     def segment(self, low: Fraction | None, high: Fraction | None) -> int:
         """Return the segment of all s from low to high, None for without end; where slopes are equal, either."""
         below = 0
+        spend(len(self.breakpoints))
         for k, mark in enumerate(self.breakpoints):
             if low is not None and mark <= low:
                 below = k + 1
@@ -73,7 +76,7 @@ class Elements:
     def __init__(self, content: Any) -> None:
         self.A, self.b = matrix(content["A"]), matrix(content["b"])
         self.each = [Element(one, len(self.A)) for one in content["elements"]]
-        self.names = [[str(name) for name in one["segments"]] for one in content["elements"]]
+        self.names = [one["segments"] for one in content["elements"]]
         self.count = prod(map(len, self.names))
         if not self.each or rank([element.row for element in self.each]) < len(self.each):
             raise Fault("the rows of the elements are not independent")
@@ -85,6 +88,7 @@ class Elements:
     @property
     def corners(self) -> list[Segments]:
         """The cells at the corners of the box of slopes: A_i is affine in these, so each is a mean of theirs."""
+        spend(prod(len(element.ends) for element in self.each) * len(self.A) ** 2 / 4)
         return list(product(*(element.ends for element in self.each)))
 
     def segments(self, i: int) -> Segments:
@@ -107,6 +111,7 @@ class Elements:
         for cell in cells:
             field = [[*row, *constant] for row, constant in zip(self.A, self.b, strict=True)]
             for term, line, k in zip(terms, lines, cell, strict=True):
+                spend(len(term) * n)
                 for j, factor in term:
                     field[j] = [v + factor * w if w else v for v, w in zip(field[j], line[k], strict=True)]
             found.append(field)

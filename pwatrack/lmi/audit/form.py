@@ -6,9 +6,9 @@ from functools import partial, reduce
 from typing import Any
 
 from .balls import Ball, inverse, less, negative, part, plus, stacked, times, unlike
-from .matrices import Fault, Matrix, added, definite, inverted, product, transposed
+from .matrices import Fault, Matrix, added, definite, inverted, product, spend, transposed
 from .plant import Plant
-from .reading import matrix, number
+from .reading import matrix, number, place
 
 
 def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list[Ball], Ball | None]:
@@ -16,10 +16,10 @@ def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list
 
     With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
     """
-    n, degrees = len(plant.B[0]), [int(r) for r in generator["relative_degrees"]]
+    n, degrees = len(plant.B[0]), generator["relative_degrees"]
     r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
-    internal, Z = [int(j) for j in generator["internal"]], matrix(generator["directions"])
-    fits = len(internal) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
+    internal, Z = [place(j, n) for j in generator["internal"]], matrix(generator["directions"])
+    fits = len(internal) == len(generator["eta"]) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
     if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
         raise Fault("the form (11) does not fit the plant")
     outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
@@ -37,6 +37,8 @@ def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
         X, R = times(times(T_i, A_i), back)
         found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
+    if ("A_eta" in generator) != (plant.elements is None):
+        raise Fault("A_eta is there where all cells are listed, and only there")
     if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
         raise Fault("A_eta is not that of the plant")
     if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
@@ -120,6 +122,7 @@ def joined(rows: list[Ball]) -> Ball:
 def once(function: Callable[[Ball], Ball], balls: list[Ball]) -> list[Ball]:
     """Apply a function to each, to those that are equal once."""
     found: dict[Any, Ball] = {}
+    spend(sum(len(row) for ball in balls for X in ball for row in X))
     keys = [tuple(tuple(map(tuple, X)) for X in ball) for ball in balls]
     for key, ball in zip(keys, balls, strict=True):
         if key not in found:

@@ -1,14 +1,36 @@
 """Matrices of fractions."""
 
+from collections.abc import Iterable
 from fractions import Fraction
-from math import lcm
+from math import inf, lcm
 from typing import Any
 
 Matrix = list[list[Fraction]]
 
+_MOST, _SMALL = 8e5, 100_000  # steps, about 5e-6 s each, for a file of so many bytes; with the cube of these for larger ones
+_BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
+_work = {"most": inf, "done": 0.0}
+
 
 class Fault(Exception):
     """Something in the file is wrong, or does not hold."""
+
+
+def begin(size: int) -> None:
+    """Begin to count what is done for a file of so many bytes."""
+    _work.update(most=_MOST * max(1.0, size / _SMALL) ** 3, done=0.0)
+
+
+def spend(steps: float, bits: int = 0) -> None:
+    """Count so many operations on numbers of so many bits; a small file that asks for many is refused."""
+    _work["done"] += steps * (1 + (bits / _BITS) ** 2)
+    if _work["done"] > _work["most"]:
+        raise Fault(f"it takes more than {_work['most']:.2g} steps, the most for a file of its size")
+
+
+def bits(numbers: Iterable[Fraction]) -> int:
+    """Return of how many the longest numerator and denominator are."""
+    return max((v.numerator.bit_length() + v.denominator.bit_length() for v in numbers), default=0)
 
 
 def identity(n: int, factor: Any) -> Matrix:
@@ -21,11 +43,23 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
     columns = transposed(Y)
     if any(len(row) != len(Y) for row in X):
         raise Fault("matrices do not fit together")
-    return [[sum((a * b for a, b in zip(row, c, strict=True) if a and b), Fraction(0)) for c in columns] for row in X]
+    found = list[list[Fraction]]()
+    for row in X:
+        terms = [[a * b for a, b in zip(row, c, strict=True) if a and b] for c in columns]
+        found.append([total(each) for each in terms])
+    return found
+
+
+def total(terms: list[Fraction]) -> Fraction:
+    """Return the sum."""
+    found = sum(terms, Fraction(0))
+    spend(1 + len(terms), bits([found]))
+    return found
 
 
 def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     """Return X + factor Y."""
+    spend(sum(map(len, X)), bits(v for row in (*X, *Y) for v in row))
     return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
 
 
@@ -51,8 +85,15 @@ def inverted(X: Matrix) -> Matrix:
         rows[k] = [v / rows[k][k] for v in rows[k]]
         for j in range(n):
             if j != k and rows[j][k]:
-                rows[j] = [v - rows[j][k] * p for v, p in zip(rows[j], rows[k], strict=True)]
+                rows[j] = less(rows[j], rows[j][k], rows[k])
     return [row[n:] for row in rows]
+
+
+def less(row: list[Fraction], factor: Fraction, other: list[Fraction]) -> list[Fraction]:
+    """Return row - factor other."""
+    found = [v - factor * p for v, p in zip(row, other, strict=True)] if factor else list(row)
+    spend(len(row), bits(found) if factor else 0)
+    return found
 
 
 def rank(X: Matrix) -> int:
@@ -64,8 +105,7 @@ def rank(X: Matrix) -> int:
             continue
         rows[found], rows[pivot] = rows[pivot], rows[found]
         for row in rows[found + 1 :]:
-            factor = row[k] / rows[found][k]
-            row[:] = [v - factor * p for v, p in zip(row, rows[found], strict=True)]
+            row[:] = less(row, row[k] / rows[found][k], rows[found])
         found += 1
     return found
 
@@ -87,8 +127,7 @@ def positive(X: Matrix) -> int:
         at = pivot.pop(k)
         found += at > 0
         for row in rows:
-            factor = row.pop(k) / at
-            row[:] = [v - factor * p for v, p in zip(row, pivot, strict=True)]
+            row[:] = less(row, row.pop(k) / at, pivot)
     return found
 
 
@@ -100,6 +139,7 @@ def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
         pivot = pivot_row[k]
         if pivot < 0 or (pivot == 0 and (not semi or any(pivot_row[k + 1 :]))):
             return False
+        spend((len(rows) - k) ** 2 / 3, max(map(int.bit_length, pivot_row)))
         for row in rows[k + 1 :] if pivot else []:
             factor, pairs = row[k], zip(row[k + 1 :], pivot_row[k + 1 :], strict=True)
             row[k + 1 :] = [(v * pivot - factor * p) // previous for v, p in pairs]

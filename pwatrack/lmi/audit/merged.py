@@ -6,9 +6,9 @@ from typing import Any
 from .balls import Ball, negative, stacked
 from .bounds import Loop
 from .elements import Element, Function
-from .matrices import Fault, Matrix, added
+from .matrices import Fault, Matrix, added, spend
 from .plant import Plant
-from .reading import number, place
+from .reading import distinct, number, place
 
 Field = list[list[Fraction]]  # [A b] less what merged elements add
 
@@ -33,6 +33,7 @@ class Merged(Element):
         low: Fraction | None = None
         high: Fraction | None = None
         pivot = next(p for p, v in enumerate(self.row) if v)
+        spend(len(plant.cells.planes))
         for plane, sign in zip(plant.cells.planes, plant.cells.signs[cell], strict=True):
             scale = plane[pivot] / self.row[pivot]
             if not sign or not scale or [scale * v for v in self.row] != plane[:-1]:
@@ -74,6 +75,7 @@ class Deviations(Loop):
         ]
         for i, signs in enumerate(true.cells.signs):
             for j, others in enumerate(plant.cells.signs):
+                spend(1 + len(shared) / 10)
                 apart = any(signs[k] * others[p] * same < 0 for k, p, same in shared)
                 if not apart and rest[i] != other[j]:
                     return True
@@ -97,8 +99,11 @@ class Deviations(Loop):
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
 
-def merged(loop: Deviations, content: Any) -> tuple[list[str], str]:
-    """Return what is wrong with a split of the true field and with its bounds, and what they claim."""
+def merged(loop: Deviations, content: Any, tracked: str) -> tuple[list[str], str]:
+    """Return what is wrong with a split of the true field and with its bounds, and what they claim.
+
+    `tracked` is what goes with the reference: "output" or "state".
+    """
     faults = [f"true plant: {fault}" for fault in loop.true.faults()]
     faults += [fault for element in loop.elements for fault in element.faults()]
     if loop.differs():
@@ -107,12 +112,15 @@ def merged(loop: Deviations, content: Any) -> tuple[list[str], str]:
         raise Fault("what is merged has not its bounds")
     faults += [f"bound of {entry['channel']}: {fault}" for entry in content["bounds"] for fault in loop.faults(entry)]
     known = [{(kind, k): number(size) for kind, k, size in entry["signals"]} for entry in content["bounds"]]
+    count, wanted = len(loop.elements), len(loop.plant.tracked[0] if tracked == "output" else loop.plant.B[0])
+    told = [(kind, k) for kind, k, _ in content["ends_below"]]
+    distinct(told, "a signal of ends_below")
+    if not {(tracked, k) for k in range(wanted)} <= {*told}:
+        raise Fault("ends_below has not all that is tracked")
     for kind, k, size in content["ends_below"]:
         total = sum(e.largest * sizes[kind, k] for e, sizes in zip(loop.elements, known, strict=True))
         if total > number(size):
             faults.append(f"{kind} {k} does not end below {size}")
-    tracked = "output" if "output" in {kind for kind, *_ in content["ends_below"]} else "state"
-    sizes = ", ".join(f"{float(number(size)):.4g}" for kind, _, size in content["ends_below"] if kind == tracked)
-    count = len(loop.elements)
+    sizes = ", ".join(str(size) for kind, _, size in content["ends_below"] if kind == tracked)
     said = f"practical tracking: the field of {len(loop.true.A)} cells is that and {count} bounded deviation"
     return faults, f"{said}{'s' * (count != 1)}; what is tracked ends below {sizes}"

@@ -7,10 +7,10 @@ in coordinates in which Q has a diagonal of about 1. How far z may be off is kep
 """
 
 from fractions import Fraction
-from math import isqrt, lcm
+from math import ceil, isqrt, lcm
 from typing import Any
 
-from .matrices import Fault, Matrix, added, definite, inverted, product, transposed
+from .matrices import Fault, Matrix, added, bits, definite, inverted, product, spend, total, transposed
 from .reading import number, packed
 
 BITS = 640  # of numbers: well beyond the 400 to which the series is known
@@ -30,7 +30,7 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
     back = [1 / v for v in scale]
     M, g = scaled(M, back, scale), scaled(g, back, [Fraction(1)])
     c, P, Q = scaled(c, [Fraction(1)], scale), scaled(P, scale, scale), scaled(Q, back, back)
-    unit, steps = int(peak["unit"]), [(int(k), int(count)) for k, count in peak["steps"]]
+    unit, steps = peak["unit"], peak["steps"]
     if abs(unit) > _MOST_EXPONENT or any(not 0 <= k <= _MOST_DOUBLINGS or count < 1 for k, count in steps):
         raise Fault("a step of a peak gain is too long or too short")
     if sum(count for _, count in steps) > _MOST_STEPS:
@@ -39,7 +39,7 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
     while len(flows) <= max((k for k, _ in steps), default=0):
         flows.append(squared(flows[-1]))
     walk = Walk(g, c[0], P, Q)
-    total, value, energy = Fraction(0), walk.value, walk.energy
+    found, value, energy = Fraction(0), walk.value, walk.energy
     for k, count in steps:
         h = Fraction(2) ** (unit + k)
         for _ in range(count):
@@ -47,9 +47,9 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
             walk.step(flows[k])
             drop = energy - walk.energy + off[1] + walk.energy_off
             mean = chord(value, walk.value) + walk.row_size * (off[0] + walk.off) / 2
-            total += h * mean + h * h * root(h * drop) / 8
+            found += Fraction(ceil((h * mean + h * h * root(h * drop) / 8) * (1 << BITS)), 1 << BITS)
             value, energy = walk.value, walk.energy
-    return total + 2 / rate * walk.row_size * walk.size
+    return found + 2 / rate * walk.row_size * walk.size
 
 
 class Walk:
@@ -60,15 +60,17 @@ class Walk:
         self.common = lcm(*(v.denominator for row in P for v in row))
         self.P = [[int(v * self.common) for v in row] for row in P]
         self.row_size = root(product(product([c], Q), transposed([c]))[0][0])
-        self.spread = root(sum((abs(v) for row in self.inverse for v in row), Fraction(0)))  # of entries up to 1
+        self.spread = root(total([abs(v) for row in self.inverse for v in row]))  # of entries up to 1
         self.widest = max(root(Q[j][j]) for j in range(self.n))
         self.weight = self.n**2 * max(abs(v) for row in P for v in row)
         self.z = [(v.numerator << BITS) // v.denominator for (v,) in g]
         self.off = self.spread / (1 << BITS)
+        self.bits = BITS + bits([*c, *(v for row in P for v in row)])
 
     def step(self, flow: Rounded) -> None:
         """Go on by one step."""
         numbers, open_ = flow
+        spend(20 + self.n * (1 + self.n / 5), self.bits)
         added_off = self.n * open_ * max(map(abs, self.z)) / Fraction(1 << BITS) + 1
         self.z = [sum(map(int.__mul__, row, self.z)) >> BITS for row in numbers]
         self.off += self.spread * added_off / (1 << BITS)
@@ -77,7 +79,7 @@ class Walk:
     @property
     def value(self) -> Fraction:
         """Return c z."""
-        return sum((a * v for a, v in zip(self.c, self.z, strict=True)), Fraction(0)) / (1 << BITS)
+        return total([a * v for a, v in zip(self.c, self.z, strict=True)]) / (1 << BITS)
 
     @property
     def energy(self) -> Fraction:
@@ -96,7 +98,7 @@ class Walk:
         """Return what V^(1/2) is at most."""
         z = [Fraction(v, 1 << BITS) for v in self.z]
         rows = zip(self.inverse, z, strict=True)
-        return root(sum((v * x * y for row, x in rows for v, y in zip(row, z, strict=True)), Fraction(0))) + self.off
+        return root(total([v * x * y for row, x in rows for v, y in zip(row, z, strict=True)])) + self.off
 
 
 def exponential(X: Matrix) -> Rounded:
@@ -124,6 +126,7 @@ def multiplied(X: Rounded, Y: Rounded) -> Rounded:
     """Return X Y."""
     (A, a), (B, b) = X, Y
     columns, rows = [*zip(*B, strict=True)], max(sum(map(abs, row)) for row in A)
+    spend(len(B) ** 3 / 4, max(map(int.bit_length, (v for row in (*A, *B) for v in row))) // 4)
     numbers = [[sum(map(int.__mul__, row, column)) >> BITS for column in columns] for row in A]
     across = max(sum(map(abs, column)) for column in columns)
     return numbers, (rows * b + across * a + len(B) * a * b >> BITS) + 2

@@ -7,10 +7,9 @@ from typing import Any
 from .balls import Ball, flipped, plus, sides, stacked, times
 from .cells import Cells
 from .elements import Elements
-from .matrices import Fault, Matrix, rank, transposed
-from .reading import ball, place
-
-_BY_CELL = ("Z", "between", "P")  # what proofs of impossibility have for some cells
+from .matrices import Fault, Matrix, rank, spend, transposed
+from .reading import ball, distinct, place
+from .shape import CELLS, by_cell, kind
 
 
 class Plant:
@@ -27,7 +26,7 @@ class Plant:
         self.elements = Elements(content) if "elements" in content else None
         self.cells = Cells(content if self.elements is None else {"H": [], "h": [], "signs": []})
         self.A, self.b = self.listed(content) if self.elements is None else self.corners(self.elements, named, radius)
-        self.names = [str(name) for name in content["cells"]] if self.elements is None else []
+        self.names = content["cells"] if self.elements is None else []
         self.count = len(self.names) if self.elements is None else self.elements.count
         self.named = list(range(self.count)) if self.elements is None else list(named)  # the last of A are theirs
         self.loads: tuple[Ball, Ball] | None = None
@@ -36,6 +35,11 @@ class Plant:
         if content["loads"] is not None:
             self.estimate(content["loads"])
         n, rows = len(self.B[0]), {len(row) for row in (*self.C[0], *self.tracked[0])}
+        ports = {"states": n, "inputs": len(self.B[0][0]) if n else 0, "outputs": len(self.C[0])}
+        for name, count in (ports | {"tracked": len(self.tracked[0])}).items():
+            distinct(content[name], f"one of the {name}")
+            if len(content[name]) != count:
+                raise Fault(f"there are not as many {name} as names")
         sizes = {(len(X), len(row)) for X, _ in self.A for row in X}
         if not n or not self.A or sizes != {(n, n)} or rows != {n}:
             raise Fault("the matrices of the plant do not fit together")
@@ -69,7 +73,7 @@ class Plant:
         """Return a proof of impossibility by the places of matrices in A, not by cells; any other as it is."""
         before = len(self.A) - len(self.named)
         found = {str(before + self.named.index(int(i))): value for i, value in by_cell(proof).items()}
-        return proof | ({next(name for name in _BY_CELL if name in proof): found} if found else {})
+        return proof | {CELLS[kind(proof)]: found} if found else proof
 
     def estimate(self, content: Any) -> None:
         """Take in the loads E s, s' = S s, that the observer estimates: it runs plant and loads as one system."""
@@ -81,6 +85,8 @@ class Plant:
         beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
         self.loads = E, S
         self.seconds = set(range(p)) - {place(k, p) for k in content["where"]}
+        if len(content["names"]) != len(content["where"]):
+            raise Fault("there are not as many loads as names")
         self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
         self.seen_C = sides(self.C, beside)
 
@@ -121,6 +127,7 @@ class Plant:
     def jumps(self, i: int, j: int, plane: list[Fraction]) -> bool:
         """Say whether [A_i b_i] - [A_j b_j] is no g [H h]."""
         pivot = next(p for p, v in enumerate(plane) if v)
+        spend(len(plane) ** 2)
         for a, b, c, d in zip(self.A[i][0], self.A[j][0], self.b[i][0], self.b[j][0], strict=True):
             if (a, c) == (b, d):
                 continue
@@ -128,9 +135,3 @@ class Plant:
             if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
                 return True
         return False
-
-
-def by_cell(proof: Any) -> Any:
-    """Return what a proof of impossibility has for some cells, by their numbers; nothing of any other."""
-    name = next((name for name in _BY_CELL if name in proof), "")
-    return proof[name] if name and (name != "P" or "no_P" in proof) else {}

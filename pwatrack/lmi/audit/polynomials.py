@@ -5,7 +5,7 @@ from math import comb
 from typing import Any
 
 from .balls import Ball, enlarge, flipped, inverse, times, unlike
-from .matrices import Fault, Matrix, added, definite, identity, product, sizes, transposed
+from .matrices import Fault, Matrix, added, definite, identity, product, sizes, spend, transposed
 from .reading import matrix, number, packed
 
 Exponents = tuple[int, ...]
@@ -50,6 +50,7 @@ def lifted(A: Matrix, monomials: list[Exponents]) -> Matrix:
     if not A:
         return []
     at = {a: place for place, a in enumerate(monomials)}
+    spend(len(monomials) * len(A) * (len(A) + len(monomials) / 4))
     F = identity(len(monomials), 0)
     for a, line in zip(monomials, F, strict=True):
         for j, power in enumerate(a):
@@ -65,6 +66,7 @@ def vanishes(N: Matrix, monomials: list[Exponents]) -> bool:
     """Say whether m^T N m is 0 for all z: the coefficients of each product of two monomials add up to 0."""
     total: dict[Exponents, Fraction] = {}
     for a, line in zip(monomials, N, strict=True):
+        spend(len(line) * (1 + len(a) / 4))
         for b, value in zip(monomials, line, strict=True):
             both = tuple(s + t for s, t in zip(a, b, strict=True))
             total[both] = total.get(both, Fraction(0)) + value

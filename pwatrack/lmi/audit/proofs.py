@@ -4,8 +4,8 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import Ball, enlarge, unlike
-from .matrices import Matrix, added, definite, identity, positive, product, sizes, transposed
-from .reading import matrix, number, packed
+from .matrices import Fault, Matrix, added, definite, identity, positive, product, sizes, transposed
+from .reading import number, packed, symmetric
 
 
 def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
@@ -32,32 +32,42 @@ def both_ways(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]
     return faults + failing(matrices, P, powers, Fraction(0), margin)
 
 
-def no_P(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
-    """Return what is wrong with one proof that the same has no P of any sign."""
-    n = len(matrices[0][0])
-    if proof["of"] != "generator" or proof["no_P"] != "of any sign" or not ("Z" in proof) ^ ("P" in proof):
-        return ["only a generator may have a P of any sign, and one kind of proof says that there is none"]
-    if any(int(i) < 0 for i in proof.get("Z", proof.get("P"))):
-        return ["there is no such cell"]
-    if "P" in proof:
-        faults, counts = list[str](), set[int]()
-        for i, content in proof["P"].items():
-            P, M = packed(content)[0], matrices[int(i)][0]
-            half = product(M, P)
-            if len(P) != n or not definite(added(half, transposed(half)), sign=-1):
-                faults.append(f"the inequality fails for M_{int(i) + 1}")
-            counts.add(positive(P))
-        return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
-    Z = {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
-    S = identity(n, 0)
+def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
+    """Return what is wrong with one proof that the same has no P of any sign, by numbers of unstable modes."""
+    faults, counts = no_P(proof), set[int]()
+    for i, content in proof["P"].items():
+        P, M = packed(content)[0], matrices[int(i)][0]
+        half = product(M, P)
+        if len(P) != len(M) or not definite(added(half, transposed(half)), sign=-1):
+            faults.append(f"the inequality fails for M_{int(i) + 1}")
+        counts.add(positive(P))
+    return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
+
+
+def no_P_by_Z(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
+    """Return what is wrong with one proof of that by multipliers."""
+    Z, faults = multipliers(proof, len(matrices[0][0])), no_P(proof)
+    S = identity(len(matrices[0][0]), 0)
     for i, Z_i in Z.items():
-        if len(Z_i) != n or transposed(Z_i) != Z_i:
-            return ["Z is not symmetric of the order of the matrices"]
         half = product(Z_i, matrices[i][0])
         S = added(S, added(half, transposed(half)))
     right = all(definite(Z_i, semi=True) for Z_i in Z.values()) and any(any(map(any, Z_i)) for Z_i in Z.values())
-    faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
+    faults += [] if right else ["the Z are not positive semidefinite, or all 0"]
     return [*faults, "the sum of Z M + M^T Z is not 0"] if any(map(any, S)) else faults
+
+
+def no_P(proof: Any) -> list[str]:
+    """Return whether a proof speaks of a P of any sign of what has one."""
+    right = proof["of"] == "generator" and proof["no_P"] == "of any sign"
+    return [] if right else ["only a generator may have a P of any sign"]
+
+
+def multipliers(proof: Any, n: int) -> dict[int, Matrix]:
+    """Return the Z of a proof by cell: symmetric, of order n."""
+    Z = {int(i): symmetric(Z_i, "Z") for i, Z_i in proof["Z"].items()}
+    if any(len(Z_i) != n for Z_i in Z.values()):
+        raise Fault("Z is not of the order of the matrices")
+    return Z
 
 
 def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fraction, margin: Fraction) -> list[str]:
@@ -74,8 +84,8 @@ def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fract
 
 def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
     """Return what is wrong with one bound of a cost."""
-    X, Q, R = (matrix(proof[name]) for name in ("X", "Q", "R"))
-    if transposed(X) != X or not definite(X) or not definite(R) or not definite(Q, semi=True):
+    X, Q, R = (symmetric(proof[name], name) for name in ("X", "Q", "R"))
+    if not definite(X) or not definite(R) or not definite(Q, semi=True):
         return ["X, Q or R is not positive definite"]
     weight, faults = added(Q, product(transposed(K), product(R, K))), []
     powers = [
@@ -93,11 +103,10 @@ def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
 
 def refuted(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     """Return what is wrong with one proof of impossibility."""
-    n, Z = len(matrices[0][0]), {int(i): matrix(Z_i) for i, Z_i in proof["Z"].items()}
+    n = len(matrices[0][0])
+    Z = multipliers(proof, n)
     total = S = identity(n, 0)
     for i, Z_i in Z.items():
-        if len(Z_i) != n or transposed(Z_i) != Z_i or i < 0:
-            return ["Z is not symmetric of the order of the matrices"]
         half = product(Z_i, added(matrices[i][0], identity(n, number(proof["rate"]))))
         total, S = added(total, Z_i), added(S, added(half, transposed(half)))
     alone = len(Z) == 1 and not definite(total, semi=True, sign=-1)

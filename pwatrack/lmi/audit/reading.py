@@ -1,27 +1,52 @@
 """Numbers and matrices of a file."""
 
+import json
 import re
 from fractions import Fraction
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 from .balls import Ball
-from .matrices import Fault, Matrix, transposed
+from .matrices import Fault, Matrix, spend, transposed
 
 FORMAT = "pwatrack certificate 11"  # of the file
 
-_NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e-?[0-9]{1,4})?(/0*[1-9][0-9]*)?")
-_LARGEST = 100_000  # characters of a number, and binary exponent
-_fraction = lru_cache(2**16)(Fraction)  # the entries of many cells are written alike
+_NUMBER = re.compile(r"-?[0-9]{1,4000}(\.[0-9]{1,40})?(e-?[0-9]{1,3})?|-?[0-9]{1,4000}/[0-9]{1,4000}")
+_LARGEST = 2_000  # binary exponent: beyond those of doubles
+
+
+def parsed(text: str) -> Any:
+    """Return what JSON holds, its numbers as they are written, each key of an object once."""
+    return json.loads(text, parse_float=str, parse_constant=str, object_pairs_hook=_object)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs) or not all(map(str.isprintable, found)):
+        twice = next((key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k])), None)
+        raise Fault("a key is no text on one line" if twice is None else f"the key {twice!r} is there twice")
+    return found
+
+
+@lru_cache(2**16)  # the entries of many cells are written alike
+def _fraction(value: str) -> Fraction:
+    """Return a number that is written as there is one way to: the shortest decimal of a double, or a fraction."""
+    if not _NUMBER.fullmatch(value):
+        raise Fault(f"not a number: {ascii(value)[:40]}")
+    found = Fraction(value)
+    shown = repr(float(found)).removesuffix(".0").replace("e+", "e") if abs(found) < 1e300 else ""
+    if value != (shown if shown and Fraction(shown) == found else str(found)):
+        raise Fault(f"not a number as it is to be written: {value[:40]}")
+    return found
 
 
 def number(value: Any) -> Fraction:
     """Return a number of the file as the decimal or fraction it is written as."""
-    if isinstance(value, str) and len(value) < _LARGEST and _NUMBER.fullmatch(value):
-        return _fraction(value)
-    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() < _LARGEST:
-        return Fraction(value)
-    raise Fault(f"not a number: {str(value)[:40]}")
+    spend(1)
+    if type(value) not in (str, int):
+        raise Fault(f"not a number: {ascii(value)[:40]}")
+    return _fraction(value) if isinstance(value, str) else Fraction(value)
 
 
 def place(k: Any, count: int) -> int:
@@ -31,9 +56,23 @@ def place(k: Any, count: int) -> int:
     return k
 
 
+def distinct(things: list[Any], what: str) -> None:
+    """Raise a fault if one thing is there twice."""
+    if any(one == other for one, other in pairwise(sorted(things))):
+        raise Fault(f"{what} is there twice")
+
+
 def matrix(rows: Any) -> Matrix:
     """Return a matrix of the file."""
     return [[number(v) for v in row] for row in rows]
+
+
+def symmetric(rows: Any, name: str) -> Matrix:
+    """Return a symmetric matrix of the file."""
+    X = matrix(rows)
+    if transposed(X) != X:
+        raise Fault(f"{name} is not symmetric")
+    return X
 
 
 def ball(rows: Any, radius: Any) -> Ball:
@@ -46,12 +85,8 @@ def ball(rows: Any, radius: Any) -> Ball:
 
 def packed(content: Any) -> tuple[Matrix, list[Fraction]]:
     """Return the symmetric matrix integers_jk * 2**(exponents_j + exponents_k), and the powers of two."""
-    exponents = [int(e) for e in content["exponents"]]
-    if any(abs(e) > _LARGEST for e in exponents):
+    if any(abs(e) > _LARGEST for e in content["exponents"]):
         raise Fault("an exponent is too large to be read")
-    powers = [Fraction(2) ** e for e in exponents]
-    rows = zip(content["integers"], powers, strict=True)
-    P = [[number(v) * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows]
-    if transposed(P) != P:
-        raise Fault("P or Q is not symmetric")
-    return P, powers
+    powers = [Fraction(2) ** e for e in content["exponents"]]
+    rows = zip(symmetric(content["integers"], "P or Q"), powers, strict=True)
+    return [[v * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows], powers

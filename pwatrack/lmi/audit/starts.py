@@ -6,7 +6,7 @@ from typing import Any
 from .balls import enlarge, flipped, times
 from .bounds import Loop
 from .matrices import Fault, added, definite, product, sizes, transposed
-from .reading import matrix, number, packed
+from .reading import distinct, matrix, number, packed
 
 
 def near(loop: Loop, entry: Any) -> list[str]:
@@ -28,6 +28,7 @@ def near(loop: Loop, entry: Any) -> list[str]:
         enlarge(left, product(R, sizes(Q)) if R else [], powers)
         if not definite(left, sign=-1):
             faults.append("an ellipsoid can be left")
+    distinct([signal[:2] for signal in entry["signals"]], "a signal")
     for kind, k, size in entry["signals"]:
         if kind != wanted:
             raise Fault(f"limits of inputs are said of '{wanted}' here")
