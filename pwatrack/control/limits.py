@@ -4,7 +4,7 @@ As long as no limit is reached, the loop is the one without limits. So if in tha
 beside u_ff at all times, from a start, no limit is ever reached from there, and all that is proved holds with limits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal
@@ -140,6 +140,7 @@ def promises(
     left: Array,
     starts: Sequence[Starts],
     added: Compensation | None = None,
+    known: Mapping[str, Held] | None = None,
 ) -> tuple[Promise, ...]:
     """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
 
@@ -156,6 +157,7 @@ def promises(
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
         added: What estimates of loads add to the desired trajectory.
+        known: What was proved of starts before, by their kind: then nothing is searched.
     """
     K, L = design.exact
     p = L.shape[0] - plant.exact.B.shape[0]
@@ -175,6 +177,9 @@ def promises(
         promise = Promise(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
+            continue
+        if known is not None:
+            found += [replace(promise, held=known[one.kind])] if one.kind in known else []
             continue
         tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)

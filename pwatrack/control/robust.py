@@ -122,7 +122,7 @@ def prove_box(
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"
         raise OutsideTheory(Problem(message=message, subject=(Part.UNCERTAIN,), hint="leave out one or the other"))
     K, L = design.exact
-    M = _joint(plant.exact, corners, K, L)
+    M = joint_matrices(plant.exact, corners, K, L)
     order = M[0].shape[0]
     if len(M) * order**4 > MOST_WORK:
         most = MOST_WORK // order**4
@@ -164,7 +164,7 @@ def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
     ]
 
 
-def _joint(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:
+def joint_matrices(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:
     """Return the different M_cij."""
     nothing = BallMatrix(identity(exact.B.shape[0]) * 0)
     observers, found = [A_j + L @ exact.C for A_j in different(exact.A)], list[BallMatrix]()

@@ -323,7 +323,9 @@ def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
     runs = "all cells" if controller.plant.watched is not None else "merged cells"
     return merged_content(spec, practical.merges) | {
         "observer_runs": runs,
-        "ends_below": _sizes((form, size) for form, size in practical.final.items() if size or form[0] == controller.tracking),
+        "ends_below": _sizes(
+            (form, size) for form, size in practical.final.items() if size or form[0] == controller.tracking
+        ),
         "bounds": [_bounds(bounds) for bounds in practical.bounds],
     }
 

@@ -88,15 +88,9 @@ def write_design(
         _design_files(run, spec, controller, known_start(spec, controller))
         if fronts:
             _fronts(run, spec, fronts)
-        index = _index(spec, seconds) | {
-            "figures": gain_figures(controller),
-            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller.form)],
-        }
+        index = _index(spec, seconds) | proved_content(spec, controller) | preview_content(controller)
+        index["remarks"] = [*controller.plant.remarks, *reference_remarks(spec, controller.form)]
         index |= _requirements(required(spec, controller))
-        index |= limit_content(spec, controller) | preview_content(controller)
-        index |= _practical(spec, controller)
-        if controller.robust is not None:
-            index["uncertain"] = robust_content(spec, controller.robust)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
@@ -154,20 +148,19 @@ def write_result(
 
 def _result_content(result: Result) -> dict[str, Any]:
     """Return what the index says of a simulation."""
-    content: dict[str, Any] = {
-        "figures": gain_figures(result.controller) | figure_content(measures(result)),
+    proved = proved_content(result.spec, result.controller)
+    content: dict[str, Any] = proved | {
+        "figures": proved["figures"] | figure_content(measures(result)),
         "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         "tracked": _tracked_content(result),
-        **limit_content(result.spec, result.controller),
         **preview_content(result.controller),
     }
     if (robust := result.controller.robust) is not None:
-        along = {"along_x_d": box_figures(result, robust)}
-        content["uncertain"] = robust_content(result.spec, robust) | along
-    return content | _practical(result.spec, result.controller)
+        content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
+    return content
 
 
 def _tracked_content(result: Result) -> dict[str, Any]:
@@ -191,13 +184,9 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
-    design = controller.design
-    convention = "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)"
-    costs = {part: X.tolist() for part, X in controller.costs.items()}
-    gains = {"convention": convention, "K": design.K.tolist(), "L": design.L.tolist()}
     if spec.text is not None:
         run.text(WRITTEN, spec.text)
-    run.json("gains.json", gains | ({"cost_bounds": costs} if costs else {}))
+    run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
     made = written(spec, controller, start)
     run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
@@ -207,6 +196,28 @@ def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dic
         run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
     if made.controller is not None:
         run.json("controller.json", made.controller)
+
+
+def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the content of gains.json."""
+    gains = {"convention": "u = K (x_hat - x_d) + u_ff; observer + L (y_hat - y)", "K": K.tolist(), "L": L.tolist()}
+    return gains | ({"cost_bounds": {part: X.tolist() for part, X in costs.items()}} if costs else {})
+
+
+def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
+    """Return what of run.json follows from the spec and the proofs: nothing in it is simulated, or found on the way."""
+    index = {
+        "name": spec.name,
+        "spec_sha256": spec.sha256,
+        "parameters": dict(spec.parameters),
+        "verdict": "proved",
+        "solver": spec.objectives.solver,
+        "figures": gain_figures(controller),
+        **limit_content(spec, controller),
+    }
+    if controller.robust is not None:
+        index["uncertain"] = robust_content(spec, controller.robust)
+    return index | _practical(spec, controller)
 
 
 def write_refusal(

@@ -67,8 +67,10 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         return "x_d is bounded and satisfies (3)"
 
 
-def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
-    """Return the desired trajectory, and for output tracking the generator it comes from."""
+def desired_trajectory(
+    spec: Spec, growing: bool, form: NormalForm | None = None
+) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
+    """Return the desired trajectory, and for output tracking the generator it comes from, in a form that is known."""
     plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
     if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
@@ -81,7 +83,7 @@ def desired_trajectory(spec: Spec, growing: bool) -> tuple[DesiredTrajectory, Tr
             if not growing:
                 raise
             return replace(trajectory, bounded=False, growth=growth.problems[0]), None
-    form = spec_form(spec)
+    form = form or spec_form(spec)
     y_d = _output_signals(reference, form)
     generator = spec_generator(spec, form, known=reference.preview)
     trajectory = output_trajectory(generator, exosystem(y_d))

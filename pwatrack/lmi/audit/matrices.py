@@ -7,7 +7,10 @@ from typing import Any
 
 Matrix = list[list[Fraction]]
 
-_MOST, _SMALL = 8e5, 100_000  # steps, about 5e-6 s each, for a file of so many bytes; with the cube of these for larger ones
+_MOST, _SMALL = (
+    8e5,
+    100_000,
+)  # steps, about 5e-6 s each, for a file of so many bytes; with the cube of these for larger ones
 _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
 _work = {"most": inf, "done": 0.0}
 

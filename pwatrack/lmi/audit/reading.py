@@ -16,9 +16,9 @@ _NUMBER = re.compile(r"-?[0-9]{1,4000}(\.[0-9]{1,40})?(e-?[0-9]{1,3})?|-?[0-9]{1
 _LARGEST = 2_000  # binary exponent: beyond those of doubles
 
 
-def parsed(text: str) -> Any:
-    """Return what JSON holds, its numbers as they are written, each key of an object once."""
-    return json.loads(text, parse_float=str, parse_constant=str, object_pairs_hook=_object)
+def parsed(text: str, decimals: Any = str) -> Any:
+    """Return what JSON holds, its decimals as they are written, or as doubles; each key of an object once."""
+    return json.loads(text, parse_float=decimals, parse_constant=str, object_pairs_hook=_object)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from .reading import number
 TEXT, NUMBER, WHOLE = "text on one line", "number", "whole number"
 ROWS, OPEN = [[NUMBER]], (None, [[NUMBER]])  # a matrix; radii of its entries, or none
 PACKED = {"integers": ROWS, "exponents": [WHOLE]}
-PROOFS = {  # the claims that there are, by name: which one a proof is, its keys say
+PROOFS: dict[str, dict[str, Any]] = {  # the claims that there are, by name: which one a proof is, its keys say
     "common P": {"of": TEXT, "rate": NUMBER, "margin": NUMBER, "radius": NUMBER, "P": PACKED},
     "polynomial": {"of": TEXT, "degree": NUMBER, "rate": NUMBER, "T": ROWS, "P": PACKED, "N": [PACKED]},
     "P of any sign": {"of": TEXT, "bounded": TEXT, "margin": NUMBER, "P": PACKED},
@@ -41,7 +41,13 @@ FUNCTION = {"breakpoints": [NUMBER], "slopes": [NUMBER], "value": NUMBER}
 TERM = {"row": [NUMBER], "constant": NUMBER, "direction": [NUMBER], "function": FUNCTION}
 ELEMENTS = PORTS | {"A": ROWS, "b": ROWS, "elements": [TERM | {"segments": [TEXT]}]}
 MERGED = TERM | {"element": WHOLE, "first": WHOLE, "last": WHOLE, "name": TEXT, "merged": FUNCTION, "largest": NUMBER}
-GENERATOR = {"relative_degrees": [WHOLE], "directions": ROWS, "scales": [NUMBER], "internal": [WHOLE], "eta": [TEXT]} | {
+GENERATOR = {
+    "relative_degrees": [WHOLE],
+    "directions": ROWS,
+    "scales": [NUMBER],
+    "internal": [WHOLE],
+    "eta": [TEXT],
+} | {
     "T": [ROWS],
     "A_eta?": [ROWS],
 }
