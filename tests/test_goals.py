@@ -18,6 +18,7 @@ from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 from benchmarks.corpus import feasible
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.candidates import short
 from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
@@ -270,6 +271,22 @@ def test_so_are_those_of_several_cells(n: int, apart: float, strength: float) ->
     proof = exactly(CONTROLLER, task.exactly_closed(K), found)
     assert proof is not None
     assert proof.rate > 0
+
+
+@pytest.mark.parametrize("seed", [6, 9])
+def test_a_plant_that_has_a_gain_has_one_in_nearly_singular_coordinates_too(seed: int) -> None:
+    """Its states are told apart by a millionth of their size and less; where x = S z nothing else has changed."""
+    random = np.random.default_rng(seed)
+    A, B = feasible(seed, 4, 1, 3, 0.1)
+    turns = [np.linalg.qr(random.normal(size=(4, 4)))[0] for _ in range(2)]
+    S = decimals((turns[0] * np.logspace(0, -6, 4)) @ turns[1])
+    cells = [BallMatrix(S * decimals(A_i) * S.inv()) for A_i in A]
+    exact = cells, BallMatrix(S * decimals(B))
+    task = Task(A=np.array([A_i.floats for A_i in cells]), B=exact[1].floats, exact=exact, cells=list("abc"))
+    K, found = gain(task)
+    proof = exactly(CONTROLLER, task.exactly_closed(K), found)
+    assert proof is not None
+    assert proof.rate > 0.05
 
 
 def test_as_many_digits_of_a_gain_are_printed_as_its_proof_needs() -> None:

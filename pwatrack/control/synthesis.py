@@ -232,7 +232,7 @@ class Search:
         scale = self.task.scale
         precise = self._of_mean(found, rate, square(1 / scale.state), square(1 / scale.input))
         if precise is not None:
-            found = self._proved_precisely(*precise, rate) or found
+            found = self._proved_precisely(*precise, rate) or found or self._turned(precise[0], rate)
         if found is not None:
             return found
         for candidate in self.candidates.largest_margins(rate):
@@ -241,9 +241,7 @@ class Search:
             self.best_margin = max(self.best_margin, candidate.margin)
             if candidate.margin < 0 and self.refuted(rate) is not None:
                 return None
-        if self.refuted(rate) is not None:
-            return None
-        return self.first(costs, rate, soon=True) or (None if precise is None else self._turned(precise[0], rate))
+        return None if self.refuted(rate) is not None else self.first(costs, rate, soon=True)
 
     def least_cost(self, Q: Array, R: Array) -> Proved | None:
         """Return the gain of the least cost with weights Q (n, n) and R (m, m) in the units given."""
