@@ -4,7 +4,8 @@ A `Rational` is a `flint.fmpq_mat`; python-flint is loaded when the first one is
 """
 
 import copyreg
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -18,6 +19,17 @@ Rational = Any  # flint.fmpq_mat, which comes without types
 
 _CLEARLY = 1e-12  # least eigenvalue, where the diagonal is 1, at which few bits will do
 _MOST_BITS = 8192  # precision at which the balls give up
+
+
+@contextmanager
+def working_bits(bits: int) -> Iterator[None]:
+    """Compute with balls of so many bits."""
+    before = flint.ctx.prec
+    flint.ctx.prec = bits
+    try:
+        yield
+    finally:
+        flint.ctx.prec = before
 
 
 def decimals(X: Array) -> Rational:
@@ -164,18 +176,14 @@ def on_rows(A: Rational, N: Rational) -> Rational:
 
 def is_positive_definite(X: Rational) -> bool:
     """Decide X ≻ 0 by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
-    n = X.nrows()
-    before, bits = flint.ctx.prec, 128
-    try:
-        while bits <= _MOST_BITS:
-            flint.ctx.prec = bits
+    n, bits = X.nrows(), 128
+    while bits <= _MOST_BITS:
+        with working_bits(bits):
             sign = _pivots([[flint.arb(X[j, k]) for k in range(j + 1)] for j in range(n)])
-            if sign is not None:
-                return sign
-            bits *= 2
-        return False
-    finally:
-        flint.ctx.prec = before
+        if sign is not None:
+            return sign
+        bits *= 2
+    return False
 
 
 def positive_eigenvalues(X: Rational) -> int:

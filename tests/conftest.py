@@ -1,4 +1,6 @@
 import os
+import random
+import re
 from pathlib import Path
 
 import pytest
@@ -7,11 +9,36 @@ from hypothesis import settings
 from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.report.files import write_design
 
-settings.register_profile("ci", derandomize=True)  # the same examples every time; fresh ones elsewhere
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+settings.register_profile("here", deadline=None)  # how long an example takes is the machine's affair
+settings.register_profile("ci", deadline=None, derandomize=True)  # the same examples every time; fresh ones elsewhere
+settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 SPECS = Path(__file__).parent.parent / "specs"
+
+
+NUMERICAL = re.compile(  # what rounding might decide: `make test-kernels` runs these with other kernels than ours
+    "test_(arithmetic|between|bounds_of_steps|cells|events|exact|generator|goals|kinked_derivatives|lmi|"
+    "lowpass|model|paper_example|peak|polynomial|preview|processors|several_outputs|simulation|sizes|startup|"
+    "state_tracking|taylor|timing|tracked)[.]py"
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="files in random order, and the tests of each")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if NUMERICAL.fullmatch(item.path.name):
+            item.add_marker("numerical")
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        order, files = random.Random(seed), dict[Path, list[pytest.Item]]()
+        for item in items:
+            files.setdefault(item.path, []).append(item)
+        items[:] = [
+            item for file in order.sample(list(files.values()), len(files)) for item in order.sample(file, len(file))
+        ]
 
 
 def designed(folder: Path, text: str) -> Path:

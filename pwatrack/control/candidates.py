@@ -23,7 +23,8 @@ from pwatrack.lmi.program import (
 from pwatrack.lmi.solve import solve
 from pwatrack.lmi.starts import WEIGHINGS, weighed
 
-_FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
+DIGITS = 9  # of a gain
+FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the states against the inputs, in costs whose gains are tried
 _BOUNDS_OF_Y = (10.0, 1e3, 1e5)  # of (8) with P ⪯ I, relative to ‖A‖ / ‖B‖: without one Y may be large for nothing
@@ -75,10 +76,10 @@ class Candidates:
 
     def regulator(self, rate: float) -> Iterator[Candidate]:
         """Yield the gain of the least cost with unit weights in sizes, then those of lighter ones."""
-        A, B = self.at.system(self.A) + self._shift(rate, _FASTER), self.at.input(self.task.B)
+        A, B = self.at.system(self.A) + self._shift(rate, FASTER), self.at.input(self.task.B)
         for root in _state_weights(A.mean(axis=0), B):
             rows, R = root @ self.at.inverse, np.eye(B.shape[1])
-            yield from self._least_cost(rows, R, self.at.T, self._shift(rate, _FASTER))
+            yield from self._least_cost(rows, R, self.at.T, self._shift(rate, FASTER))
 
     def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
         """Yield the gain of the least sum of the costs from all states that are off by one size.
@@ -100,7 +101,7 @@ class Candidates:
             left: The bounds (m,); infinite for none.
             rate: In 1/s.
         """
-        shift, rows, R = self._shift(rate, _FASTER), self.at.inverse, np.eye(len(left))
+        shift, rows, R = self._shift(rate, FASTER), self.at.inverse, np.eye(len(left))
         A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
         root = self.at.rows(rows)
         at = self.at.of_regulator(A, B, root.T @ root, R)
@@ -131,7 +132,7 @@ class Candidates:
 
     def largest_margins(self, rate: float) -> Iterator[Candidate]:
         """Yield gains of the largest margin, while it is positive each in better coordinates than the last one."""
-        shift = self._shift(rate, _FASTER / 2)
+        shift = self._shift(rate, FASTER / 2)
         for factor in _BOUNDS_OF_Y:
             at = self._regulated(shift)
             for _ in range(_RECENTRED):
@@ -152,7 +153,7 @@ class Candidates:
             rate: In 1/s.
             soon: Whether to give up sooner.
         """
-        for faster in (_FASTER,) if soon else (_FASTER, _HARDLY_FASTER):
+        for faster in (FASTER,) if soon else (FASTER, _HARDLY_FASTER):
             shift = self._shift(rate, faster)
             at = self._regulated(shift)
             for _ in range(_RECENTRED // 2 - soon):
@@ -209,14 +210,14 @@ class Candidates:
         return self.at.of_regulator(self.at.system(self.A) + shift, self.at.input(self.task.B))
 
 
-def short(K: Array) -> Array:
-    """Return the gain with nine significant digits, none of them −0: what is printed is what is proved and used.
+def short(K: Array, digits: int = DIGITS) -> Array:
+    """Return the gain with so many significant digits, none of them −0: what is printed is what is proved and used.
 
     Example:
         >>> short(np.array([[-1 / 3, -0.0]])).tolist()
         [[-0.333333333, 0.0]]
     """
-    return np.array([[float(f"{v:.8e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
+    return np.array([[float(f"{v:.{digits - 1}e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,22 +5,24 @@ from functools import partial
 
 import numpy as np
 
-from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix, different, stack
 from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
 from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import Solver, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
+from pwatrack.lmi.precise import Precise, square
 from pwatrack.lmi.presolve import distinct, extreme
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import decimals
+from pwatrack.rational import decimals, floats, is_hurwitz
 
 _DOUBTFUL = 1e-3  # of the size of a matrix: cells that decay no faster are looked at for a proof that there is no P
 _STEPS = 14  # at most so many rates are tried
@@ -100,6 +102,28 @@ def first_certificate(M: Array, *, sizes: Array | None = None, solver: Solver = 
             return proof
         at = at.centred(found.P)
     return None
+
+
+def precise_certificate(
+    at: Precise, role: Role, M: Sequence[BallMatrix], start: Array, *, solver: Solver = "clarabel"
+) -> Certificate | None:
+    """Return what `best_certificate` finds in coordinates to hundreds of bits, proved in exact numbers.
+
+    Args:
+        at: The coordinates.
+        role: Which inequality it is.
+        M: The matrices M_i, each different.
+        start: A P (n, n) in these coordinates that may prove something.
+        solver: Which interior-point solver to ask.
+    """
+    inside = at.system([M_i.centre for M_i in M])
+    if not (np.isfinite(inside).all() and np.linalg.eigvals(inside).real.max() < 0):
+        return None
+    found = best_certificate(inside, start=start, soon=True, solver=solver)
+    proof = None if found is None else prove_exactly(role, M, at.matrix(found.P), found.rate)
+    if proof is None:
+        return None
+    return Certificate(M=stack(M), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin, precise=proof.P)
 
 
 class _Rates:
@@ -220,6 +244,7 @@ def prove_convergence(
     refutation, tried = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
         best = best_certificate(M, sizes=sizes, solver=solver)
+        best = _precisely(M, role, exact, sizes, solver) if best is None else best
         if best is not None:
             return best
         instead, tried = _polynomial(M, role, exact, sizes)
@@ -234,6 +259,19 @@ def prove_convergence(
     tell = partial(_conflict_text, claim, refutation, abscissa, cells, tried)
     problem = Problem.of_many(tell, subject=subject, hint=hint, remedy=remedy)
     raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
+
+
+def _precisely(
+    M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None, solver: Solver
+) -> Certificate | None:
+    """Look for a P of all cells where that of the mean is so ill-conditioned that doubles do not hold it."""
+    numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
+    mean = sum((M_i.centre for M_i in numbers[1:]), numbers[0].centre) / len(numbers)
+    if not is_hurwitz(mean):
+        return None
+    unit = np.ones(len(M[0])) if sizes is None else sizes
+    at = Precise.of_stable(mean, square(unit))
+    return None if at is None else precise_certificate(at, role, numbers, np.eye(len(unit)), solver=solver)
 
 
 def _polynomial(

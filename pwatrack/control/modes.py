@@ -49,7 +49,7 @@ def check_modes(plant: PWASystem, controller: Goal, observer: Goal, sizes: Sizes
 
 def _check(task: Task, rate: float) -> None:
     cells = _looked_at(task, rate)
-    A, B = task.centres or ([decimals(A_i) for A_i in task.A], decimals(task.B))
+    A, B = task.numbers
     shift = decimals(np.array([[rate]]))[0, 0] * identity(B.nrows())
     Z, eigenvalues = stuck_modes([A[i] + shift for i in cells], B)
     if Z:

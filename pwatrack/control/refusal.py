@@ -14,7 +14,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER
-from pwatrack.rational import decimals, floats, unreachable
+from pwatrack.rational import floats, unreachable
 
 _SEEN = 1e-9  # of the largest entry of a mode: what is smaller is rounding
 _NAMED = 3  # states that a mode is reached by, the best first
@@ -86,7 +86,7 @@ def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
         >>> reached_by(task, 0, 3.0, 0.0)
         'another actuator must reach this mode: any that acts on dp/dt does'
     """
-    A, B = ([decimals(A_i) for A_i in task.A], decimals(task.B)) if task.centres is None else task.centres
+    A, B = task.numbers
     N, A_u = unreachable(A[cell], B)
     values, vectors = np.linalg.eig(floats(A_u).T)
     return _reaching(task, floats(N).T @ vectors[:, np.argmin(np.abs(values + rate - eigenvalue))])

@@ -7,11 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, different, places
 from pwatrack.causes import Part
 from pwatrack.control import refusal
-from pwatrack.control.candidates import Candidate, Candidates
-from pwatrack.control.convergence import best_certificate, prove_convergence
+from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
+from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.task import Task, reaches
 from pwatrack.control.within import Within
@@ -19,9 +19,12 @@ from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
+from pwatrack.lmi.precise import Precise, square
+from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
+from pwatrack.rational import Rational, decimals, floats, identity, scalar
 
 _RATES = 16  # at most so many rates are tried for the fastest one
 _SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
@@ -29,6 +32,8 @@ _ENDED = 2e-3  # relative distance of the rates that are known to be in and out 
 _LOOSER = 4  # times at most that bounds of inputs are loosened
 _WORTH_IT = 1.02  # what they are loosened by at least
 _SLOW = 1e-3  # of the speed of the plant: from here on a fastest rate is sought where no gain of least cost will do
+_DIGITS = 16  # of a gain that doubles hold
+_ROUNDED = 0.1  # what these may change of a gain, in sizes: one of least cost with unit weights is proved up to 1
 _FAST = 8.0  # times the speed of the plant: a rate that only a plant without a largest one reaches
 
 Proved = tuple[Array, Certificate]  # K and the proof of its best rate
@@ -133,7 +138,7 @@ def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tupl
         case Given(gain=known):
             return given(task, task.role.oriented(known))
         case LeastCost(Q=Q, R=R):
-            found = search.first(search.candidates.least_cost(Q, R), 0.0)
+            found = search.least_cost(Q, R)
         case Fastest(bound=bound):
             kept = None if within is None else search.fastest_within(within, bound)
             found = kept or search.fastest(bound)
@@ -224,6 +229,10 @@ class Search:
             return None
         costs = self.candidates.regulator(rate)
         found = self.first((c for c in (next(costs, None),) if c is not None), rate)
+        scale = self.task.scale
+        precise = self._of_mean(found, rate, square(1 / scale.state), square(1 / scale.input))
+        if precise is not None:
+            found = self._proved_precisely(*precise, rate) or found or self._turned(precise[0], rate)
         if found is not None:
             return found
         for candidate in self.candidates.largest_margins(rate):
@@ -233,6 +242,49 @@ class Search:
             if candidate.margin < 0 and self.refuted(rate) is not None:
                 return None
         return None if self.refuted(rate) is not None else self.first(costs, rate, soon=True)
+
+    def least_cost(self, Q: Array, R: Array) -> Proved | None:
+        """Return the gain of the least cost with weights Q (n, n) and R (m, m) in the units given."""
+        found = self.first(self.candidates.least_cost(Q, R), 0.0)
+        precise = self._of_mean(found, 0.0, decimals(Q), decimals(R)) if len(self.candidates.A) == 1 else None
+        return found if precise is None else self._proved_precisely(*precise, 0.0) or found
+
+    def _of_mean(self, found: Proved | None, rate: float, Q: Rational, R: Rational) -> tuple[Precise, Rational] | None:
+        """Return the gain of least cost of the mean of the cells, and its coordinates, where doubles do not hold it.
+
+        Not where one is found already that is proved in doubles.
+        """
+        A, B = self.task.numbers
+        if not B.ncols() or (found is not None and found[1].precise is None):
+            return None
+        at = corners(self.task.A).tolist()
+        mean = sum((A[i] for i in at[1:]), A[at[0]]) / len(at)
+        return Precise.of_regulator(mean + scalar(rate * (1 + FASTER)) * identity(B.nrows()), B, Q, R)
+
+    def _proved_precisely(self, at: Precise, K: Rational, rate: float, start: Array | None = None) -> Proved | None:
+        """Prove a gain in such coordinates, with as many digits as it needs, if it reaches a rate."""
+        nearest = floats(K)
+        digits = DIGITS
+        while digits < _DIGITS and not self.task.norm(nearest) < _ROUNDED * 10.0**digits:
+            digits += 1
+        printed = short(nearest, digits)
+        closed = different(self.task.exactly_closed(printed))
+        start = np.eye(len(nearest.T)) if start is None else start
+        certificate = precise_certificate(at, self.task.role, closed, start, solver=self.task.solver)
+        return (printed, certificate) if certificate is not None and reaches(certificate, rate) else None
+
+    def _turned(self, at: Precise, rate: float) -> Proved | None:
+        """Look for a gain of several cells in such coordinates."""
+        A, B = self.task.numbers
+        chosen = places(self.task.exactly_closed(self.candidates.nothing().K))
+        inside = Task(
+            A=at.system([A[i] for i in chosen]),
+            B=at.input(B),
+            cells=[self.task.cells[i] for i in chosen],
+            solver=self.task.solver,
+        )
+        found = Search(inside).regulator(rate) if len(chosen) > 1 and np.isfinite(inside.A).all() else None
+        return None if found is None else self._proved_precisely(at, at.gain(found[0]), rate, found[1].P)
 
     def gentlest(self, rate: float) -> Proved | None:
         """Return the smallest gain that is found in any way: in sizes that differ a lot that of a cost may be."""

@@ -16,7 +16,7 @@ from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import Rational, floats
+from pwatrack.rational import Rational, decimals, floats
 
 _SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried in exact numbers
 
@@ -99,6 +99,11 @@ class Task:
         """The middle of each ball, about which a proof that there is no gain speaks."""
         return None if self.exact is None else ([A_i.centre for A_i in self.exact[0]], self.exact[1].centre)
 
+    @property
+    def numbers(self) -> tuple[list[Rational], Rational]:
+        """A_i and B as proofs that there is no gain see them: the middle of each ball, or the decimals of doubles."""
+        return self.centres or ([decimals(A_i) for A_i in self.A], decimals(self.B))
+
     def closed(self, K: Array) -> Array:
         """Return A_i + B K, (l, n, n)."""
         return np.asarray(self.A + self.B @ K)
@@ -133,7 +138,11 @@ class Task:
         if proof is None:
             return None
         return Certificate(
-            M=readonly(self.closed(K)), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin
+            M=readonly(self.closed(K)),
+            P=readonly(floats(proof.P)),
+            rate=proof.rate,
+            margin=proof.margin,
+            precise=proof.P,
         )
 
 

@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 
 from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.lmi.presolve import distinct
+from pwatrack.rational import Rational
 
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 
@@ -27,12 +28,14 @@ class Certificate:
         margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less
             its rounding error, with the states scaled by powers of two to make the
             diagonal of P about 1 (which changes no sign); positive.
+        precise: P with more digits, where doubles do not hold what proves it; else None.
     """
 
     M: Array
     P: Array
     rate: float
     margin: float
+    precise: Rational | None = None
 
 
 def prove(M: Array, P: Array) -> Certificate | None:

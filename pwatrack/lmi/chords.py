@@ -19,7 +19,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Ellipsoid
 from pwatrack.lmi.exact import BITS, unpacked
-from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, rational
+from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, rational, working_bits
 
 _STEP, _TAIL = 1e-5, 1e-3  # of the ellipsoid's size: what one step, and the end, may be off
 _MOST_STEPS, _MOST_ORDER = 2500, 16  # of a walk: some seconds in the auditor
@@ -131,15 +131,11 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
             for i in range(n):
                 system[n * j + k][n * i + k] += fraction_of(M[i, j])
                 system[n * j + k][n * j + i] += fraction_of(M[i, k])
-    before = flint.ctx.prec
-    flint.ctx.prec = _PRECISION
-    try:
+    with working_bits(_PRECISION):
         solution = flint.arb_mat(rational(system, (n * n, n * n))).solve(
             flint.arb_mat(rational([[v] for v in right], (n * n, 1)))
         )
         found = [_dyadic(solution[j, 0].mid()) for j in range(n * n)]
-    finally:
-        flint.ctx.prec = before
     largest = max(map(abs, found))
     digits = _DIGITS - (largest.numerator.bit_length() - largest.denominator.bit_length()) // 2
     whole = [round(v * Fraction(4) ** digits) / Fraction(4) ** digits for v in found]
@@ -151,9 +147,7 @@ def _enclosed(
     M: Rational, g: Rational, c: Rational, P: Rational, Q: Rational, a: Fraction, unit: int, steps: list[int]
 ) -> Fraction:
     """Return an upper bound of the integral, by balls."""
-    before = flint.ctx.prec
-    flint.ctx.prec = _PRECISION
-    try:
+    with working_bits(_PRECISION):
         flows = [(flint.arb_mat(M) * flint.arb(2) ** unit).exp()]
         while len(flows) <= max(steps, default=0):
             flows.append(flows[-1] * flows[-1])
@@ -170,8 +164,6 @@ def _enclosed(
         left = (z.transpose() * inverse * z)[0, 0].abs_upper() * (row * flint.arb_mat(Q) * row.transpose())[0, 0]
         total += 2 * left.sqrt() / flint.arb(flint.fmpq(a.numerator, a.denominator))
         return _dyadic(total.abs_upper())
-    finally:
-        flint.ctx.prec = before
 
 
 def _dyadic(value: Any) -> Fraction:

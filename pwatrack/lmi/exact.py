@@ -18,6 +18,7 @@ from pwatrack.rational import Rational, floats, fraction_of, identity, is_positi
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
 BITS = 40  # of the entries of P or Q, once its diagonal is about 1
+_MORE_BITS = (BITS, 80, 160)  # the same, more where P is so ill-conditioned that fewer do not hold it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,23 +58,29 @@ class Proof:
         return unpacked(self.integers, self.exponents)
 
 
-def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) -> Proof | None:
+def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate: float) -> Proof | None:
     """Round P and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
         role: Which inequality it is.
         M: The matrices M_i.
-        P: A solution in floating point, (n, n).
-        rate: The rate that it proves in floating point, in 1/s.
+        P: A solution, (n, n), in floating point or with more digits.
+        rate: The rate that it seems to prove, in 1/s.
     """
-    exponents = exponents_of(P)
+    proofs = (_proved(role, M, P, rate, bits) for bits in _MORE_BITS)
+    return next((proof for proof in proofs if proof is not None), None)
+
+
+def _proved(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate: float, bits: int) -> Proof | None:
+    """Round P to so many bits and prove the inequality for that, or return None."""
+    exponents = exponents_of(P if isinstance(P, np.ndarray) else floats(P), bits)
     unit = [Fraction(2) ** e for e in exponents]
     integers = whole(P, exponents)
     exact_P = unpacked(integers, exponents)
     if not is_positive_definite(exact_P):
         return None
     left = [left_side(M_i, exact_P, unit) for M_i in M]
-    size = float(np.linalg.norm(P))
+    size = float(np.linalg.norm(floats(exact_P)))
     for shrink in GIVEN:
         short_rate = rounded_down(rate * (1 - shrink), 6)
         slack = [S - scalar(2 * short_rate) * exact_P for S in left]
@@ -90,17 +97,20 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array, rate: float) ->
     return None
 
 
-def exponents_of(P: Array) -> tuple[int, ...]:
-    """Return those with which P (n, n), of positive diagonal, has whole numbers of about `BITS` bits."""
-    return tuple((np.round(np.log2(np.diag(P)) / 2).astype(int) - BITS // 2).tolist())
+def exponents_of(P: Array, bits: int = BITS) -> tuple[int, ...]:
+    """Return those with which P (n, n), of positive diagonal, has whole numbers of about so many bits."""
+    return tuple((np.round(np.log2(np.diag(P)) / 2).astype(int) - bits // 2).tolist())
 
 
-def whole(X: Array, exponents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+def whole(X: Array | Rational, exponents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """Return the whole numbers nearest to X_jk / 2^(exponents_j + exponents_k), of the symmetric part of X (n, n)."""
     unit = [Fraction(2) ** e for e in exponents]
+    if isinstance(X, np.ndarray):
+        rows = [[Fraction(v) for v in row] for row in ((X + X.T) / 2).tolist()]
+    else:
+        rows = [[fraction_of(v) / 2 for v in row] for row in (X + X.transpose()).tolist()]
     return tuple(
-        tuple(round(Fraction(v) / (a * b)) for v, b in zip(row, unit, strict=True))
-        for row, a in zip(((X + X.T) / 2).tolist(), unit, strict=True)
+        tuple(round(v / (a * b)) for v, b in zip(row, unit, strict=True)) for row, a in zip(rows, unit, strict=True)
     )
 
 

@@ -75,7 +75,7 @@ def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | Non
     """
     if isinstance(found, Polynomial):
         return prove_polynomial(role, M, found)
-    return prove_exactly(role, M, found.P, found.rate)
+    return prove_exactly(role, M, found.P if found.precise is None else found.precise, found.rate)
 
 
 def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> PolynomialProof | None:

@@ -10,8 +10,7 @@ With S(t) = Σ r_k e^(λ_k t) / λ_k the integral over [a, b] is |S(b) − S(a)|
 (b − a) sup |s| an upper one. Intervals are halved where the two are furthest apart.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Any
@@ -20,6 +19,7 @@ import flint
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.rational import working_bits
 
 _BITS = 192  # of the balls: modes far apart in speed lose many of them
 _LONG = 24.0  # time constants of the slowest mode: what comes after is e^−24 of it
@@ -58,7 +58,7 @@ def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[fl
         >>> found[0][0] <= 1.5 <= found[0][1] < 1.5 * 1.003
         True
     """
-    with _precise():
+    with working_bits(_BITS):
         matrix = _complex(M)
         try:
             rates, vectors = matrix.eig(right=True)
@@ -120,14 +120,3 @@ def _complex(X: BallMatrix) -> Any:
         spread = (flint.arb(X.radius[j, k]) for j in range(rows) for k in range(columns))
         entries = [entry + flint.arb(0, radius.upper()) for entry, radius in zip(entries, spread, strict=True)]
     return flint.acb_mat(rows, columns, [flint.acb(entry) for entry in entries])
-
-
-@contextmanager
-def _precise() -> Iterator[None]:
-    """Compute with more bits than usual."""
-    before = flint.ctx.prec
-    flint.ctx.prec = _BITS
-    try:
-        yield
-    finally:
-        flint.ctx.prec = before
