@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,82 @@ def test_specs_of_all_kinds_give_the_same_bits(name: str, tmp_path: Path) -> Non
     for given in (False, True):
         folder = written(subject, tmp_path / str(given), given=given)
         assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
+
+
+@pytest.fixture(scope="module")
+def unrounded(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    """A controller whose inputs have no steps: a product that is fused with a sum shows."""
+    path = cart(tmp_path_factory.mktemp("cart"), "controller: {sample_time: 0.01}", duration=10)
+    return of_spec(load_spec(path), steps=1000)
+
+
+def replayed(folder: Path, command: Sequence[str]) -> str:
+    """Compile a folder with these options alone, and return what the replay says."""
+    ran = subprocess.run([*command, "-o", "program"], cwd=folder, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    return subprocess.run([folder / "program"], capture_output=True, text=True, check=False).stdout
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("single", [False, True])
+def test_no_option_of_a_compiler_fuses_products_with_sums(
+    unrounded: Subject, tmp_path: Path, compiler: str, single: bool
+) -> None:
+    """GCC does it in its own mode wherever the processor can, and every compiler where it is told to."""
+    known = subprocess.run([compiler, "-march=native", "-dM", "-E", "-"], input="", capture_output=True, text=True)
+    if "__FMA__" not in known.stdout:
+        pytest.skip("this processor has no fused multiply-add")
+    folder, sources = written(unrounded, tmp_path, single=single), ("main.c", "loop.c")
+    for options in ("-O2 -march=native", "-O3 -march=native -ffp-contract=fast", "-Os -mfma", "-O1 -mfma -std=gnu17"):
+        assert replayed(folder, [compiler, *options.split(), *sources]).startswith("1000 steps, 0 wrong;"), options
+    other = [compiler, "-D__EDG__=1", "-O2", "-march=native", "-ffp-contract=fast", *sources]  # as for any other one
+    assert replayed(folder, other).startswith("1000 steps, 0 wrong;")
+    text = (folder / "loop.c").read_text(encoding="utf-8")
+    text = re.sub(r"^#pragma GCC .*$", "", text, flags=re.MULTILINE).replace("ROUNDED volatile", "ROUNDED")
+    (folder / "loop.c").write_text(text)
+    fused = replayed(folder, [compiler, "-O2", "-march=native", "-ffp-contract=fast", *sources])
+    assert not fused.startswith("1000 steps, 0 wrong;")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("option", ["-ffast-math", "-Ofast", "-ffinite-math-only"])
+def test_arithmetic_that_is_not_that_of_ieee_is_refused(
+    unrounded: Subject, tmp_path: Path, compiler: str, option: str
+) -> None:
+    folder = written(unrounded, tmp_path)
+    with pytest.raises(AssertionError, match="needs IEEE arithmetic: no -ffast-math"):
+        replayed(folder, [compiler, option, "main.c", "loop.c"])
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_wider_registers_are_refused_where_they_hold_its_numbers(
+    unrounded: Subject, tmp_path: Path, single: bool
+) -> None:
+    """With FLT_EVAL_METHOD 16 they hold half floats alone."""
+    folder = written(unrounded, tmp_path, single=single)
+    (folder / "float.h").write_text("#define FLT_EVAL_METHOD METHOD\n")
+    for method, taken in {"0": True, "1": not single, "2": False, "16": True, "(-1)": False}.items():
+        command = [COMPILERS[0], "-I.", f"-DMETHOD={method}", "-fsyntax-only", "loop.c"]
+        found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert (found.returncode == 0) is taken, found.stderr
+        assert taken or "in the width of its numbers" in found.stderr
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="no C++ compiler is installed")
+def test_a_program_in_cpp_links_it(unrounded: Subject, tmp_path: Path) -> None:
+    folder = written(unrounded, tmp_path)
+    (folder / "main.c").rename(folder / "main.cpp")
+    subprocess.run([COMPILERS[0], *FLAGS.split(), "-c", "loop.c"], cwd=folder, check=True)
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "main.cpp", "loop.o"]
+    assert replayed(folder, command).startswith("1000 steps, 0 wrong;")
+
+
+def test_units_are_written_in_ascii(unrounded: Subject) -> None:
+    plant = unrounded.file.plant.model_copy(update={"units": {"u": "m³/s", "y": "µm"}})
+    file = unrounded.file.model_copy(update={"plant": plant})
+    text = header(CSource(file=file, name="loop", single=False, given=False, unproved=()))
+    assert "u            u (m3/s)" in text
+    assert "y            y (um)" in text
 
 
 @pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed")

@@ -12,6 +12,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from scipy.linalg import expm
@@ -160,6 +161,37 @@ def test_the_sources_compile_without_a_warning(
         ]
         ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.parametrize("standard", ["gnu99", "gnu17"])
+@pytest.mark.parametrize("name", EXACT)
+def test_the_sources_compile_in_a_compilers_own_mode(name: str, standard: str) -> None:
+    """Beside all that the headers of such a mode declare: a name of ours may be none of theirs."""
+    assert COMPILER is not None
+    spec = exact(name)
+    for version in VERSIONS:
+        found = packed(plant_parts(spec, "loop"), version, None)
+        sources = {k.removeprefix("sources/"): v.decode() for k, v in found.items() if "sources/" in k}
+        assert compiled(sources, COMPILER, [f"-std={standard}", "-O0", "-Werror"])
+
+
+@pytest.mark.skipif(not shutil.which("cmake"), reason="cmake is not installed")
+@both
+def test_fmpy_compiles_them_again(machine: tuple[Spec, ControllerFile], version: Version, tmp_path: Path) -> None:
+    """What it builds of the sources does what our binary does, in every bit."""
+    for path in written(*machine, version, tmp_path):
+        output = "u" if path.stem.endswith("controller") else "z1"
+        first = fmpy.simulate_fmu(str(path), stop_time=0.1, output_interval=0.02, output=[output])
+        folder = tmp_path / path.stem
+        fmpy.extract(str(path), str(folder))
+        (binary,) = (folder / "binaries").rglob("*.so")
+        before = binary.stat().st_mtime_ns
+        build = tmp_path / f"{path.stem}_build"
+        build.mkdir()
+        build_platform_binary(folder, build)
+        assert binary.stat().st_mtime_ns > before
+        again = fmpy.simulate_fmu(str(folder), stop_time=0.1, output_interval=0.02, output=[output])
+        assert again.tobytes() == first.tobytes()
 
 
 @pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed")

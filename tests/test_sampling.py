@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed
+from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
+from pwatrack.report.export import of_spec
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.sample_map import SampleMaps, check_sample_time
@@ -144,6 +146,38 @@ def test_what_is_put_out_and_measured_comes_in_steps_and_changes_no_faster(tmp_p
         "|du/dt| at most 3",
     ]
     assert result.remarks == ()
+
+
+TWO_INPUTS = """
+name: two lags
+system:
+  states: [a, b]
+  inputs: [p, q]
+  outputs: [y, z]
+  A: [[-1, 0.1], [0.1, -2]]
+  B: [[1, 0], [0, 1]]
+  C: [[1, 0], [0, 1]]
+reference: {output: {y: "sin(t)", z: "sin(t)"}}
+simulation: {duration: 2, sample_time: 0.01, rate_limit: {LIMITED: 0.5}, controller: {sample_time: 0.01}}
+"""
+
+
+@pytest.mark.parametrize("limited", [0, 1])
+def test_one_of_two_inputs_may_change_no_faster(tmp_path: Path, limited: int) -> None:
+    """And the other one as it likes; the controller that is stored is the one that ran."""
+    path = tmp_path / "two.yaml"
+    path.write_text(TWO_INPUTS.replace("LIMITED", "pq"[limited]), encoding="utf-8")
+    result = simulate(load_spec(path))
+    steps = np.abs(np.diff(result.response.u, axis=0)).max(axis=0)
+    assert steps[limited] == pytest.approx(0.005)
+    assert steps[1 - limited] > 0.01
+    (said,) = result.loop.conditions.texts(result.loop.plant)[1:]
+    assert said == f"|d{'pq'[limited]}/dt| at most 0.5"
+    subject = of_spec(load_spec(path), steps=100)
+    assert subject.file.program is not None
+    assert subject.file.program.change == [[0.005, None], [None, 0.005]][limited]
+    controller, y = Controller(subject.file), result.response.trace.z[:100, result.loop.at.y]
+    assert [controller.step(row).tolist() for row in y] == result.response.u[:100].tolist()
 
 
 @pytest.mark.parametrize("number", [1, 2])

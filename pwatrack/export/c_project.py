@@ -92,8 +92,9 @@ The controller of "{title}" in C99. {proved}
 - After `{name}_init` the observer starts where the spec says. To start it elsewhere, write x_hat into
   `state.v` from entry {first} on, before the first step.
 - No memory is allocated, nothing is global, no loop is unbounded. The constants are read-only, {constants} bytes.
-- Compile with `-ffp-contract=off`, and never with `-ffast-math`: then every bit is that of the simulation.
-  `make check` replays `vector.h`, which is from {vector}.
+- Every bit is that of the simulation, whatever the level of optimization is: the source itself keeps the compiler from
+  fusing products with sums, and does not compile with `-ffast-math`. `make check` replays `vector.h`, which is from
+  {vector}.
 """
 
 

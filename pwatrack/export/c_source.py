@@ -121,6 +121,10 @@ typedef struct {{
 {lines}
 }} {name}_state;
 
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
 /* What a step returns. */
 #define {upper}_OK 0
 #define {upper}_ENDED 1       /* the reference has ended: it stays as it is */
@@ -134,6 +138,10 @@ int {name}_reset({name}_state *state);
 /* Run once: read y and ref, write u, which is to be put out now. */
 int {name}_step({name}_state *state, const {name}_real y[],
     const {name}_real ref[], {name}_real u[]);
+
+#ifdef __cplusplus
+}}
+#endif
 
 #endif
 """

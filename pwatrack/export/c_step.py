@@ -4,18 +4,29 @@ from textwrap import indent
 
 from pwatrack.export.c_source import CSource
 from pwatrack.export.notation import Language, names, printed
+from pwatrack.export.step import PRODUCT
 
+_WIDTHS = {True: (0, 16, 32), False: (0, 1, 16, 32, 64)}  # of FLT_EVAL_METHOD: these leave floats, or doubles, alone
 _BEGIN = """\
 #include "{name}.h"
 
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
-#error "this controller needs IEEE arithmetic: no -ffast-math"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "this controller needs IEEE arithmetic: no -ffast-math, and no part of it"
 #endif
-#if (FLT_EVAL_METHOD != 0){also}
-#error "this controller needs arithmetic in the width of its numbers: -msse2 -mfpmath=sse"
+#if {widths}
+#error "this controller needs arithmetic in the width of its numbers: on x86, -msse2 -mfpmath=sse"
+#endif
+
+/* No product may be fused with a sum, whatever the options are. GCC has a pragma that is stronger than they are; no
+   other compiler must, and clang heeds none with -ffp-contract=fast: there each product goes through memory. */
+#if defined(__GNUC__) && (__GNUC__ >= 5) && !defined(__clang__) && !defined(__EDG__)
+#pragma GCC optimize ("fp-contract=off", "no-unsafe-math-optimizations", "no-associative-math")
+#define ROUNDED
+#else
+#define ROUNDED volatile
 #endif
 
 #define READY 0x70776131u
@@ -102,10 +113,10 @@ def source(c: CSource) -> str:
         real=c.types["real"],
         zero=language.words["0.0"],
         m=c.program.sizes["m"],
-        also="" if c.single else " && (FLT_EVAL_METHOD != 1)",
+        widths=" && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[c.single]),
         constants="\n".join(_constant(c, name) for name in step.constants),
         sizes=" + ".join(f"sizeof({name})" for name in step.constants),
-        own="\n".join(f"    {c.declared(variable)}" for variable in own),
+        own="\n".join(f"    {'ROUNDED ' * (variable.name == PRODUCT)}{c.declared(variable)}" for variable in own),
         hold=lines(step.hold, 1),
         body=lines(step.body, 1),
         begin=lines(step.begin, 2),

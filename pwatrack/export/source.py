@@ -1,6 +1,7 @@
 """What all exported code of a controller is written from."""
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -161,8 +162,31 @@ class Source:
 
 
 def said(text: str) -> str:
-    """Return a text as it may stand in a comment, of C or of Structured Text."""
-    text = re.sub(r"[^ -~]", "?", text)
+    """Return a text as it may stand in a comment, of C or of Structured Text.
+
+    Example:
+        >>> said("ẏ in m³/s, µm, °C or s⁻¹; η */")
+        "y' in m3/s, um, degC or s-1; eta * /"
+    """
+    text = re.sub(r"[^ -~]", "?", in_ascii(text))
     for mark in ("*/", "/*", "*)", "(*"):
         text = text.replace(mark, " ".join(mark))
     return text
+
+
+_ASCII = {"°": "deg", "·": "*", "⋅": "*", "×": "x", "−": "-", "–": "-", "Ω": "Ohm", "⁄": "/", "\u0307": "'"}
+
+
+def in_ascii(text: str) -> str:
+    """Return a text with what is read as the same in ASCII, where there is something: m³ is m3, µm um, η eta."""
+    text = re.sub(r"[µμ](?=\w)", "u", text)
+    found = []
+    for sign in unicodedata.normalize("NFKD", "".join(_ASCII.get(sign, sign) for sign in text)):
+        greek = re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(sign, ""))
+        if sign in _ASCII:
+            found.append(_ASCII[sign])
+        elif greek:
+            found.append(greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize())
+        elif not unicodedata.combining(sign):
+            found.append(sign)
+    return "".join(found)

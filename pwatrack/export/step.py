@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pwatrack.export.source import Source
 
+PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _SHORT = {
     "H": "normals",
@@ -207,7 +208,7 @@ def _row(target: str, table: str, place: str, vector: str, first: int, count: in
     if not count:
         return f"{target} = {constant}"
     more = f"product = {table}[{place}, k] * {vector}[{_at(first, 'k')}]\ntotal = total + product"
-    lines = [f"total = {table}[{place}, 0] * {vector}[{first}]", _loop("k", count, more, 1)]
+    lines = [f"product = {table}[{place}, 0] * {vector}[{first}]", "total = product", _loop("k", count, more, 1)]
     return "\n".join(filter(None, [*lines, f"{target} = total + {constant}"]))
 
 
@@ -249,7 +250,8 @@ def _advance(source: Source) -> list[str]:
         older = _loop("k", s, f"source[k] = copies[level * {s} - {s} + k]")
         lines.append("if level > 0:\n" + indent(older, "    "))
     more = "product = turn[level, a, k] * source[k]\ntotal = total + product"
-    turned = ["total = turn[level, a, 0] * source[0]", _loop("k", s, more, 1), f"new_v[{W} + a] = total"]
+    turned = ["product = turn[level, a, 0] * source[0]", "total = product", _loop("k", s, more, 1)]
+    turned.append(f"new_v[{W} + a] = total")
     turned += [_loop("k", copies, f"if k < level:\n    new_copies[k * {s} + a] = total")]
     lines.append(_loop("a", s, "\n".join(filter(None, turned))))
     if follows.pieces:
@@ -290,7 +292,8 @@ def _limited(source: Source, b: int) -> Iterator[str]:
     yield "\nel".join(cuts)
     yield f"{before} = value"
     if program.quantum[b] > 0:
-        yield f"total = value / quantum[{b}]\ntotal = total + half\n{_FLOOR}\nvalue = quantum[{b}] * product"
+        yield f"total = value / quantum[{b}]\ntotal = total + half\n{_FLOOR}"
+        yield f"product = quantum[{b}] * product\nvalue = product"
     yield f"'8. Put out: input {b}.'"
     place = f"new_v[{of['q'] + b}]"
     yield f"{place} = late[{b}]" if late else f"{place} = value"

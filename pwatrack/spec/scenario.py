@@ -86,7 +86,8 @@ def build_conditions(
             outputs=readonly([section.quantum.get(name, 0.0) for name in plant.outputs]),
         )
     if section.rate_limit:
-        rates = readonly([section.rate_limit.get(name, np.inf) for name in plant.inputs])
+        rates = np.array([section.rate_limit.get(name, np.inf) for name in plant.inputs])
+        rates.flags.writeable = False
     return Conditions(
         quanta=quanta,
         rates=rates,

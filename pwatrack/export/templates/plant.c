@@ -240,7 +240,7 @@ static uint32_t cell_of(const double x[], uint32_t left)
     return (cell == CELLS) ? left : cell;
 }
 
-static int finite(const double v[], int count)
+static int all_finite(const double v[], int count)
 {
     int all = 1;
     int k;
@@ -268,7 +268,7 @@ int @name@_advance(@name@_state *state, const double input[], double length)
     long k;
 
     next = *state;
-    if ((finite(input, M) == 0) || (finite(next.x, N) == 0) || !(fabs(length) <= DBL_MAX)
+    if ((all_finite(input, M) == 0) || (all_finite(next.x, N) == 0) || !(fabs(length) <= DBL_MAX)
         || (next.cell >= CELLS)) {
         return @NAME@_NOT_FINITE;
     }
