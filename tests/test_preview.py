@@ -404,7 +404,7 @@ system:
   B: [[0.03, 0], [0, 0.03], [0, 0.07], [0.07, 0]]
   C: [[1, 0, 0, 0], [0, 1, 0, 0]]
   nonlinearities: [{name: drain, kind: spring, of: h3, start: 0.3, slope: 0.02, into: {h3: -1, h1: 1}}]
-reference: {output: {y1: "0.5 + 0.2*sin(0.02*t)", y2: {constant: 0.4, step: {size: 0.2, at: 200, smooth: 100}}}}
+reference: {output: {y1: "0.5 + 0.2*sin(0.02*t)", y2: {constant: 0.4, step: {size: 0.2, centre: 200, smooth: 100}}}}
 simulation: {duration: 800, sample_time: 0.5}
 """
 

@@ -134,8 +134,8 @@ def test_the_figures_do_not_depend_on_the_blocks(seed: int, cuts: list[int], kin
 # one spec, and each figure that it has
 
 
-STEP = "{step: {size: 0.05, at: 2, smooth: 0.5}}"
-BACK = "{step: {size: -0.05, at: 2, smooth: 0.5}}"
+STEP = "{step: {size: 0.05, centre: 2, smooth: 0.5}}"
+BACK = "{step: {size: -0.05, centre: 2, smooth: 0.5}}"
 
 
 def stage(folder: Path, wishes: str, *conditions: str, reference: str = STEP) -> Path:
