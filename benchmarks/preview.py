@@ -46,7 +46,7 @@ def spec_text(seed: int) -> str:
     kink = np.concatenate([[0.0], bend])
     speed = 10 ** random.uniform(-0.5, 1.0)
     wave = f'"sin({speed:.6g}*t) + 0.3*cos({2 * speed:.6g}*t)"'
-    rest = f"{{step: {{size: 1, at: {5 / speed:.6g}, smooth: {2 / speed:.6g}}}}}"
+    rest = f"{{step: {{size: 1, at: {4 / speed:.6g}, smooth: {2 / speed:.6g}}}}}"
     names = ["y"] + [f"eta{k}" for k in range(p)]
     edge = " + ".join(f"({v:.17g})*{name}" for v, name in zip(h, names[1:], strict=True))
     into = ", ".join(f"{name}: {v:.17g}" for name, v in zip(names, kink, strict=True) if v)

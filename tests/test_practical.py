@@ -113,6 +113,46 @@ def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path)
         verify(out)
 
 
+@pytest.mark.parametrize(
+    ("reference", "worth"),
+    [
+        ("output: 0.1*sin(0.5*t)", False),  # the bound is 0.107 m, whatever the reference
+        ("output: 0.11*sin(0.5*t)", True),
+        ("output: 9 + 0.1*sin(0.5*t)", False),  # its swing counts, not where it is
+        ("output: {constant: 0.1}", False),
+        ("output: {constant: 0.11}", True),
+        ("output: {constant: 0}", True),  # there is nothing to compare it with
+    ],
+)
+def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_take_a_refusal_back(
+    tmp_path: Path, reference: str, worth: bool
+) -> None:
+    def written(tracking: str) -> Path:
+        path = cart(tmp_path, tracking=tracking)
+        text = path.read_text(encoding="utf-8").replace("output: 0.5*sin(0.5*t)", reference)
+        path.write_text(text.replace("plant: [0.3, 0, 0.2, 0]", "plant: [0.1, 0, 0.1, 0]"), encoding="utf-8")
+        return path
+
+    asked = design(load_spec(written("practical")))
+    assert asked.practical is not None
+    assert 0.1 < asked.practical.final["output", 0] < 0.11
+    assert bool(asked.practical.beyond) is not worth
+    console = Console(file=StringIO(), width=300)
+    print_design(console, load_spec(written("practical")), asked)
+    first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
+    assert ("0.107 m, larger than the reference, proved for every start" in first) is not worth, first
+    if worth:
+        assert design(load_spec(written("output"))).practical is not None
+        return
+    with pytest.raises(Infeasible) as refusal:
+        design(load_spec(written("output")))
+    assert refusal.value.code == ExitCode.INFEASIBLE
+    assert refusal.value.evidence is not None
+    (problem,) = refusal.value.problems
+    assert "is infeasible" in problem.message
+    assert "not worth having: |y − y_d| ends below 0.107 m, and the reference is of size 0.1 m" in problem.message
+
+
 def test_where_exact_tracking_is_found_nothing_is_merged(specs: Path, tmp_path: Path) -> None:
     text = (specs / "two_mass_backlash.yaml").read_text().replace("tracking: output", "tracking: practical")
     path = tmp_path / "asked.yaml"

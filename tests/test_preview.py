@@ -406,8 +406,8 @@ system:
   nonlinearities: [{name: drain, kind: spring, of: h3, start: 0.3, slope: 0.02, into: {h3: -1, h1: 1}}]
 reference:
   output:
-    y1: {constant: 0.5, step: {size: 0.2, at: 200, smooth: 100}}
-    y2: {constant: 0.4, step: {size: 0.2, at: LATER, smooth: 100}}
+    y1: {constant: 0.5, step: {size: 0.2, centre: 200, smooth: 100}}
+    y2: {constant: 0.4, step: {size: 0.2, centre: LATER, smooth: 100}}
 simulation: {duration: 800, sample_time: 0.5}
 """
 

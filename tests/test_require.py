@@ -134,8 +134,8 @@ def test_the_figures_do_not_depend_on_the_blocks(seed: int, cuts: list[int], kin
 # one spec, and each figure that it has
 
 
-STEP = "{step: {size: 0.05, at: 2, smooth: 0.5}}"
-BACK = "{step: {size: -0.05, at: 2, smooth: 0.5}}"
+STEP = "{step: {size: 0.05, centre: 2, smooth: 0.5}}"
+BACK = "{step: {size: -0.05, centre: 2, smooth: 0.5}}"
 
 
 def stage(folder: Path, wishes: str, *conditions: str, reference: str = STEP) -> Path:
@@ -313,7 +313,8 @@ def test_a_member_has_the_figures_of_its_own_run(tmp_path: Path) -> None:
         ("{settling_tim: 3}", "require.settling_tim: no figure has this name; did you mean 'settling_time'?"),
         ("{speed: 3}", "require.speed: no figure has this name; there are norm_K, "),
         ("{final_error: 10%}", "require.final_error: '10%': percent of what?"),
-        ("{final_error: {y: 1}}", "require.final_error: one number is expected"),
+        ("{final_error: {v: 1}}", "require.final_error: 'v' is none of the signals that have an error (y)"),
+        ("{mode_changes: {y: 1}}", "require.mode_changes: one number is expected"),
         ("{largest_input: {uu: 1}}", "require.largest_input: 'uu' is none of the inputs (u); did you mean 'u'?"),
         ("{largest_input: {}}", "require.largest_input: nothing is given"),
         ("{final_error: -1}", "require.final_error: -1 is negative"),
@@ -342,6 +343,67 @@ def test_a_figure_that_a_run_has_not_is_refused_where_it_is_required(tmp_path: P
     assert f"require.{name}: there is no {name}" in error
     assert "hint: leave it out" in error
     assert not (tmp_path / "out" / "run.json").exists()
+
+
+SEVERAL = """name: two integrators
+system:
+  states: [a, v, b]
+  inputs: [f, g]
+  outputs: [ya, yb]
+  units: {a: mm, v: mm/s, b: V, ya: mm, yb: V}
+  A: [[0, 1, 0], [0, 0, 0], [0, 0, 0]]
+  B: [[0, 0], [1, 0], [0, 1]]
+  C: [[1, 0, 0], [0, 0, 1]]
+TRACKING
+simulation: {duration: 3, sample_time: 0.01, initial: {plant: [0.5, 0, -2]}}
+require: WISHES
+"""
+OUTPUTS = 'reference: {output: {ya: "sin(t)", yb: "cos(2*t)"}}'
+STATES = "design: {tracking: state}\nreference: {setpoint: {ya: 1, yb: 2}}"
+
+
+@pytest.mark.parametrize(("tracking", "names"), [(OUTPUTS, ["ya", "yb"]), (STATES, ["ya", "yb", "a", "v", "b"])])
+def test_the_final_error_of_each_signal_is_required_in_its_own_unit(
+    tmp_path: Path, tracking: str, names: list[str]
+) -> None:
+    """Held against the samples of the trace, and against what is required a little above and below."""
+    path = tmp_path / "spec.yaml"
+
+    def written(wishes: str) -> Path:
+        path.write_text(SEVERAL.replace("TRACKING", tracking).replace("WISHES", wishes), encoding="utf-8")
+        return path
+
+    result = simulate(load_spec(written("{final_error: 1}")))
+    r, late = result.response, result.response.t >= 2.7 - 1e-9
+    off = {name: r.tracked[:, k] - r.tracked_d[:, k] for k, name in enumerate(["ya", "yb"])}
+    off |= {name: r.x[:, k] - r.x_d[:, k] for k, name in enumerate(["a", "v", "b"])}
+    wanted = {name: float(np.abs(off[name][late]).max()) for name in names}
+    assert result.figures.final_errors == pytest.approx(wanted, rel=1e-12)
+    assert result.figures.largest_errors == pytest.approx({name: np.abs(off[name]).max() for name in names})
+    for name, unit in zip(names, ["mm", "V", "mm", "mm/s", "V"], strict=False):
+        limits = {"final_error": wanted[name], "largest_error": result.figures.largest_errors[name]}
+        for figure, came in limits.items():
+            for share, met in ((1.01, True), (0.99, False)):
+                spec = load_spec(written(f"{{{figure}: {{{name}: {came * share!r}}}}}"))
+                (checked,) = required(spec, result.controller, result)
+                assert checked.met == met
+                assert checked.text.startswith(f"{figure} of {name}: ")
+                assert checked.text.endswith(f" {unit} required")
+    run = call("simulate", written(f"{{final_error: {{yb: {wanted['yb'] / 2!r}}}}}"), "--out", tmp_path / "out")
+    assert run.exit_code == 6, run.output
+    assert f"{path}:" in run.stderr
+    assert "requirement missed: final_error of yb: " in run.stderr
+    index = index_of(tmp_path / "out")
+    assert index["figures"]["final_errors"] == pytest.approx(wanted, rel=1e-9)
+    assert index["requirements"][0]["signal"] == "yb"
+
+
+def test_members_of_an_ensemble_are_held_to_the_final_error_of_one_signal(tmp_path: Path) -> None:
+    boxes = "ensemble: {initial: {plant: {z: [-0.05, 0.09]}}}"
+    wishes = "{ensemble: {final_error: {y: 1e-3}}}"
+    run = call("simulate", stage(tmp_path, wishes, boxes), "--ensemble", 3, "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    assert index_of(tmp_path / "out")["requirements"][0]["signal"] == "y"
 
 
 def test_all_requirements_in_error_are_said_at_once(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_a_generator_starts_in_its_equilibrium_and_stays_until_the_reference_mov
     tmp_path_factory: pytest.TempPathFactory, y: float
 ) -> None:
     specs, folder = Path("specs").absolute(), tmp_path_factory.mktemp("rest")
-    reference = f"{{constant: {y!r}, step: {{size: 0.1, at: 1.5, smooth: 0.5}}}}"
+    reference = f"{{constant: {y!r}, step: {{size: 0.1, at: 1.25, smooth: 0.5}}}}"
     response = simulate(load_spec(paper(specs, folder, "generator: steady", reference))).response
     before = response.t < 1.24
     away = np.abs(response.eta_hat - response.eta_hat[0]).max(axis=1)

@@ -21,7 +21,7 @@ system:
   B: %s
   C: %s
 design: {controller: {K: %s}, observer: {L: %s}}
-reference: {output: {step: {size: %s, at: %s, smooth: %s}}}
+reference: {output: {step: {size: %s, centre: %s, smooth: %s}}}
 simulation: {duration: %s, sample_time: 0.01}
 """
 

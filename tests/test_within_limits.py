@@ -112,7 +112,7 @@ def test_the_feedforward_takes_what_it_takes_by_hand(
 
 def test_a_corner_of_the_feedforward_is_its_peak(tmp_path: Path) -> None:
     """A rounded step has a triangle as its acceleration: 2 m y'' is largest at its corners, between samples."""
-    step = "{step: {size: 0.1, at: 0.5123, smooth: 0.6}}"
+    step = "{step: {size: 0.1, centre: 0.5123, smooth: 0.6}}"
     _, peak = limited(load_spec(written(tmp_path, STAGE.replace("d: 3", "d: 0"), REFERENCE=step, LIMITS="[-9, 9]")))
     most = 2 * 0.1 / 0.2**2  # three averages over 0.2 s
     assert [peak.low[0], peak.high[0]] == pytest.approx([-most, most], rel=1e-9)

@@ -181,7 +181,8 @@ def figures() -> str:
             (
                 f"`{name}`",
                 {"design": "a design", "run": "a run", "member": "a run, a member"}[quantity.of]
-                + (f", each of its {quantity.per}" if quantity.per else ""),
+                + (f", each of its {quantity.per}" if quantity.per else "")
+                + (" together" if quantity.each else ""),
                 "a share" if quantity.share else quantity.unit or "–",
                 quantity.best,
                 means[name],

@@ -15,7 +15,7 @@ e' = (Â + B K) e + Σ E_k w_k.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, Literal
@@ -49,6 +49,7 @@ class Practical:
         evidence: The proof of that, where there is one.
         bounds: What 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of
             each input, of states, of the observer's errors.
+        beyond: Of what is tracked: those that are not proved to end below the size of their reference, with that.
     """
 
     plant: PWASystem
@@ -56,6 +57,7 @@ class Practical:
     replaced: tuple[Problem, ...]
     evidence: Any
     bounds: tuple[Bounds, ...]
+    beyond: Mapping[Form, float] = field(default_factory=dict)
 
     @cached_property
     def final(self) -> dict[Form, float]:

@@ -27,7 +27,8 @@ def practical_rows(spec: Spec, controller: Controller) -> Iterator[Row]:
     ends = list[str]()
     for signal in (form for form in final if form[0] == tracked):
         name, unit = signal_text(spec, signal)
-        ends.append(f"{sized(name)} {'' if ends else 'ends '}below {up(final[signal])} {unit}".rstrip())
+        larger = ", larger than the reference" if signal in practical.beyond else ""
+        ends.append(f"{sized(name)} {'' if ends else 'ends '}below {up(final[signal])} {unit}".rstrip() + larger)
     yield "practical tracking", f"{', '.join(ends)}, proved for every start; {_all_texts(spec, practical)}"
     for problem in practical.replaced:
         yield "exact tracking", f"refused: {problem.short or problem.message}"

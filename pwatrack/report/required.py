@@ -123,7 +123,7 @@ def _checked(asked: Requirement, signal: str, values: Mapping[int, float], unit:
     best = asked.quantity.best
     worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
     kept = sum(map(asked.met, values.values()))
-    label = f"{asked.figure} of {signal}" if signal else asked.figure
+    label = f"{asked.subject[-1]} of {signal}" if signal else asked.figure
     came, limit = _texts(values[worst], asked.limit, unit)
     if asked.share is None:
         text, met = f"{label}: {came}, {best} {limit} required", kept == 1

@@ -30,6 +30,8 @@ class Figures:
     Attributes:
         final_error: Largest norm of the tracking error in the last tenth of the time.
         largest_error: Largest norm of the tracking error.
+        final_errors, largest_errors: The same of each entry by itself, by name and in its unit: y − y_d of what follows
+            a reference, and x − x_d where the states do.
         final_observer_error: ‖x − x̂‖ at the end.
         largest_input: Largest size of each input, by name.
         mode_changes: How many.
@@ -44,6 +46,8 @@ class Figures:
 
     final_error: float
     largest_error: float
+    final_errors: Mapping[str, float]
+    largest_errors: Mapping[str, float]
     final_observer_error: float
     largest_input: Mapping[str, float]
     mode_changes: int
@@ -54,10 +58,15 @@ class Figures:
 
     @staticmethod
     def of(
-        response: Response, *, outputs: Sequence[str], inputs: Sequence[str], bands: Mapping[str, float]
+        response: Response,
+        *,
+        outputs: Sequence[str],
+        inputs: Sequence[str],
+        bands: Mapping[str, float],
+        states: Sequence[str] = (),
     ) -> "Figures":
         """Return the figures of a run that is all in memory; see `Measuring`."""
-        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands)
+        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands, states=states)
         measuring.see(response)
         return measuring.figures([response])
 
@@ -155,15 +164,18 @@ class Measuring:
         samples: How many it will see.
         outputs, inputs: Their names.
         bands: How far from its rest an output counts as settled, in its unit, where that is given.
+        states: Their names, where they follow x_d.
     """
 
     samples: int
     outputs: Sequence[str]
     inputs: Sequence[str]
     bands: Mapping[str, float]
+    states: Sequence[str] = ()
     _number: int = 0
     _final: float = 0.0
     _largest: float = 0.0
+    _each: Array = field(default_factory=lambda: np.zeros((2, 1)))  # the same of each entry
     _observer: float = 0.0
     _changes: int = 0
     _last_tenth: float = 0.0  # when it began
@@ -178,6 +190,10 @@ class Measuring:
             self._last_tenth = float(block.t[tail])
         self._final = max(self._final, float(size[max(0, tail) :].max(initial=0.0)))
         self._largest = max(self._largest, float(size.max()))
+        each = np.abs(block.tracked - block.tracked_d)
+        each = np.hstack([each, np.abs(block.x - block.x_d)]) if self.states else each
+        late = each[max(0, tail) :].max(axis=0, initial=0.0)
+        self._each = np.maximum(self._each, [late, each.max(axis=0)])
         self._observer = float(block.observer_error[-1])
         self._input = np.maximum(self._input, np.abs(block.u).max(axis=0))
         self._changes += len(block.trace.events)
@@ -198,6 +214,8 @@ class Measuring:
         return Figures(
             final_error=self._final,
             largest_error=self._largest,
+            final_errors=dict(zip((*self.outputs, *self.states), self._each[0].tolist(), strict=True)),
+            largest_errors=dict(zip((*self.outputs, *self.states), self._each[1].tolist(), strict=True)),
             final_observer_error=self._observer,
             largest_input=dict(zip(self.inputs, self._input.tolist(), strict=True)),
             mode_changes=self._changes,

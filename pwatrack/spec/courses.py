@@ -98,9 +98,22 @@ def _formula(section: CourseSection, horizon: float, subject: Subject) -> Formul
 
 def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
     """Return a step as two constant pieces."""
-    _check_rounding(step.smooth, horizon + abs(step.at), subject)
-    margin = 1.0 + horizon + abs(step.at) + (step.smooth or 0.0)
-    corners = scipy.interpolate.PPoly(np.array([[0.0, step.size]]), [-margin, step.at, margin + step.at])
+    half, where = (step.smooth or 0.0) / 2, path_text(subject)
+    if step.at is not None and step.centre is not None:
+        raise _refused(f"{where}: give `at`, when it begins, or `centre`, its middle, not both", subject)
+    middle = step.centre if step.at is None else step.at + half
+    if middle is None:
+        raise _refused(f"{where} says neither when it begins, `at`, nor where its middle is, `centre`", subject)
+    begins = middle - half
+    if begins < -FINEST * (middle + half):
+        raise _refused(
+            f"{where}: the step begins at t = {begins:.6g} s, before t = 0",
+            subject,
+            "say with at: when it begins, 0 or later; a value from before belongs into constant:",
+        )
+    _check_rounding(step.smooth, horizon + middle, subject)
+    margin = 1.0 + horizon + middle + half
+    corners = scipy.interpolate.PPoly(np.array([[0.0, step.size]]), [-margin, middle, margin + middle])
     return Profile(corners=corners, continuous=False, smooth=step.smooth, end=None)
 
 

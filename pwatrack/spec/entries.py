@@ -45,6 +45,7 @@ class Context:
         tracked: Those of what is to follow a reference, where they are declared for that.
         loads: Those of the loads to be estimated, with how many states each has.
         chosen: Those of the outputs that are to follow a reference, where some are named.
+        follow: Whether all states are to follow x_d.
     """
 
     parameters: Mapping[str, Real | None]
@@ -54,11 +55,17 @@ class Context:
     tracked: tuple[str, ...] = ()
     loads: Mapping[str, int] = field(default_factory=dict)
     chosen: tuple[str, ...] = ()
+    follow: bool = False
 
     @property
     def followed(self) -> tuple[str, ...]:
         """What is to follow a reference: all outputs where nothing is said."""
         return self.tracked or self.chosen or self.outputs
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """What has a tracking error of its own."""
+        return (*self.followed, *self.states) if self.follow else self.followed
 
     @property
     def states_and_estimates(self) -> tuple[str, ...]:

@@ -310,6 +310,7 @@ def _context(data: dict[str, Any], values: Mapping[str, Real | None]) -> Context
         loads=declared_loads(data),
         tracked=tuple(tracked) if isinstance(tracked, dict) else (),
         chosen=tuple(filter(outputs.__contains__, tracked)) if isinstance(tracked, list) else (),
+        follow=at_path(data, ("design", "tracking")) == "state",
     )
 
 

@@ -20,14 +20,17 @@ class Quantity:
     Attributes:
         of: What has it: the design, a run, or each member of an ensemble as well as the run itself.
         best: Whether a requirement is its largest value or its smallest.
-        per: What it has one value for each of, if it has not one for all.
+        per: What it has one value for each of, if it has not one for all: "errors" are those of what follows a
+            reference.
+        each: The figure that is the same of each signal by itself: limits by name are about that.
         unit: Its unit, or which unit that is.
         share: Whether it is a share, that may be written in percent.
     """
 
     of: Literal["design", "run", "member"]
     best: Literal["at most", "at least"] = "at most"
-    per: Literal["outputs", "inputs"] | None = None
+    per: Literal["outputs", "inputs", "errors"] | None = None
+    each: str | None = None
     unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""
     share: bool = False
 
@@ -42,8 +45,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "robust_rate": Quantity("design", "at least", unit="1/s"),
     "robust_share_K": Quantity("design", "at least", share=True),
     "robust_share_L": Quantity("design", "at least", share=True),
-    "final_error": Quantity("member", unit="of the error"),
-    "largest_error": Quantity("member", unit="of the error"),
+    "final_error": Quantity("member", each="final_errors", unit="of the error"),
+    "largest_error": Quantity("member", each="largest_errors", unit="of the error"),
+    "final_errors": Quantity("member", per="errors", unit="of the signal"),
+    "largest_errors": Quantity("member", per="errors", unit="of the signal"),
     "final_observer_error": Quantity("member"),
     "largest_input": Quantity("member", per="inputs", unit="of the signal"),
     "mode_changes": Quantity("member"),
@@ -114,8 +119,11 @@ def read_requirements(data: Any, context: Context) -> tuple[tuple[Requirement, .
                     share = _share(value, context)
                 elif inside or name != "ensemble":
                     quantity, of = _quantity(name, inside=inside), share if inside else None
+                    figure = name
+                    if quantity.each is not None and isinstance(value, Mapping):
+                        figure, quantity = quantity.each, QUANTITIES[quantity.each]
                     found += [
-                        Requirement(figure=name, signal=signal, limit=limit, share=of, subject=at)
+                        Requirement(figure=figure, signal=signal, limit=limit, share=of, subject=at)
                         for signal, limit in _limits(value, quantity, context)
                     ]
             except BrokenParameter:
@@ -143,13 +151,14 @@ def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str 
         return [(None, _limit(value, quantity, context))]
     if quantity.per is None:
         raise ValueError("one number is expected: this figure is not one of a signal")
-    names = context.inputs if quantity.per == "inputs" else context.followed
+    names = {"inputs": context.inputs, "outputs": context.followed, "errors": context.errors}[quantity.per]
     if not value:
         raise ValueError(f"nothing is given: a number, or one for some of the {quantity.per} by name")
     for signal in value:
         if signal not in names:
             meant = guess(signal, names)
-            raise ValueError(f"{shown(signal)} is none of the {quantity.per} ({', '.join(names)}){meant}")
+            of = {"errors": "signals that have an error"}.get(quantity.per, quantity.per)
+            raise ValueError(f"{shown(signal)} is none of the {of} ({', '.join(names)}){meant}")
     return [(signal, _limit(limit, quantity, context)) for signal, limit in value.items()]
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, GetJsonSchemaHandler, Tag
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, GetJsonSchemaHandler, Tag
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core.core_schema import CoreSchema
 
@@ -33,10 +33,15 @@ class SineSection(Section):
 
 
 class StepSection(Section):
-    """A change by `size` at a time (s), rounded over `smooth` (s); added to everything else."""
+    """A change by `size` that begins at a time (s), rounded over `smooth` (s); added to everything else."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["at"]}, {"required": ["centre"]}]})
 
     size: Number
-    at: Number
+    at: Number | None = None
+    """When it begins, in s."""
+    centre: Number | None = None
+    """Its middle, in s, in place of `at`."""
     smooth: Positive | None = None
 
 

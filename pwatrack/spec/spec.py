@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pwatrack.arrays import Array, amount
 from pwatrack.causes import Subject
@@ -155,6 +155,13 @@ class Spec:
         (n, m), plant = self.problem.plant.B.shape, self.problem.plant
         cells = amount(len(plant.A), "cell")
         return f"<spec {self.name!r}: {self.problem.tracking} tracking, {cells}, n = {n}, m = {m}>"
+
+    @property
+    def measured(self) -> dict[str, Any]:
+        """What a run of it is measured with: arguments of `Measuring`."""
+        plant, follow = self.problem.plant, self.problem.tracking == "state"
+        names = {"outputs": plant.tracked_names, "inputs": plant.inputs, "states": plant.states if follow else ()}
+        return {**names, "bands": self.scenario.bands}
 
     @contextmanager
     def located(self) -> Iterator[None]:

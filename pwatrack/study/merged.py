@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from pwatrack.arrays import up
 from pwatrack.control.applicability import exact_is_open, practical_is_open
 from pwatrack.control.controller import Controller
 from pwatrack.control.modes import check_modes
@@ -16,7 +17,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.study.sizing import reference_sizes, spec_sizes
 from pwatrack.study.tracking import check_reference, desired_trajectory, spec_generator
 
 Designed = Callable[[Spec], Controller]
@@ -109,6 +110,18 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     return min(proved, key=tracked_bound, default="no bound of what merging leaves out is proved")
 
 
+def not_worth(spec: Spec, practical: Practical) -> str:
+    """Say which signals are not proved to end below the size of their reference; '' where all are."""
+    names = {"output": spec.problem.plant.tracked_names, "state": spec.problem.plant.states}
+    said = []
+    for (kind, k), size in practical.beyond.items():
+        name = names[kind][k]
+        unit = spec.problem.units.get(name, "")
+        bound = f"{up(practical.final[kind, k])} {unit}".rstrip()
+        said.append(f"|{name} − {name}_d| ends below {bound}, and the reference is of size {size:.4g} {unit}".rstrip())
+    return ", ".join(said)
+
+
 def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> Spec:
     """Return what is designed for: the same for the plant in which some elements are merged.
 
@@ -168,5 +181,8 @@ def _bounded(
     practical = Practical(
         plant=true, merges=tuple(ways), replaced=refusal.problems, evidence=refusal.evidence, bounds=bounds
     )
+    sizes = reference_sizes(spec, controller).tolist()
+    ends = (((controller.tracking, k), size) for k, size in enumerate(sizes) if size)
+    practical = replace(practical, beyond={form: size for form, size in ends if not practical.final[form] < size})
     limited = controller.limited  # from which starts no limit is reached is not proved where deviations act too
     return replace(controller, practical=practical, limited=None if limited is None else replace(limited, promises=()))

@@ -233,7 +233,8 @@ class Watch:
             return None
         unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
         final, worst = (f"{v:.2e} {unit}".rstrip() for v in self._norms)
-        text = f"within its bound: {self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
+        text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "
+        text += f"{self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
         return Outcome(kind="within its bound", text=text)
 
     def _settled(self) -> Outcome:

@@ -30,7 +30,7 @@ from pwatrack.spec.box import Box
 from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.study.limiting import room_within_limits
-from pwatrack.study.merged import may_merge, practical_design
+from pwatrack.study.merged import may_merge, not_worth, practical_design
 from pwatrack.study.outcome import Outcome, Watch
 from pwatrack.study.result import Result
 from pwatrack.study.sizing import spec_sizes
@@ -67,11 +67,15 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         if not may_merge(spec, refusal):
             raise
         found = practical_design(spec, refusal, lambda merged: _designed(merged, growing))
+        remark = f"; practical tracking is asked for, and not found: {found}"
         if isinstance(found, Controller):
-            return found
-        if not spec.objectives.practical:
+            little = "" if found.practical is None else not_worth(spec, found.practical)
+            if spec.objectives.practical or not little:
+                return found
+            remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
+        elif not spec.objectives.practical:
             raise
-        told = (p.followed(f"; practical tracking is asked for, and not found: {found}") for p in refusal.problems)
+        told = (p.followed(remark) for p in refusal.problems)
         raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
@@ -184,11 +188,8 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
-    plant, watch = (
-        spec.problem.plant,
-        Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain),
-    )
-    measuring = Measuring(samples, outputs=plant.tracked_names, inputs=plant.inputs, bands=spec.scenario.bands)
+    watch = Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain)
+    measuring = Measuring(samples, **spec.measured)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.causes import Remedy, Way
+from pwatrack.control.controller import Controller
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
 from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError
@@ -91,6 +92,21 @@ def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
     remedy = None if way is None else Remedy(way)
     told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
     return type(refusal)(*told, evidence=refusal.evidence)
+
+
+def reference_sizes(spec: Spec, controller: Controller) -> Array:
+    """Return how large the reference of each signal of the tracking error is, never more than it is, (q,).
+
+    That is half of its swing in a run, and of one that rests its size; at samples, so a swing is a little more. It is 0
+    where the reference rests at 0 or is not known beforehand: there is nothing to compare an error with.
+    """
+    trajectory, plant = controller.trajectory, controller.plant
+    p, of_state = len(trajectory.names), controller.tracking == "state"
+    rows = trajectory.x_d[0] if of_state else plant.tracked @ trajectory.x_d[0]
+    if of_state and p:  # the response to given inputs
+        return np.zeros(len(rows))
+    t = _times(trajectory.exosystem, spec.scenario.duration)
+    return _moves(trajectory.exosystem.states(t) @ rows[:, p:-1].T + rows[:, -1])
 
 
 def _given(spec: Spec) -> Iterator[Known]:

@@ -290,15 +290,12 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 def _member(result: Result, loop: ClosedLoop) -> Member:
     resets = tuple(loop.resets(result.spec.scenario.duration))
 
-    spec, plant = result.spec, result.spec.problem.plant
+    spec = result.spec
 
     def judge(trace: Trace) -> _Judged:
         watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
-        bands = spec.scenario.bands
-        return _Judged(
-            watch.outcome(), Figures.of(response, outputs=plant.tracked_names, inputs=plant.inputs, bands=bands)
-        )
+        return _Judged(watch.outcome(), Figures.of(response, **spec.measured))
 
     start = result.start.copy()
     _observe(spec, loop, start)

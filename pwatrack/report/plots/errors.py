@@ -32,13 +32,17 @@ _HIGH, _LOW = 1.6, 0.85  # inches of a panel, where there are one or two and whe
 
 @dataclass(frozen=True, kw_only=True)
 class _Panel:
-    """One error: its name and unit, its values over time, which bound is its, and the size of the signal."""
+    """One error: its name and unit, its values over time, which bound is its, the size of the signal, and which it is.
+
+    An error of the observer has no name of a signal.
+    """
 
     name: str
     unit: str
     values: Array
     form: Form
     of: float
+    signal: str = ""
 
 
 def tracking_error(result: Result) -> Figure:
@@ -52,6 +56,7 @@ def tracking_error(result: Result) -> Figure:
             values=response.tracking_error[:, k],
             form=(controller.tracking, k),
             of=float(np.abs(desired[:, k]).max()),
+            signal=name,
         )
         for k, name in enumerate(controller.error_names)
     ]
@@ -112,6 +117,7 @@ def _panels(result: Result, title: str, panels: Sequence[_Panel], sizes: Array) 
                 axes.plot(t, edge, color="0.6", linewidth=0.8)
             seen = max(seen, min(_BEYOND * seen, float(band.max())))
         axes.axhline(0, color="0.6", linewidth=0.8)
+        seen = max([seen, *(error_lines(axes, result, (-1, 1), panel.signal) if panel.signal else ())])
         axes.plot(t, panel.values, label="simulated", **ACTUAL)
         axes.set_ylim(-1.06 * seen or -1.0, 1.06 * seen or 1.0)
         axes.set_title(plain(panel.name), loc="left", fontsize=8, pad=3)

@@ -17,12 +17,15 @@ def limits(result: Result, figure: str, signal: str | None = None) -> list[float
     return [wish.limit for wish in asked if wish.signal in (None, signal)]
 
 
-def error_lines(axes: Axes, result: Result, signs: Sequence[int]) -> list[float]:
-    """Draw the largest error that is required, in the last tenth of the time and in all of it; return the values."""
+def error_lines(axes: Axes, result: Result, signs: Sequence[int], signal: str | None = None) -> list[float]:
+    """Draw the largest error that is required, in the last tenth of the time and in all of it; return the values.
+
+    That of the norm of all, or of one of the signals by itself.
+    """
     t, drawn = result.response.t, list[float]()
     late = float(t[last_tenth(len(t)).start])
     for figure, start in (("final_error", late), ("largest_error", float(t[0]))):
-        for limit in limits(result, figure):
+        for limit in limits(result, figure if signal is None else f"{figure}s", signal):
             for sign in signs:
                 axes.plot([start, t[-1]], [sign * limit] * 2, label="required", **REQUIRED)
                 drawn.append(sign * limit)
