@@ -208,6 +208,8 @@ class Log(NamedTuple):
             there is room for more.
         near_time, near_guard, near_span: From when on a guard was within rounding of 0 and no sign can be given,
             and for how long, in s.
+        break_time, break_mode, break_z: When, in s, in which mode and from where it went on anew: after each crossing
+            and each reset.
     """
 
     z: Array
@@ -217,6 +219,9 @@ class Log(NamedTuple):
     near_time: Array
     near_guard: IntArray
     near_span: Array
+    break_time: Array
+    break_mode: IntArray
+    break_z: Array
 
 
 class Trajectory(NamedTuple):
@@ -299,6 +304,7 @@ STATE = np.dtype(
         ("resets", np.int64),  # resets carried out
         ("events", np.int64),
         ("nears", np.int64),
+        ("breaks", np.int64),
         ("last", np.float64),  # when time last moved on between crossings, in s
         ("idle", np.int64),  # crossings since
         ("guard", np.int64),  # the last guard crossed
@@ -749,6 +755,16 @@ def _sample(field: Field, at: Trajectory, log: Log) -> None:
 
 
 @_inlined
+def _break(field: Field, at: Trajectory, log: Log) -> None:
+    """Write down from where it goes on anew."""
+    s = at.state[0]
+    log.break_time[s.breaks], log.break_mode[s.breaks] = (s.k + s.done) * field.h, s.m
+    for i in range(len(at.z)):
+        log.break_z[s.breaks, i] = at.z[i]
+    s.breaks += 1
+
+
+@_inlined
 def _enter(field: Field, at: Trajectory, log: Log) -> None:
     """Write down that a mode was entered. Changes within rounding of each other are one; the start is none."""
     s = at.state[0]
@@ -794,6 +810,7 @@ def _settle(field: Field, modes: Modes, known: int, at: Trajectory, log: Log, ro
         elif matters(room.vague[i], t, field):
             _note(at.state, log, t, i, room.vague[i] * field.h)
     _sample(field, at, log)
+    _break(field, at, log)
     _enter(field, at, log)
     return True
 
@@ -1155,6 +1172,8 @@ def _to_tick(field: Field, modes: Modes, known: int, resets: Resets, at: Traject
             return DONE
         if s.settling:
             fresh = False
+            if s.breaks == len(log.break_time):
+                return FULL
             if not _settle(field, modes, known, at, log, room):
                 return NEW_MODE
             continue

@@ -18,7 +18,7 @@ from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.routine import COUNTS, NONE, memory, room, routine
 from pwatrack.simulation.tables import Tables, unit
-from pwatrack.simulation.trace import Event, Trace, Unresolved
+from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
 MOST_STEPS = 20_000_000, 10  # of a run, and for each sample more: half a minute, and ten times what a sample takes
 MOST_EVENTS = 1_000_000  # at a time in memory
@@ -27,7 +27,7 @@ _MOST_RADIANS = 2.0**32  # of what oscillates for good: its phase is then right 
 _LASTING = 50.0, 1e-9  # time constants in a run, or part of its frequency, below which a decay does not count
 _ON_GRID = 1e-9, 1e-15  # of a finest step, or of the time: what is nearer to the grid is on it but for rounding
 _UNBOUNDED = 1e100  # no tracking loop gets there
-_GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span")
+_GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span", "break_time", "break_mode", "break_z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +214,9 @@ class Walk:
             near_time=np.zeros(8 * len(places)),
             near_guard=np.zeros(8 * len(places), dtype=np.int64),
             near_span=np.zeros(8 * len(places)),
+            break_time=np.zeros(64),
+            break_mode=np.zeros(64, dtype=np.int64),
+            break_z=np.zeros((64, len(z0))),
         )
         self.log.z[0] = self.z
 
@@ -250,7 +253,9 @@ class Walk:
             elif stop == kernel.FULL:
                 if max(self.events, int(self.state[0]["nears"])) > MOST_EVENTS:
                     raise self._too_much(f"has more than {MOST_EVENTS:,} mode changes")
-                self.log = self.log._replace(**{name: np.tile(getattr(self.log, name), 2) for name in _GROWING})
+                self.log = self.log._replace(
+                    **{name: np.concatenate([getattr(self.log, name)] * 2) for name in _GROWING}
+                )
             elif stop == kernel.SPENT:
                 many, each = MOST_STEPS
                 raise self._too_much(f"takes more than {many:,} steps and {each} for each sample")
@@ -295,11 +300,13 @@ class Walk:
     def trace(self, count: int | None = None) -> Trace:
         """Return what was written down, or so many samples of it."""
         log, on, met = self.log, self.propagator, self.propagator.modes.met
-        events, nears, count = self.events + 1, int(self.state[0]["nears"]), len(log.z) if count is None else count
+        breaks, events, nears = (int(self.state[0][name]) for name in ("breaks", "events", "nears"))
+        count = len(log.z) if count is None else count
         entered = [met[m] for m in log.event_mode[:events].tolist()]
         noted = (log.near_time, log.near_guard, log.near_span)
         near = list(zip(*(values[:nears].tolist() for values in noted), strict=True))
-        if self.first + count == on.samples:
+        last = self.first + count == on.samples
+        if last:
             near += self._staying()
         return Trace(
             t=on.sample_time * np.arange(self.first, self.first + count, dtype=np.float64),
@@ -308,6 +315,12 @@ class Walk:
             events=tuple(map(Event, log.event_time[1:events].tolist(), entered[:-1], entered[1:])),
             unresolved=tuple(
                 Unresolved(t=t, part=on.places[k][0], guard=on.places[k][1], span=span) for t, k, span in near
+            ),
+            breaks=Breaks(
+                t=log.break_time[:breaks].copy(),
+                z=on.flow.absolute(log.break_z[:breaks]) * on.d,
+                modes=np.array(met)[log.break_mode[:breaks]],
+                until=on.sample_time * (self.first + count - last),
             ),
         )
 
@@ -321,7 +334,7 @@ class Walk:
             log.event_time[0], log.event_mode[0] = log.event_time[last], log.event_mode[last]
             self.log = log._replace(z=np.empty((left, len(self.z))), mode=np.full(left, log.mode[-1]))
             self.log.z[0] = self.z
-            self.state[["base", "events", "nears"]] = self.first + count, 1, 0
+            self.state[["base", "events", "nears", "breaks"]] = self.first + count, 1, 0, 0
         self.first += count
         return trace
 

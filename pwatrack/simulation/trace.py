@@ -38,6 +38,23 @@ class Unresolved:
     span: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Breaks:
+    """Where a trajectory goes on anew: at its start, at each crossing of a guard and at each jump.
+
+    Attributes:
+        t: When, in s, in order, (E,).
+        z: From where, (E, N).
+        modes: In which cell of each part, (E, P).
+        until: Up to when in s all of them are known: the first sample of the next block, or the last one of the run.
+    """
+
+    t: Array
+    z: Array
+    modes: IntArray
+    until: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Trace:
     """A sampled trajectory of a flow of order N with P switched parts.
@@ -48,6 +65,7 @@ class Trace:
         modes: Cell of each part at each sample, (K, P).
         events: All mode changes, in order of time.
         unresolved: Where rounding leaves open whether or when there was one, in the order in which it was noticed.
+        breaks: What happens between the samples; None where it is not kept.
     """
 
     t: Array
@@ -55,6 +73,7 @@ class Trace:
     modes: IntArray
     events: tuple[Event, ...]
     unresolved: tuple[Unresolved, ...] = ()
+    breaks: Breaks | None = None
 
     @staticmethod
     def coarse(blocks: Sequence["Trace"]) -> "Trace":
@@ -68,7 +87,9 @@ class Trace:
     def every(self, step: int, number: int) -> "Trace":
         """Return every so many-th sample where the first of the trace has this number; there are no events in it."""
         rows = slice((-number) % step, None, step)
-        return replace(self, t=self.t[rows], z=self.z[rows].copy(), modes=self.modes[rows].copy(), events=())
+        return replace(
+            self, t=self.t[rows], z=self.z[rows].copy(), modes=self.modes[rows].copy(), events=(), breaks=None
+        )
 
     def stays(self) -> list[tuple[Mode, float, float]]:
         """Return (mode, from, to) for each stretch of time without a mode change."""
