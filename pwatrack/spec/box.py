@@ -1,7 +1,7 @@
 """Parameters that are known to lie in intervals."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pwatrack.arrays import number_text
 from pwatrack.causes import Subject
@@ -9,6 +9,7 @@ from pwatrack.errors import Problem
 from pwatrack.real import Real
 from pwatrack.spec.design_section import DesignSection
 from pwatrack.spec.names import unknown_names
+from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.paths import path_text
 from pwatrack.spec.wording import shown
 
@@ -23,17 +24,19 @@ class Uncertain:
         name: Of the parameter.
         nominal: Its value in the design.
         low, high: The ends.
+        uses: The parameters that its value is made of in the file.
     """
 
     name: str
     nominal: Real
     low: Real
     high: Real
+    uses: frozenset[str] = frozenset()
 
     def scaled(self, factor: Real) -> "Uncertain":
         """Return the interval with both ends so many times as far away from the value of the design."""
         low, high = (self.nominal + factor * (end - self.nominal) for end in (self.low, self.high))
-        return Uncertain(name=self.name, nominal=self.nominal, low=low, high=high)
+        return replace(self, low=low, high=high)
 
     @property
     def text(self) -> str:
@@ -65,14 +68,14 @@ def box_problems(section: DesignSection, values: Mapping[str, Real | None]) -> l
     return problems
 
 
-def build_box(section: DesignSection, values: Mapping[str, Real | None]) -> Box:
+def build_box(section: DesignSection, parametric: ParametricPlant) -> Box:
     """Return what is uncertain, of a section without a fault."""
-    box = []
+    box, uses = [], parametric.uses if section.uncertain else {}
     for name, given in section.uncertain.items():
-        nominal = values[name]
+        nominal = parametric.names.parameters[name]
         assert nominal is not None
         low, high = _interval(nominal, given)
-        box.append(Uncertain(name=name, nominal=nominal, low=low, high=high))
+        box.append(Uncertain(name=name, nominal=nominal, low=low, high=high, uses=uses[name]))
     return tuple(box)
 
 
@@ -84,6 +87,16 @@ def _interval(nominal: Real, given: Real | tuple[Real, Real]) -> tuple[Real, Rea
 
 
 def inside(box: Sequence[Uncertain], parameters: Mapping[str, float]) -> bool:
-    """Say whether a plant with some parameters changed is one of the box."""
+    """Say whether a plant with some parameters changed is one of the box; False where others follow these in the file.
+
+    Example: d may be 1 % off, and is not, by itself, where it is made of m.
+
+        >>> one, zero = Real.of(1), Real.of(0)
+        >>> m = Uncertain(name="m", nominal=one, low=zero, high=Real.of(2))
+        >>> d = Uncertain(name="d", nominal=one, low=Real.of("0.99"), high=Real.of("1.01"), uses=frozenset(["m"]))
+        >>> inside((m,), {"m": 2.0}), inside((m, d), {"m": 2.0}), inside((m, d), {"m": 2.0, "d": 1.0})
+        (True, False, True)
+    """
     known = {interval.name: (float(interval.low), float(interval.high)) for interval in box}
-    return all(name in known and known[name][0] <= value <= known[name][1] for name, value in parameters.items())
+    follow = any(interval.name not in parameters and interval.uses & parameters.keys() for interval in box)
+    return not follow and all(n in known and known[n][0] <= value <= known[n][1] for n, value in parameters.items())

@@ -1,27 +1,22 @@
 """The plants at the corners of a box of parameters, and whether they speak for all of it.
 
-Where every entry of A_i, b_i and B is a sum of products of the p_k^q_k, each of them at most once in a product, with
-one whole exponent q_k for each parameter, the entries are affine in each p_k^q_k by itself. This is monotone over an
-interval (without 0, unless q_k = 1), so the plant for any p is a mean of the plants at the corners, with the same
-weights for all cells and entries: products of the shares at which the p_k^q_k lie between their ends.
+Where every entry of A_i, b_i and B, with all its factors (see `dependence`), is a sum of products of the p_k^q_k, each
+of them at most once in a product, with one whole exponent q_k for each parameter, the same in all of them, the entries
+are affine in each p_k^q_k by itself. This is monotone over an interval (without 0, unless q_k = 1), so the plant for
+any p is a mean of the plants at the corners, with the same weights for all cells and entries: products of the shares
+at which the p_k^q_k lie between their ends. What is affine in A_i, b_i and B, such as a matrix inequality or a jump at
+a facet that does not move, then holds for all p where it holds at the corners.
 """
 
-from collections.abc import Collection, Iterator, Mapping
 from itertools import product
-from typing import Any
 
-from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Undecided
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.spec.box import SUBJECT, Box
-from pwatrack.spec.expression import Expression, ExpressionError, real
+from pwatrack.spec.dependence import Dependence
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.paths import path_text
-from pwatrack.spec.polynomial import Polynomial
-from pwatrack.spec.wording import shown
 
 _MOST_CORNERS = 4096  # of 12 parameters: a plant is made for each
-_SHAPE = ("slope", "lower_slope", "upper_slope", "slopes", "value")  # what a nonlinearity is linear in
 
 
 def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[Matrices, ...]:
@@ -62,13 +57,7 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
 
 def _check_dependence(parametric: ParametricPlant, box: Box) -> None:
     """Refuse a box whose corners do not speak for all of it."""
-    names = _polynomials(parametric, {interval.name for interval in box})
-    varying = {name for name, value in names.items() if value is None or isinstance(value, Polynomial)}
-    seen = dict[tuple[str, int], str]()
-    for text, terms in _entries(parametric, names, varying):
-        for powers in terms.terms:
-            for name, k in powers:
-                seen.setdefault((name, k), text)
+    seen = Dependence(parametric, {interval.name for interval in box}).powers()
     problems, invalid = [], []
     for interval in box:
         name, found = interval.name, [(k, text) for (of, k), text in seen.items() if of == interval.name]
@@ -89,72 +78,6 @@ def _check_dependence(parametric: ParametricPlant, box: Box) -> None:
         raise InvalidSpec(*invalid)
     if problems:
         raise OutsideTheory(*problems)
-
-
-def _polynomials(parametric: ParametricPlant, uncertain: Collection[str]) -> dict[str, Any]:
-    """Return every parameter: a number, or a polynomial in those that are uncertain; None where it is none."""
-    names = dict[str, Any]()
-    for name, written in parametric.parameters.items():
-        names[name] = parametric.names.parameters[name]
-        if name in uncertain:
-            names[name] = Polynomial.of(name)
-        elif isinstance(written, Expression) and any(
-            names.get(other) is None or isinstance(names[other], Polynomial) for other in written.names & set(names)
-        ):
-            try:
-                names[name] = real(written, names)
-            except ExpressionError:
-                names[name] = None
-    return names
-
-
-def _entries(
-    parametric: ParametricPlant, names: Mapping[str, Any], varying: Collection[str]
-) -> Iterator[tuple[str, Polynomial]]:
-    """Yield every entry of the matrices that varies, and what it is as a polynomial."""
-    elements = dict[int, list[Subject]]()
-    for path, expression in parametric.varying.items():
-        if expression.names.isdisjoint(varying):
-            continue
-        if path[0] not in ("A", "b", "B", "cells", "nonlinearities") or (path[0] == "cells" and path[2] == "where"):
-            raise _fixed(path, expression)
-        if path[0] == "nonlinearities":
-            if path[2] not in ("into", *_SHAPE):
-                raise _fixed(path, expression)
-            assert isinstance(path[1], int)
-            elements.setdefault(path[1], []).append(path)
-            continue
-        yield _named(path, expression), _polynomial(path, expression, names)
-    for paths in elements.values():
-        factors, shapes = (
-            [
-                (path, _polynomial(path, parametric.varying[path], names))
-                for path in paths
-                if (path[2] == "into") == into
-            ]
-            for into in (True, False)
-        )
-        for factor, shape in product(factors or [((), Polynomial.of(1))], shapes or [((), Polynomial.of(1))]):
-            named = [_named(path, parametric.varying[path]) for path in (factor[0], shape[0]) if path]
-            yield " times ".join(named), factor[1] * shape[1]
-
-
-def _polynomial(path: Subject, expression: Expression, names: Mapping[str, Any]) -> Polynomial:
-    try:
-        return Polynomial.of(real(expression, names))
-    except ExpressionError:
-        message = f"{_named(path, expression)} is no sum of products of whole powers of the uncertain parameters"
-        raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
-
-
-def _fixed(path: Subject, expression: Expression) -> OutsideTheory:
-    what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
-    message = f"{_named(path, expression)} depends on an uncertain parameter: {what} to be known"
-    return OutsideTheory(Problem(message=message, subject=("system", *path)))
-
-
-def _named(path: Subject, expression: Expression) -> str:
-    return f"{path_text(('system', *path))} = {shown(expression.text)}"
 
 
 def _power(name: str, k: int) -> str:

@@ -163,7 +163,7 @@ def _spec_of(
             reference=reference,
             parametric=parametric,
         ),
-        objectives=build_objectives(file.design, values),
+        objectives=build_objectives(file.design, parametric),
         scenario=build_scenario(simulation, plant.states, conditions),
         requirements=requirements,
         expected_exit=file.expect.exit if file.expect else 0,

@@ -108,6 +108,15 @@ class ParametricPlant:
             raise type(refusal)(*problems) from None
         return plant, {name: float(value) for name in parameters if (value := values[name]) is not None}
 
+    @property
+    def uses(self) -> dict[str, frozenset[str]]:
+        """The parameters that the value of each is made of."""
+        found = dict[str, frozenset[str]]()
+        for name, written in self.parameters.items():
+            direct = written.names & found.keys() if isinstance(written, Expression) else frozenset()
+            found[name] = direct.union(*(found[other] for other in direct))
+        return found
+
     def _values(self, parameters: Mapping[str, float | str | Real]) -> dict[str, Real | None]:
         values, problems = evaluated(self.parameters, parameters, outside=self.outside - set(parameters))
         if problems:

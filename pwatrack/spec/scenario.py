@@ -1,6 +1,6 @@
 """Checked sections -> the objectives of a design, and the scenario that is simulated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smal
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
-from pwatrack.real import Real
 from pwatrack.spec.box import build_box
 from pwatrack.spec.courses import build_courses
 from pwatrack.spec.design_section import DesignSection, GoalSection
@@ -22,13 +21,13 @@ from pwatrack.spec.starts import initial_states, regions
 from pwatrack.spec.table import Folder
 
 
-def build_objectives(section: DesignSection, values: Mapping[str, Real | None]) -> Objectives:
-    """Return what the gains are to achieve; `values` are those of the parameters."""
+def build_objectives(section: DesignSection, parametric: ParametricPlant) -> Objectives:
+    """Return what the gains are to achieve; `parametric` is the plant as a function of its parameters."""
     return Objectives(
         controller=_goal(section.controller, section.controller.K),
         observer=_goal(section.observer, section.observer.L),
         solver=section.solver,
-        uncertain=build_box(section, values),
+        uncertain=build_box(section, parametric),
         practical=section.tracking == "practical",
     )
 

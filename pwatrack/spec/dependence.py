@@ -1,0 +1,212 @@
+"""How the field of the plant (1) depends on parameters: every entry of A_i, b_i and B, from all its factors.
+
+A scalar element adds direction · φ(row · x + constant). Its breakpoints, row and constant being known, slopes and
+intercepts of φ are linear in the numbers that `SHAPE` lists, so its entries are sums of a factor of `into`, one of
+these numbers, and what φ is where this number is 1 and the others are 0.
+"""
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pwatrack.arrays import number_text
+from pwatrack.causes import Subject
+from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.model.nonlinearity import PiecewiseLinear
+from pwatrack.model.signal import NotRepresentable
+from pwatrack.real import Real
+from pwatrack.spec.expression import Expression, ExpressionError, real
+from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.paths import path_text
+from pwatrack.spec.plant_section import Element
+from pwatrack.spec.polynomial import Polynomial
+from pwatrack.spec.wording import shown
+
+SHAPE = ("slope", "lower_slope", "upper_slope", "slopes", "value")  # what φ is linear in
+_NOT_OF_THE_FIELD = ("sizes", "units")  # of the design and of reports alone
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a sum.
+
+    Attributes:
+        text: Where it stands in the file, and what stands there.
+        polynomial: What it is.
+    """
+
+    text: str
+    polynomial: Polynomial
+
+    def __neg__(self) -> "Piece":
+        """Return it with the other sign."""
+        return Piece(self.text, -self.polynomial)
+
+
+class Dependence:
+    """The field as a function of some parameters, the others being as they are.
+
+    Args:
+        parametric: The plant as a function of its parameters.
+        free: Names of those that are left open.
+
+    Raises:
+        OutsideTheory: If an entry is no sum of products of their powers, or hyperplanes or C depend on them.
+
+    Example: the paper's example, in the stiffness of its spring and in a mass.
+
+        >>> from pwatrack import load_spec
+        >>> plant = Dependence(load_spec("specs/two_mass_backlash.yaml").problem.parametric, ["k1", "m1"])
+        >>> plant.powers()["m1", -1]
+        "system.B[2][1] = '1/m1'"
+    """
+
+    def __init__(self, parametric: ParametricPlant, free: Collection[str]) -> None:
+        self._parametric = parametric
+        self._names = _polynomials(parametric, free)
+        varying = {name for name, value in self._names.items() if value is None or isinstance(value, Polynomial)}
+        self._varying = {p: e for p, e in parametric.varying.items() if not e.names.isdisjoint(varying)}
+
+    def powers(self) -> dict[tuple[str, int], str]:
+        """Return each power of a parameter that is in an entry of a matrix, and a place where it is from.
+
+        What cancels in an entry is not in it.
+        """
+        seen = dict[tuple[str, int], str]()
+        try:
+            for pieces in self._entries():
+                total = sum((piece.polynomial for piece in pieces), Polynomial({}))
+                for power in (power for term in total.terms for power in term if power not in seen):
+                    seen[power] = next(piece.text for piece in pieces if _has(piece.polynomial, power))
+        except NotRepresentable as error:
+            message = f"an entry of the plant as a function of the uncertain parameters {error}"
+            raise OutsideTheory(Problem(message=message, subject=("system",))) from None
+        return seen
+
+    def _entries(self) -> Iterator[list[Piece]]:
+        """Yield sums that are affine in parameters wherever all entries of A_i, b_i and B are, and the other way round.
+
+        The entries are T + Σ d over the elements, d the difference between a segment of one and its first segment:
+        so these are T and all d.
+        """
+        entries = defaultdict[Subject, list[Piece]](list)  # by ("A", j, k), ("b", j), …
+        elements = dict[int, None]()
+        for path, expression in self._varying.items():
+            if path[0] in _NOT_OF_THE_FIELD:
+                continue
+            of_element, of_cell = path[0] == "nonlinearities", path[0] == "cells"
+            if of_element and path[2] in ("into", *SHAPE):
+                assert isinstance(path[1], int)
+                elements[path[1]] = None
+            elif path[0] in ("A", "b", "B") or (of_cell and path[2] != "where"):
+                entries[path].append(Piece(self._text(path, None), self._polynomial(path, expression)))
+            else:
+                raise _fixed(path, expression)
+        for number in elements:
+            for place, first, *others in self._element(number):
+                entries[place] += first
+                yield from ([*pieces, *(-piece for piece in first)] for pieces in others)
+        yield from entries.values()
+
+    def _element(self, number: int) -> Iterator[tuple[Any, ...]]:
+        """Yield each entry that an element adds to, and its pieces on each of its segments, where they vary."""
+        at: Subject = ("nonlinearities", number)
+        section = (self._parametric.nominal.nonlinearities or [])[number]
+        states, row = self._parametric.nominal.states, section.of
+        shapes = [((*at, *path), self._value((*at, *path), v), unit) for path, v, unit in _units(section)]
+        found = defaultdict[Subject, list[list[Piece]]](lambda: [[] for _ in shapes[0][2].slopes])
+        for state, written in section.into.items():
+            j, into = states.index(state), (*at, "into", state)
+            factor = self._value(into, written)
+            for path, value, unit in shapes:
+                q = factor * value
+                if not any(q.terms):
+                    continue  # the only product of powers in it is the empty one
+                text = self._text(into, written)
+                if path in self._varying or path[2] in section.model_fields_set:
+                    text += f" times {self._text(path, _at(section, path[2:]))}"
+                for segment, (slope, intercept) in enumerate(zip(unit.slopes, unit.intercepts, strict=True)):
+                    places: dict[Subject, Real] = {("A", j, k): slope * v for k, v in enumerate(row.coefficients)}
+                    places["b", j] = slope * row.offset + intercept
+                    for place, coefficient in places.items():
+                        if coefficient.centre or coefficient.radius:
+                            found[place][segment].append(Piece(text, q * coefficient))
+        for place, segments in found.items():
+            yield place, *segments
+
+    def _value(self, path: Subject, nominal: Real) -> Polynomial:
+        """Return what stands at a path."""
+        expression = self._varying.get(path)
+        return Polynomial.of(nominal) if expression is None else self._polynomial(path, expression)
+
+    def _polynomial(self, path: Subject, expression: Expression) -> Polynomial:
+        try:
+            return Polynomial.of(real(expression, self._names))
+        except ExpressionError:
+            message = f"{_named(path, expression)} is no sum of products of whole powers of the uncertain parameters"
+            raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
+
+    def _text(self, path: Subject, nominal: Real | None) -> str:
+        expression = self._parametric.varying.get(path)
+        if expression is not None:
+            return _named(path, expression)
+        assert nominal is not None
+        return f"{path_text(('system', *path))} = {number_text(float(nominal), 'g')}"
+
+
+def _units(section: Element) -> Iterator[tuple[Subject, Real, PiecewiseLinear]]:
+    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
+    given = {name: getattr(section, name, None) for name in SHAPE}
+    nothing = {
+        name: [Real.of(0)] * len(v) if isinstance(v, list) else Real.of(0) for name, v in given.items() if v is not None
+    }
+    for name, none in nothing.items():
+        value = given[name]
+        if isinstance(none, Real):
+            yield (name,), value, _function(section, nothing | {name: Real.of(1)})
+            continue
+        for k in range(len(none)):
+            one = [Real.of(int(j == k)) for j in range(len(none))]
+            yield (name, k), value[k], _function(section, nothing | {name: one})
+
+
+def _function(section: Element, numbers: Mapping[str, Any]) -> PiecewiseLinear:
+    return section.model_copy(update=dict(numbers)).function()
+
+
+def _at(section: Element, path: Sequence[Any]) -> Real:
+    value = getattr(section, path[0])
+    found: Real = value[path[1]] if len(path) > 1 else value
+    return found
+
+
+def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str, Any]:
+    """Return every parameter: a number, or a polynomial in those that are free; None where it is none."""
+    names = dict[str, Any]()
+    for name, written in parametric.parameters.items():
+        names[name] = parametric.names.parameters[name]
+        if name in free:
+            names[name] = Polynomial.of(name)
+        elif isinstance(written, Expression) and any(
+            names.get(other) is None or isinstance(names[other], Polynomial) for other in written.names & set(names)
+        ):
+            try:
+                names[name] = real(written, names)
+            except ExpressionError:
+                names[name] = None
+    return names
+
+
+def _has(polynomial: Polynomial, power: tuple[str, int]) -> bool:
+    return any(power in powers for powers in polynomial.terms)
+
+
+def _fixed(path: Subject, expression: Expression) -> OutsideTheory:
+    what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
+    message = f"{_named(path, expression)} depends on an uncertain parameter: {what} to be known"
+    return OutsideTheory(Problem(message=message, subject=("system", *path)))
+
+
+def _named(path: Subject, expression: Expression) -> str:
+    return f"{path_text(('system', *path))} = {shown(expression.text)}"
