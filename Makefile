@@ -36,6 +36,16 @@ demo: $(READY) ## design and simulate the paper's example
 test: $(READY) ## run the tests
 	@$(BIN)/pytest -q -n auto
 
+KINDS ?= 0
+
+.PHONY: test-kernels
+test-kernels: $(READY) ## run the numerical tests under other processors' kernels, in random order (KINDS=1: one of them)
+	@$(BIN)/python -m benchmarks.processors --tests $(KINDS)
+
+.PHONY: processors
+processors: $(READY) ## compare the verdicts on 200 pairs of nearly equal modes under all of these (ten minutes)
+	@$(BIN)/python -m benchmarks.processors 200
+
 DOCS := .venv/.docs
 
 $(DOCS): $(READY) docs/requirements.lock

@@ -22,14 +22,14 @@ from tests.exported import with_pieces, with_reversed_limits
 from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
+from tests.tools import COMPILERS, SANE, needs
 
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler is installed")
-SANE = "-g -fsanitize=address,undefined -fno-sanitize-recover=all"
 
 
 def built(folder: Path, compiler: str, options: str, main: str = "main.c") -> str:
     """Compile a folder with no warning and return what the program says."""
+    needs(compiler, options)
     sources = [main, *(path.name for path in folder.glob("*.c") if path.name not in ("main.c", "faults.c"))]
     command = [compiler, *FLAGS.split(), *options.split(), "-o", "program", *sources]
     found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

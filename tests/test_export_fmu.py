@@ -43,6 +43,7 @@ from tests.precise import precise
 from tests.scenarios import in_scenario
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
+from tests.tools import COMPILERS, SANE, needs
 
 COMPILER = c_compiler()
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler for Linux on x86-64 is installed")
@@ -136,7 +137,7 @@ def without(name: str, sources: Mapping[str, str]) -> bytes:
     return compiled(sources, COMPILER, [f"-D{name}=another_name"])
 
 
-@pytest.mark.parametrize("compiler", [name for name in ("gcc", "clang") if shutil.which(name)])
+@pytest.mark.parametrize("compiler", COMPILERS)
 @both
 def test_the_sources_compile_without_a_warning(
     machine: tuple[Spec, ControllerFile], version: Version, compiler: str, tmp_path: Path
@@ -414,8 +415,8 @@ def test_nothing_is_undefined_from_any_state(name: str, tmp_path: Path) -> None:
     cells = f"#define CELLS {len(spec.problem.plant.A)}u"
     (tmp_path / "main.c").write_text(cells + FAULTS, encoding="utf-8")
     assert COMPILER is not None
-    sane = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    command = [COMPILER, "-std=c99", *sane, "-o", "faults", "main.c", "loop.c", "-lm"]
+    needs(COMPILER, SANE)
+    command = [COMPILER, "-std=c99", "-O1", *SANE.split(), "-o", "faults", "main.c", "loop.c", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True)
     ran = subprocess.run([tmp_path / "faults"], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (0, "0"), ran.stderr
@@ -484,7 +485,8 @@ def test_sources_do_without_a_compiler(
     assert not (folder / "binaries").exists()
     description = fmpy.read_model_description(folder)
     names = description.buildConfigurations[0].sourceFileSets[0].sourceFiles
-    command = ["gcc", "-std=c99", "-fPIC", "-shared", *names, "-lm", "-o"]
+    assert COMPILER is not None
+    command = [COMPILER, "-std=c99", "-fPIC", "-shared", *names, "-lm", "-o"]
     subprocess.run([*command, tmp_path / "one.so"], cwd=folder / "sources", check=True)
     assert missing(tmp_path / "one.so", version) == []
     prefixed = [*command, tmp_path / "two.so", f"-DFMI{version}_FUNCTION_PREFIX=cart_"]
