@@ -292,4 +292,4 @@ def _part(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: 
         for kind, j in seen:
             seen[kind, j] = max(seen[kind, j], abs(float(errors[kind][j])))
     bounds = robust.reached(1.02 * w + 1e-9)  # between steps w is a little larger
-    return max(seen[signal] / bounds[signal] for signal in seen)
+    return max(size / max(bounds[signal], 1e-12) for signal, size in seen.items())  # 0 / 0: w does not reach it
