@@ -121,6 +121,10 @@ previews: $(READY) ## follow references with 100 random plants that are not mini
 bounds: $(READY) ## hold the bounds of random designs against the worst that can be found
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bounds 200
 
+.PHONY: uncertain
+uncertain: $(READY) ## hold what is said of boxes of parameters against 2,000 random plants (fifteen minutes)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.uncertain 2000
+
 .PHONY: practical
 practical: $(READY) ## hold final bounds of practical tracking against simulations of 200 random plants (four minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.practical 200

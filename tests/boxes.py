@@ -93,18 +93,28 @@ def _element(write: _Writer, states: Sequence[str], number: int) -> dict[str, An
     ends = [write.number(1.0) if rng.random() < 0.02 else f"{mark}" for mark in marks]
     of = [states[0], f"{states[0]} + 0.3", f"2*{states[-1]} - 0.4", " - ".join(states)][int(rng.integers(4))]
     into = [s for s in states if rng.random() < 0.7] or [states[0]]
-    found: dict[str, Any] = {"name": f"e{number}", "kind": kind, "of": of, "into": {s: write.number(0.8) for s in into}}
+    split = str(rng.choice(list(write.values))) if rng.random() < 0.4 else ""  # its power stands in two factors
+    part = int(rng.choice([-1, 1, 2]))
+
+    def factor(size: float, power: int) -> str:
+        c = f"{write.rng.uniform(0.2, 0.8) * size:.2f}"
+        return write.number(size) if not split else c if rng.random() < 0.2 or not power else f"{c}*{split}**({power})"
+
+    def shape() -> str:
+        return factor(0.8, write.powers.get(split, 0) - part)
+
+    found: dict[str, Any] = {"name": f"e{number}", "kind": kind, "of": of, "into": {s: factor(0.8, part) for s in into}}
     if kind in ("dead_zone", "saturation"):
         found |= {"lower": ends[0], "upper": ends[1]}
     if kind == "spring":
         found["start"] = ends[0]
     if kind == "piecewise_linear":
-        found |= {"breakpoints": ends, "slopes": [write.number(0.8) for _ in range(3)]}
-        found |= {"value": write.number(0.8)} if rng.random() < 0.5 else {}
+        found |= {"breakpoints": ends, "slopes": [shape() for _ in range(3)]}
+        found |= {"value": shape()} if rng.random() < 0.5 else {}
     elif rng.random() < 0.8:
-        found["slope"] = write.number(0.8)
+        found["slope"] = shape()
     if kind == "dead_zone" and rng.random() < 0.5:
-        found["lower_slope"] = write.number(0.8)
+        found["lower_slope"] = shape()
     return found
 
 
@@ -227,7 +237,7 @@ def _outside(spec: Any, box: Mapping[str, tuple[float, ...]], drawn: Any, rng: n
     size, worst = np.abs(ends).max(), 0.0
     for values in drawn:
         wanted = np.append(features(values), size)
-        weights, left = nnls(np.vstack([ends, np.full(ends.shape[1], size)]), wanted)
+        _, left = nnls(np.vstack([ends, np.full(ends.shape[1], size)]), wanted)
         worst = max(worst, left / np.linalg.norm(wanted))
     return float(worst)
 
@@ -282,4 +292,4 @@ def _part(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: 
         for kind, j in seen:
             seen[kind, j] = max(seen[kind, j], abs(float(errors[kind][j])))
     bounds = robust.reached(1.02 * w + 1e-9)  # between steps w is a little larger
-    return max(seen[signal] / bounds[signal] for signal in seen)
+    return max(size / max(bounds[signal], 1e-12) for signal, size in seen.items())  # 0 / 0: w does not reach it

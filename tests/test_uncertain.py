@@ -21,10 +21,11 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
 from pwatrack.report.files import write_result
 from pwatrack.report.session import run
-from pwatrack.report.uncertain import box_figures
+from pwatrack.report.uncertain import box_figures, run_rows
 from pwatrack.report.verify import verify
 from pwatrack.spec.corners import corners
 from pwatrack.study.bands import covered
+from tests.boxes import judge
 
 SPRING = """
 name: mass on a spring
@@ -120,6 +121,166 @@ def test_what_the_corners_do_not_speak_for_is_refused(
         design(load_spec(spring(tmp_path, **changes)))
     assert refused.value.code == code
     assert refused.value.problems[0].place is not None
+
+
+BEND = """
+name: one element
+parameters: {{k: 1, m: 2, q: k*m}}
+system:
+  states: [x, z]
+  inputs: [u]
+  outputs: [y]
+  A: [[{own}, 0], [0, -1]]
+  B: [[1], [0]]
+  C: [[1, 0]]
+  nonlinearities: [{{name: bend, of: x, {shape}, into: {{{into}}}}}]
+design: {{tracking: state, uncertain: {{{box}}}, controller: {{K: [[-0.1, 0]]}}, observer: {{L: [[-0.1], [0]]}}}}
+reference: {{setpoint: {{y: 0}}}}
+simulation: {{duration: 1, sample_time: 0.1}}
+"""
+FREE = "kind: piecewise_linear, breakpoints: [0.5]"
+
+
+@pytest.mark.parametrize(
+    ("own", "shape", "into", "one", "two"),
+    [
+        (
+            "-15",
+            f"{FREE}, slopes: [-k, 10]",
+            "x: k",
+            r"k\*\*2 in .*into.x = 'k' times .*slopes\[1\] = '-k'",
+            r"as k in .*= 10",
+        ),
+        ("-1", f"{FREE}, slopes: [k, 2*k], value: 3", "x: -k", r"as k\*\*2 in .*slopes", r"as k in .*value = 3"),
+        (
+            "-5 - 1/k",
+            f"{FREE}, slopes: [k, 1.1*k]",
+            "x: -1, z: 1/k",
+            r"as k in .*into.x = -1 times",
+            r"1/k in system.A\[1\]\[1\]",
+        ),
+        (
+            "-5 - 1/k",
+            "kind: saturation, lower: -1, upper: 1, slope: 2*k",
+            "x: -1/k, z: 1/m",
+            "as k in .*into.z",
+            "as 1/k in",
+        ),
+        ("-5 - k", "kind: saturation, lower: -1, upper: 1, slope: q", "x: -k", r"k\*\*2 in", "not affine"),
+        ("-5 - k", "kind: spring", "x: -k**2", r"as k\*\*2 in .*into.x = '-k\*\*2' ", "as k in"),
+        (
+            "-5 - k",
+            "kind: dead_zone, lower: 0, upper: 1, slope: k, lower_slope: 2",
+            "x: -k",
+            "lower_slope = 2|A",
+            "not affine",
+        ),
+    ],
+)
+def test_a_power_is_seen_through_all_factors(
+    tmp_path: Path, own: str, shape: str, into: str, one: str, two: str
+) -> None:
+    path = tmp_path / "bend.yaml"
+    path.write_text(BEND.format(own=own, shape=shape, into=into, box="k: [0.5, 2]"))
+    spec = load_spec(path)
+    for said in (one, two):
+        with pytest.raises(PwatrackError, match=said) as refused:
+            corners(spec.problem.parametric, spec.problem.plant, spec.objectives.uncertain)
+        assert refused.value.code == ExitCode.OUTSIDE_THEORY
+
+
+@pytest.mark.parametrize(
+    ("own", "shape", "into", "box"),
+    [
+        ("-15", f"{FREE}, slopes: [1, 10]", "x: k", "k: [0.5, 2]"),
+        ("-15", f"{FREE}, slopes: [-k, 10], value: 2", "x: m, z: k*m", "m: 10%"),
+        ("-15 + m", f"{FREE}, slopes: [m, 2*m]", "x: -1/m, z: k", "m: 10%, k: 10%"),
+        ("-15 - k - k**2", "kind: saturation, lower: -1, upper: 1, slope: -k", "x: m/k, z: 1", "m: 10%"),
+        ("-15 + k**2", f"{FREE}, slopes: [-k, -k]", "x: k, z: 1", "k: 10%"),
+        ("-15", f"{FREE}, slopes: [q/k, 3]", "x: -1", "m: 10%"),
+        (
+            "-15",
+            "kind: dead_zone, lower: 0, upper: 1, slope: 1/k, lower_slope: 2/k, upper_slope: 1",
+            "x: 3*k",
+            "k: 10%",
+        ),
+    ],
+)
+def test_what_cancels_is_no_power(tmp_path: Path, own: str, shape: str, into: str, box: str) -> None:
+    path = tmp_path / "bend.yaml"
+    path.write_text(BEND.format(own=own, shape=shape, into=into, box=box))
+    spec = load_spec(path)
+    assert corners(spec.problem.parametric, spec.problem.plant, spec.objectives.uncertain)
+
+
+@pytest.mark.parametrize("seed", [*range(76, 86), 100, 200, 300, 400])
+def test_nothing_false_is_said_of_a_box_with_parameters_everywhere(seed: int) -> None:
+    """Against a field that is read without the package: at corners, inside, and with parameters that change."""
+    found = judge(seed)
+    if found.kind == "proved":
+        assert found.outside < 1e-9
+        assert found.part <= 1
+        assert found.real < 1e-4
+
+
+SHORT = """
+name: what no sample sees
+parameters: {{m: 2, d: 8}}
+system:
+  states: [z, v]
+  inputs: [F]
+  outputs: [y]
+  A: [[0, 1], [0, -d/2]]
+  B: [[0], [1/m]]
+  C: [[1, 0]]
+design: {{uncertain: {{{box}}}}}
+reference: {{output: {reference}}}
+simulation:
+  duration: {duration}
+  sample_time: {step}
+  initial: {{plant: [{start}, 0], observer: [{start}, 0]}}
+  plant: {{parameters: {{{other}}}}}
+"""
+
+
+def test_w_is_enclosed_where_every_sample_misses_it(tmp_path: Path) -> None:
+    """A sinusoid of 1 Hz whose velocity is 0 at each sample, twice a second: |w| ≤ 0.8/2 |v_d| everywhere else."""
+    path = tmp_path / "short.yaml"
+    changes = {"box": "d: 10%", "reference": '"0.15*cos(2*pi*t)"', "duration": 20.25, "step": 0.5, "start": 0.15}
+    path.write_text(SHORT.format(**changes, other="d: 8.8"))
+    result = simulate(load_spec(path))
+    assert result.outcome.code == 0
+    assert result.w is not None
+    assert result.w[:, 1] == pytest.approx(np.full(10, 0.4 * 0.15 * 2 * np.pi), rel=2e-6)
+    assert (result.w[:, 1] >= 0.4 * 0.15 * 2 * np.pi * (1 - 1e-12)).all()
+    assert not result.w[:, 0].any()
+    [said] = run_rows(result)
+    assert "no larger than in this run from t = 18 s on" in said
+
+
+def test_w_of_a_step_between_two_samples_counts_while_it_lasts(tmp_path: Path) -> None:
+    path = tmp_path / "short.yaml"
+    changes = {"box": "m: 10%", "reference": "{step: {size: 1, at: 1.005, smooth: 0.004}}", "duration": 5, "step": 0.01}
+    path.write_text(SHORT.format(**changes, start=0, other="m: 2.2"))
+    result = simulate(load_spec(path))
+    assert result.outcome.code == 0
+    assert result.w is not None
+    y_d, t = result.controller.trajectory.exosystem, np.linspace(1, 1.01, 100_001)
+    u_ff = [2 * float(y_d(s, derivative=2)[0]) + 8 * float(y_d(s, derivative=1)[0]) for s in t]
+    worst = (1 / 1.8 - 1 / 2) * np.abs(u_ff).max()
+    assert worst * (1 - 1e-9) <= result.w[:, 1].max() <= worst * (1 + 1e-3)
+    assert np.argmax(result.w[:, 1]) == 2  # 1 s to 1.5 s
+    assert result.w[3:, 1].max() < 1e-9 * worst
+    [said] = run_rows(result)
+    assert ", not yet" in said
+    assert result.bands["output", 0][-1] > np.abs(result.response.tracking_error).max()
+
+
+def test_a_run_whose_other_parameters_follow_is_not_one_of_the_box(tmp_path: Path) -> None:
+    changes = {"box": "d: 5%, j: 1%", "stiff": "-(k + j)/m"}
+    for other, one_of_them in (("d: 1.04", False), ("d: 1.04, j: 0.5", True)):
+        spec = load_spec(spring(tmp_path, **changes, conditions=f", plant: {{parameters: {{{other}}}}}"))
+        assert covered(spec.objectives.uncertain, spec.scenario.conditions) == one_of_them
 
 
 def test_a_box_with_too_many_corners_is_undecided_before_anything_is_solved(tmp_path: Path) -> None:
@@ -223,7 +384,10 @@ def test_deviation_is_that_of_the_worst_plant_of_the_box(tmp_path: Path) -> None
     controller, rng = design(spec), np.random.default_rng(1)
     assert controller.robust is not None
     x_d, u_ff = rng.normal(size=(7, 2)), rng.normal(size=(7, 1))
-    found, reached = controller.robust.deviations(x_d, u_ff).max(axis=0), 0.0
+    D, cells = controller.robust.differences, [controller.plant.partition.locate(x) for x in x_d]
+    w = [D.A[:, i] @ x + D.b[:, i] + D.B @ u for i, x, u in zip(cells, x_d, u_ff, strict=True)]
+    found, reached = np.zeros(2), 0.0
+    np.maximum.at(found, D.of, np.abs(w).max(axis=0))
     for m, k in product(np.linspace(1.9, 2.1, 5), np.linspace(2.85, 3.15, 5)):
         plant = load_spec(spec.path, {"m": repr(float(m)), "k": repr(float(k))}).problem.plant
         for x, u in zip(x_d, u_ff, strict=True):

@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import OVER_SUMS, Array, number_text
+from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text
 from pwatrack.ball_matrix import BallMatrix, above, beside, different
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
@@ -60,20 +60,6 @@ class Robust:
         """Errors go to their bound at least as fast as e^(−rate t), in 1/s."""
         return min(part.ellipsoid.a for bounds in self.bounds for part in bounds.parts) / 2
 
-    def deviations(self, x_d: Array, u_ff: Array) -> Array:
-        """Return the largest size of each entry of w at samples of x_d (K, n) and u_ff (K, m), over the box, (K, n).
-
-        w is affine in the matrices, so it is largest at a corner.
-        """
-        plant, largest = self.plant, np.zeros(x_d.shape)
-        sides = np.sign(x_d @ plant.partition.H.T + plant.partition.h)
-        for i, signs in enumerate(plant.partition.signs):
-            here = (sides * signs >= 0).all(axis=1)
-            for A, b, B in self._differences:
-                w = x_d[here] @ A[i].T + b[i] + u_ff[here] @ B.T
-                largest[here] = np.maximum(largest[here], np.abs(w))
-        return largest
-
     def reached(self, deviation: Array) -> dict[Form, float]:
         """Return the bound of each signal in the end, for entries of w of these sizes at most (n,)."""
         total = dict.fromkeys(self.bounds[0].sizes, 0.0)
@@ -83,16 +69,42 @@ class Robust:
         return {signal: size * OVER_SUMS for signal, size in total.items()}
 
     @cached_property
-    def _differences(self) -> list[tuple[Array, Array, Array]]:
-        plant = self.plant
-        return [
-            (
-                np.array([X.floats for X in corner.A]) - plant.A,
-                np.array([X.floats[:, 0] for X in corner.b]) - plant.b,
-                corner.B.floats - plant.B,
-            )
-            for corner in self.corners
-        ]
+    def differences(self) -> "Differences":
+        """By how much the plants at the corners differ from that of the design: in each equation, once each."""
+        exact, n = self.plant.exact, self.plant.B.shape[0]
+        found = list[Array]()
+        for corner in self.corners:
+            A, b = (np.array([(X - Y).floats for X, Y in zip(*pair, strict=True)]) for pair in _pairs(corner, exact))
+            B = np.broadcast_to((corner.B - exact.B).floats, (len(A), *exact.B.shape))
+            found.append(np.concatenate([A, b, B], axis=2))  # (l, n, n + 1 + m)
+        rows, of = list[Array](), list[int]()
+        for bounds in self.bounds:
+            k = bounds.channel[1]
+            different = np.unique(np.array([F[:, k] for F in found]), axis=0)
+            rows.append(different)
+            of += [k] * len(different)
+        F = np.concatenate(rows) if rows else np.zeros((0, len(exact.A), n + 1 + exact.B.shape[1]))
+        return Differences(A=F[..., :n], b=F[..., n], B=F[:, 0, n + 1 :], of=np.array(of, dtype=np.int64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Differences:
+    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B.
+
+    Attributes:
+        A, b: In each cell, (R, l, n) and (R, l).
+        B: (R, m).
+        of: In which state equation each is, (R,).
+    """
+
+    A: Array
+    b: Array
+    B: Array
+    of: IntArray
+
+
+def _pairs(corner: Matrices, exact: Matrices) -> list[tuple[Sequence[BallMatrix], Sequence[BallMatrix]]]:
+    return [(corner.A, exact.A), (corner.b, exact.b)]
 
 
 def prove_box(

@@ -11,6 +11,8 @@ from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
 from pwatrack.report.bounds import cause, limit_texts
 from pwatrack.report.wording import down, signal_text, sized
+from pwatrack.simulation.propagate import sample_count
+from pwatrack.simulation.trace import tenths
 from pwatrack.spec.spec import Spec
 from pwatrack.study.bands import covered
 from pwatrack.study.largest_box import LargestBox
@@ -23,23 +25,34 @@ def robust_content(spec: Spec, robust: Robust) -> dict[str, Any]:
     return {"parameters": box, "inequalities": robust.count, "rate": robust.rate}
 
 
+def since(result: Result) -> tuple[int, float]:
+    """Return from which tenth of a run on, and from which time in s, w is what it is taken for in the end.
+
+    It is the last tenth, or as many as hold a period of the reference.
+    """
+    period, duration = result.controller.trajectory.exosystem.period or 0.0, result.spec.scenario.duration
+    step = result.spec.scenario.sample_time
+    starts = np.array(tenths(sample_count(duration, step))[:-1]) * step
+    first = int(np.searchsorted(starts, min(starts[-1], result.end - period), side="right")) - 1
+    return max(first, 0), float(starts[max(first, 0)])
+
+
 def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
     """Return what a box of parameters can do along the x_d of a run, and what was seen of it.
 
     Returns:
-        For each signal, by name: `bound`, what is proved of it in the end, and `seen`, its largest size at the samples
-        of the last tenth of the run.
+        For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
+        time of `since` on, and `seen`, its largest size at the samples of the last tenth of the run.
     """
-    seen, largest = dict[Form, float](), np.zeros(len(result.controller.plant.B))
-    late = 0.9 * result.end
+    assert result.w is not None
+    seen, late = dict[Form, float](), 0.9 * result.end
     for block in result.blocks():
-        largest = np.maximum(largest, robust.deviations(block.x_d, block.u_ff).max(axis=0))
         last, errors = block.t >= late, {"output": block.tracking_error, "state": block.x - block.x_d}
         errors["input"] = block.u - block.u_ff
         for kind, k in robust.bounds[0].sizes:
             size = float(np.abs(errors[kind][last, k]).max(initial=0.0))
             seen[kind, k] = max(size, seen.get((kind, k), 0.0))
-    reached = robust.reached(largest)
+    reached = robust.reached(result.w[since(result)[0] :].max(axis=0))
     return {signal_text(result.spec, s)[0]: {"bound": size, "seen": seen[s]} for s, size in reached.items()}
 
 
@@ -81,9 +94,14 @@ def run_rows(result: Result) -> Iterator[str]:
     found = box_figures(result, robust)
     units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
-    while_small = "in the end, as long as w is no larger than along this x_d"
+    start = since(result)[1]
+    window = f" from t = {start:.6g} s on" if start else ""
+    while_small = f"in the end, as long as w is no larger than in this run{window}"
     if covered(result.spec.objectives.uncertain, result.loop.conditions):
-        texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}" for name, unit, f in shown]
+        texts = []
+        for name, unit, f in shown:
+            late = ", not yet" if f["seen"] > f["bound"] else ""
+            texts.append(f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}{late}")
         yield f"the plant of this run is one of them; {while_small}, and in the last tenth here: {'; '.join(texts)}"
     else:
         texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}" for name, unit, f in shown]

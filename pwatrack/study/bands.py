@@ -19,7 +19,7 @@ def covered(box: Box, conditions: Conditions) -> bool:
     return bool(box) and all(v is None for v in others.values()) and inside(box, conditions.parameters or {})
 
 
-def bands(loop: ClosedLoop, response: Response, box: Box) -> dict[Form, Array]:
+def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> dict[Form, Array]:
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
     They are about a run with disturbances and noise, also with limits that no input comes to, and about another plant
@@ -29,6 +29,7 @@ def bands(loop: ClosedLoop, response: Response, box: Box) -> dict[Form, Array]:
         loop: What ran.
         response: Its signals from the start on.
         box: The parameters that are uncertain.
+        w: How large each entry of w is so far, (K, n), where there are some.
     """
     conditions, controller = loop.conditions, loop.controller
     free = replace(conditions, limits=None) if not _limited(loop, response) else conditions
@@ -44,10 +45,9 @@ def bands(loop: ClosedLoop, response: Response, box: Box) -> dict[Form, Array]:
         left = controller.practical.final  # what merged cells leave comes on top
         return {form: values + left[form] for form, values in found.items() if form in left}
     robust = controller.robust
-    if robust is None or not covered(box, free):
+    if robust is None or w is None or not covered(box, free):
         return {}
     most = from_start(robust.bounds, (), start, response.t, states=n)
-    w = np.maximum.accumulate(robust.deviations(response.x_d, response.u_ff))
     acting: dict[Channel, Array] = {bounds.channel: w[:, bounds.channel[1]] for bounds in robust.bounds}
     return with_acting(most, robust.bounds, acting)
 

@@ -16,6 +16,7 @@ from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.box import Box
+from pwatrack.study.along import Along
 from pwatrack.study.bands import covered
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
@@ -120,8 +121,9 @@ class Watch:
         self._first: Response | None = None
         self._end = 0.0  # time of the last sample so far in s
         self._broken = ""
-        self._robust = loop.controller.robust if covered(box, loop.conditions) else None
-        self._deviation = np.zeros(len(loop.plant.B))  # largest size so far by which plants of the box differ along x_d
+        robust = loop.controller.robust if box else None
+        self._robust = robust if covered(box, loop.conditions) else None
+        self._along = None if robust is None else Along(loop, robust, samples)
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -138,10 +140,17 @@ class Watch:
         largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
         self._size = max(self._size, float((largest / self._scale).max()))
         self._disturbed(block.trace)
+        if self._along is not None:
+            self._along.see(block.trace)
         if self._loop.conditions.nominal and not self._broken:
             self._broken = self._above_its_bound(block, norm)
         elif self._robust is not None and not self._broken:
             self._broken = self._above_that_of_the_box(self._robust, block)
+
+    @property
+    def w(self) -> Array | None:
+        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n)."""
+        return None if self._along is None else self._along.w
 
     def outcome(self) -> Outcome:
         """Say how the run went, the worst first."""
@@ -171,10 +180,10 @@ class Watch:
     def _above_that_of_the_box(self, robust: Robust, block: Response) -> str:
         """Likewise of what is proved of all plants of a box, of which this is one."""
         assert self._first is not None
+        assert self.w is not None
         first, n = self._first, block.x.shape[1]
         start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]])
-        self._deviation = np.maximum(self._deviation, robust.deviations(block.x_d, block.u_ff).max(axis=0))
-        most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self._deviation)
+        most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self.w.max(axis=0))
         for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
             signal: Form = (self._tracked, k)
             error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]

@@ -31,7 +31,7 @@ from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.study.limiting import room_within_limits
 from pwatrack.study.merged import may_merge, not_worth, practical_design
-from pwatrack.study.outcome import Outcome, Watch
+from pwatrack.study.outcome import Watch
 from pwatrack.study.result import Result
 from pwatrack.study.sizing import spec_sizes
 from pwatrack.study.starting import generator_start, initial_values
@@ -146,14 +146,15 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
                 trajectory = replace(controller.trajectory, bounded=False, growth=left)
                 controller = replace(controller, trajectory=trajectory)
                 loop = replace(loop, controller=controller)
-        response, figures, outcome, spool = _run(spec, loop, start)
+        response, figures, watch, spool = _run(spec, loop, start)
         return Result(
             spec=spec,
             controller=controller,
             loop=loop,
             response=response,
             figures=figures,
-            outcome=outcome,
+            outcome=watch.outcome(),
+            w=watch.w,
             start=start,
             steady_state=steady_state,
             spool=spool,
@@ -184,8 +185,8 @@ def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     return start, steady_state
 
 
-def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Outcome, Spool | None]:
-    """Return the signals, thinned where they are too many to keep; figures of all, how it ended, and all on disk."""
+def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Watch, Spool | None]:
+    """Return the signals, thinned where they are too many to keep; figures, what was watched, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
     watch = Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain)
@@ -203,8 +204,8 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
         watch.see(response)
         measuring.see(response)
     if spool is None:
-        return response, measuring.figures([response]), watch.outcome(), None
-    return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch.outcome(), spool
+        return response, measuring.figures([response]), watch, None
+    return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch, spool
 
 
 def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:

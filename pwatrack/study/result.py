@@ -16,6 +16,7 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.spec import Spec
+from pwatrack.study.along import so_far
 from pwatrack.study.bands import bands
 from pwatrack.study.outcome import Outcome
 from pwatrack.study.tracking import reference_remarks, start_fixed
@@ -37,6 +38,8 @@ class Result:
         steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
             or None if it has none.
         spool: All samples and events of a run of which `response` has not all.
+        w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
+            enclosed: see `study.along`, (10, n).
     """
 
     spec: Spec
@@ -48,6 +51,7 @@ class Result:
     start: Array
     steady_state: SteadyState | None
     spool: Spool | None
+    w: Array | None = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -94,7 +98,11 @@ class Result:
         """What is proved of each signal at the samples that were kept, from this start and for what acts, (K,) each."""
         if self.spool is not None and self.loop.conditions.limits is not None:
             return {}  # whether an input came to its limit, what was kept does not tell
-        return bands(self.loop, self.response, self.spec.objectives.uncertain)
+        r, w = self.response, self.w
+        if w is not None:
+            samples = sample_count(self.spec.scenario.duration, self.spec.scenario.sample_time)
+            w = so_far(w, r.t, samples, self.spec.scenario.sample_time)
+        return bands(self.loop, r, self.spec.objectives.uncertain, w)
 
     @property
     def end(self) -> float:
