@@ -5,8 +5,10 @@
 A tampered certificate may be accepted only where the changed claim is true, which a third method decides: the
 leading minors, each an exact determinant; for polynomials in two variables Sturm's count of real roots; for a mean of
 cells with a mode that no gain moves that det [B, A B, …] of means changes its sign within the radius. Certificates have
-no bounds here: these are another claim. A nearly singular case is a stack of matrices with a real mode at
-±10^-10 … ±10^-17 of their size; they are triangular, so its sign is known exactly.
+no bounds here: these are another claim. Forged ones do: they get keys of other claims, or one twice, lose keys, list
+entries or the symmetry of a matrix, or have names and numbers in other forms; what is left must claim less. Told files
+are those beside a certificate with one thing changed, which `verify` must find. A nearly singular case is a stack of
+matrices with a real mode at ±10^-10 … ±10^-17 of their size; they are triangular, so its sign is known exactly.
 """
 
 import argparse
@@ -24,10 +26,10 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.preview import spec_text
-from pwatrack import design, load_spec
+from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
-from pwatrack.errors import Infeasible
+from pwatrack.errors import CheckFailed, Infeasible
 from pwatrack.lmi.audit import proofs
 from pwatrack.lmi.audit.balls import Ball, flipped
 from pwatrack.lmi.audit.certificate import audit
@@ -39,11 +41,34 @@ from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.files import write_design, write_result
+from pwatrack.report.verify import verify
 
 PROGRESS = Console(stderr=True)
 SPECS = Path(__file__).parent.parent / "specs"
 NAMES = ("two_mass_backlash.yaml", "gallery/quarter_car_bump_stop.yaml")
 POLYNOMIAL = "gallery/two_mass_stiff_springs.yaml"
+WEIGHED = """
+name: cart
+parameters: {m: 1}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  B: [[0], [1/m]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: stop, kind: spring, of: z, start: 1, slope: 0.3, into: {v: -1}}
+design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[0.3]]}}, uncertain: {m: 2%}}
+reference: {output: "0.1*sin(t)"}
+simulation: {duration: 1, sample_time: 0.1, actuator: {limits: {u: [-9, 9]}}}
+"""
+LESS = ("proofs", "bounds", "limits", "signals", "parts")  # lists of which a certificate may have fewer
+SYMMETRIC = ("X", "Q", "R", "integers")
+ALONE = ("format", "spec", "simulation", "exit", "seconds", "versions", "remarks", "conditions", "files", "tracked")
+ALONE_TOO = ("estimates", "along_x_d")  # of run.json, as the one before: simulated, or how it went
+Place = tuple[Any, ...]
 
 
 PLANT = ("A", "b", "B", "C", "H", "h")
@@ -58,7 +83,7 @@ def tampered(content: dict[str, Any], random: np.random.Generator) -> dict[str, 
     there = [where for where in PLACES if any(where in home for home in (*homes, proof))]  # some list no cells
     where = str(random.choice(there))
     if where in ("rate", "margin", "radius"):
-        proof[where] = repr(float(proof[where]) * float(10 ** random.uniform(-1, 3)))
+        proof[where] = text(Fraction(float(proof[where]) * float(10 ** random.uniform(-1, 3))))
         return changed
     entry: Any = next(home[where] for home in homes if where in home)
     while isinstance(entry[0], list):
@@ -86,7 +111,7 @@ def tampered_polynomial(content: dict[str, Any], random: np.random.Generator) ->
     else:
         row = proof["T"][random.integers(len(proof["T"]))]
     if where == "rate":
-        proof["rate"] = repr(float(proof["rate"]) * (1 + abs(size)))
+        proof["rate"] = text(Fraction(float(proof["rate"]) * (1 + abs(size))))
     elif where in ("plant", "T"):
         k = int(random.integers(len(row)))
         row[k] = text(Fraction(row[k]) + Fraction(repr(size)))
@@ -246,6 +271,133 @@ def minors_positive(X: list[list[Fraction]]) -> bool:
     return all(flint.fmpq_mat([row[:k] for row in exact[:k]]).det() > 0 for k in range(1, len(X) + 1))
 
 
+def places(content: Any, at: Place = ()) -> list[Place]:
+    """Return the paths of everything in a tree."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    return [at, *(place for key, value in parts for place in places(value, (*at, key)))]
+
+
+def at(content: Any, place: Place) -> Any:
+    """Return what is at a path."""
+    for key in place:
+        content = content[key]
+    return content
+
+
+def forged(content: dict[str, Any], random: np.random.Generator) -> tuple[str, bool]:
+    """Return a certificate of another form as text, and whether it may be accepted: it then claims less."""
+    changed, right = copy.deepcopy(content), False
+    where = places(changed)
+
+    def some(kind: Callable[[Any], bool]) -> Place:
+        found = [place for place in where if place and kind(at(changed, place))]
+        return found[random.integers(len(found))]
+
+    how = str(random.choice(["key", "twice", "gone", "entry", "asymmetric", "name", "number"]))
+    if how in ("key", "twice", "gone"):
+        home = at(changed, some(lambda value: isinstance(value, dict) and bool(value)))
+        own, keys = list(home), [place[-1] for place in where if place and isinstance(place[-1], str)]
+        one = str(random.choice(own))
+        if how == "gone":
+            right = one in changed["set"] and "spec_sha256" not in home
+            del home[one]
+        elif how == "twice":
+            home[one + "@@"] = random.choice([None, 0, "1", home[one]]) if random.integers(2) else home[one]
+        else:
+            home[next(key for key in random.permutation([*keys, "note"]).tolist() if key not in home)] = "1"
+    elif how == "entry":
+        place = some(lambda value: isinstance(value, list) and bool(value))
+        entries, k = at(changed, place), int(random.integers(len(at(changed, place))))
+        drop = bool(random.integers(2))
+        entries.pop(k) if drop else entries.insert(k, copy.deepcopy(entries[k]))
+        right = place[-1] in LESS and (drop or place[-1] in ("proofs", "parts"))
+    elif how == "asymmetric":
+        places_ = [place for place in where if place and place[-1] in SYMMETRIC]
+        matrices = [at(changed, place) for place in places_ if isinstance(at(changed, place), list)]
+        X = [X for X in matrices if len(X) > 1][int(random.integers(sum(len(X) > 1 for X in matrices)))]
+        j, k = random.permutation(len(X))[:2].tolist()
+        add = Fraction(float(10.0 ** random.uniform(-9, 9))) * int(random.choice([-1, 1]))
+        X[j][k] = int(X[j][k] + add) + 1 if isinstance(X[j][k], int) else text(Fraction(X[j][k]) + add)
+    else:
+        numeric = how == "number"
+        place = some(lambda value: isinstance(value, str) and value.lstrip("-")[:1].isdecimal() == numeric)
+        value, right = at(changed, place), False
+        odd = [f"+{value}", f"0{value}", f"{value}e0", f" {value}", f"{value}_0", f"{value}/1"] if numeric else []
+        at(changed, place[:-1])[place[-1]] = str(
+            random.choice(odd or [f"{value}\n(8): proved", f"{value}\x1b", "\u202e"])
+        )
+    return json.dumps(changed).replace('@@"', '"'), right
+
+
+def forged_ones(count: int) -> tuple[int, int]:
+    """Return how many certificates of other forms are accepted, and how many of these claim more, or nothing known."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "plant.yaml"
+        path.write_text(WEIGHED, encoding="utf-8")
+        spec = load_spec(path)
+        content = json.loads(json.dumps(design_certificate(spec, design(spec))))
+    random, accepted, false = np.random.default_rng(2026), 0, 0
+    for _ in track(range(count), "forged", console=PROGRESS):
+        forgery, right = forged(content, random)
+        if not audit(forgery)[1]:
+            accepted += 1
+            false += not right
+    return accepted, false
+
+
+def retold(content: dict[str, Any], random: np.random.Generator) -> Place:
+    """Change one thing in a file beside a certificate, and return its path."""
+    where = [place for place in places(content) if place]
+    place = where[random.integers(len(where))]
+    home, key, value = at(content, place[:-1]), place[-1], at(content, place)
+    if isinstance(value, float) and random.integers(4):
+        start = next(k for k in range(len(place) + 1) if all(isinstance(step, int) for step in place[k:]))
+        near = [at(content, place[:start] + rest) for rest in places(at(content, place[:start]))]
+        largest = max(abs(v) for v in near if isinstance(v, float)) or 1.0
+        home[key] = value + float(random.choice([-1, 1])) * largest * float(10.0 ** random.uniform(-6, 1))
+    elif isinstance(value, dict) and random.integers(2):
+        value["note"] = 1.0
+    elif random.integers(2):
+        home.pop(key)
+    else:
+        home[key] = "other" if isinstance(value, str) else [value, value]
+    return place
+
+
+def retold_ones(count: int) -> tuple[int, int]:
+    """Return how many changed files of a run are accepted, and how often what was changed is not told by it alone."""
+    random, accepted, false = np.random.default_rng(2026), 0, 0
+    with TemporaryDirectory() as folder:
+        path, run = Path(folder) / "plant.yaml", Path(folder) / "run"
+        path.write_text(WEIGHED, encoding="utf-8")
+        write_result(simulate(load_spec(path)), run, plots="none")
+        figures = set(json.loads((run / "run.json").read_text())["figures"])
+        with TemporaryDirectory() as other:
+            alone = figures - set(json.loads((designed_alone(path, Path(other)) / "run.json").read_text())["figures"])
+        for _ in track(range(count), "told", console=PROGRESS):
+            name = str(random.choice(["run", "bounds", "gains", "generator", "controller"])) + ".json"
+            file, was = run / name, (run / name).read_text()
+            content = json.loads(was)
+            place = retold(content, random)
+            file.write_text(json.dumps(content))
+            try:
+                verify(run, path)
+                accepted += 1
+                false += not (
+                    name == "run.json" and (place[0] in (*ALONE, *ALONE_TOO) or {*place[:2]} & {*alone, *ALONE_TOO})
+                )
+            except CheckFailed:
+                pass
+            file.write_text(was)
+    return accepted, false
+
+
+def designed_alone(path: Path, folder: Path) -> Path:
+    """Return the run folder of a design that is not simulated: all of its figures are proved."""
+    spec = load_spec(path)
+    return write_design(spec, design(spec), folder)
+
+
 def nearly_singular(seed: int) -> tuple[Array, bool]:
     """Return matrices (l, n, n) with a mode at ±10^-k, and whether it is stable."""
     random = np.random.default_rng(seed)
@@ -263,7 +415,7 @@ def nearly_singular(seed: int) -> tuple[Array, bool]:
 def claim_of(proof: Proof) -> dict[str, Any]:
     """Return a proof as it stands in a file."""
     P = {"integers": [list(row) for row in proof.integers], "exponents": list(proof.exponents)}
-    return {name: repr(getattr(proof, name)) for name in ("rate", "margin", "radius")} | {"P": P}
+    return {name: text(Fraction(repr(getattr(proof, name)))) for name in ("rate", "margin", "radius")} | {"P": P}
 
 
 def proved(name: str) -> dict[str, Any]:
@@ -319,6 +471,8 @@ def main() -> None:
     parser.add_argument("--tampered", type=int, default=10_000)
     parser.add_argument("--polynomials", type=int, default=2_000)
     parser.add_argument("--means", type=int, default=2_000)
+    parser.add_argument("--forged", type=int, default=2_000)
+    parser.add_argument("--told", type=int, default=200)
     parser.add_argument("--singular", type=int, default=5_000)
     options, console = parser.parse_args(), Console(highlight=False, width=140)
     for kind, contents, change, holds, count in (
@@ -328,6 +482,9 @@ def main() -> None:
     ):
         accepted, false = attacked(contents, change, holds, count)
         console.print(f"{kind}: {count}, accepted {accepted}, of these false: {false}")
+    for kind, count, found in (("forged", options.forged, forged_ones), ("told", options.told, retold_ones)):
+        accepted, false = found(count)
+        console.print(f"{kind} files: {count}, accepted {accepted}, of these false: {false}")
     console.print(f"nearly singular stacks: {options.singular}, {nearly_singular_stacks(options.singular)}")
 
 

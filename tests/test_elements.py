@@ -184,7 +184,7 @@ def test_generator_json_is_not_vouched_for_where_neither_spec_nor_cells_are_at_h
     generator = json.loads((run / "generator.json").read_text())
     generator["A_eta"][4][0][0] += 1.0
     (run / "generator.json").write_text(json.dumps(generator))
-    with pytest.raises(CheckFailed, match=r"generator\.json is not that of this plant"):
+    with pytest.raises(CheckFailed, match=r"A_eta in generator\.json is not what was proved"):
         verify(run, stops.parent / "plant.yaml")
 
 

@@ -76,5 +76,5 @@ def test_a_plant_with_one_cell_is_bounded_by_its_peak_gain_and_verify_finds_out_
     signal["peak_gain"] = [value / 2 for value in signal["peak_gain"]]
     signal["at_worst"] /= 2
     (folder / "bounds.json").write_text(json.dumps(content))
-    with pytest.raises(CheckFailed, match="a bound in bounds"):
+    with pytest.raises(CheckFailed, match=r"table in bounds\.json"):
         verify(folder)

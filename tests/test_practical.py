@@ -85,6 +85,16 @@ def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec,
     assert any("ends below" in said for said in verify(gear[1]))
 
 
+def test_all_that_is_tracked_ends_below_something(gear: tuple[Spec, Path]) -> None:
+    """Without the load, what is printed is that of nothing."""
+    content = json.loads((gear[1] / "certificate.json").read_text())
+    ends = content["practical"]["ends_below"]
+    assert audit(json.dumps(content))[1] == []
+    for told in ([], [signal for signal in ends if signal[0] != "output"], [*ends, ends[0]]):
+        content["practical"]["ends_below"] = told
+        assert any("ends_below" in fault for fault in audit(json.dumps(content))[1])
+
+
 def test_the_bound_is_above_the_peak_gain_and_close_to_it(gear: tuple[Spec, Path]) -> None:
     controller = design(gear[0])
     practical, plant = controller.practical, controller.plant

@@ -19,6 +19,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
+from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
 from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures, run_rows
@@ -476,6 +477,36 @@ def test_a_certificate_that_was_changed_is_found_out(
     assert bool(faults) == alone
     with pytest.raises(CheckFailed):
         verify(folder)
+
+
+CHAIN = """
+name: chain
+parameters: {p: 2, q: 3}
+system:
+  states: [x1, x2, x3]
+  inputs: [u]
+  outputs: [y]
+  A: [[-1, 1, 0], [0, -p, 1], [0, 0, -q]]
+  B: [[0], [0], [1]]
+  C: [[1, 0, 0]]
+design: {uncertain: {p: 10%, q: 10%}}
+reference: {output: "sin(t)"}
+simulation: {duration: 2, sample_time: 0.1}
+"""
+
+
+@pytest.mark.parametrize("rows", [[0, 1], [0, 1, 2], [2, 1], [1]])
+def test_the_entries_of_w_that_are_bounded_are_those_that_vary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: list[int]
+) -> None:
+    """Here {1, 2} vary: genuine bounds of {0, 1}, as many, say nothing."""
+    (tmp_path / "chain.yaml").write_text(CHAIN)
+    spec = load_spec(tmp_path / "chain.yaml")
+    monkeypatch.setattr("pwatrack.control.robust.varying_rows", lambda exact, corners: rows)
+    content = json.dumps(design_certificate(spec, design(spec)))
+    assert audit(content)[1] == [
+        "the bounds of uncertain parameters are not those of the entries of w that vary, each once"
+    ]
 
 
 def test_a_proof_for_no_box_does_not_belong_to_a_spec_with_one(tmp_path: Path) -> None:

@@ -2,7 +2,9 @@
 
 This folder runs alone, on Python's standard library, wherever it is copied to. Read it from certificate.py on.
 
-Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again.
+Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again. An object
+has the keys of `shape.py` and no others, each once, and by its keys a proof is one claim; a number is written in one
+way. Steps are counted, longer numbers as more of them: a file that asks for more than its size is worth is refused.
 
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
   opposite sides of H x + h = 0 alone have [A_i b_i] - [A_j b_j] = g [H h], or do not touch there. Linear programs in

@@ -7,10 +7,7 @@ from typing import Any
 
 Matrix = list[list[Fraction]]
 
-_MOST, _SMALL = (
-    8e5,
-    100_000,
-)  # steps, about 5e-6 s each, for a file of so many bytes; with the cube of these for larger ones
+_MOST, _SMALL = 7e5, 100_000  # steps, 5e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
 _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
 _work = {"most": inf, "done": 0.0}
 
@@ -21,7 +18,7 @@ class Fault(Exception):
 
 def begin(size: int) -> None:
     """Begin to count what is done for a file of so many bytes."""
-    _work.update(most=_MOST * max(1.0, size / _SMALL) ** 3, done=0.0)
+    _work.update(most=_MOST * max(1.0, size / _SMALL) ** 4, done=0.0)
 
 
 def spend(steps: float, bits: int = 0) -> None:

@@ -10,70 +10,55 @@ from .matrices import Fault
 from .reading import number
 
 TEXT, NUMBER, WHOLE = "text on one line", "number", "whole number"
+Shape = dict[str, Any]
+
+
+def of(shape: Any, keys: str) -> Shape:
+    """Return these keys, each with the same behind it."""
+    return dict.fromkeys(keys.split(), shape)
+
+
 ROWS, OPEN = [[NUMBER]], (None, [[NUMBER]])  # a matrix; radii of its entries, or none
 PACKED = {"integers": ROWS, "exponents": [WHOLE]}
-PROOFS: dict[str, dict[str, Any]] = {  # the claims that there are, by name: which one a proof is, its keys say
-    "common P": {"of": TEXT, "rate": NUMBER, "margin": NUMBER, "radius": NUMBER, "P": PACKED},
-    "polynomial": {"of": TEXT, "degree": NUMBER, "rate": NUMBER, "T": ROWS, "P": PACKED, "N": [PACKED]},
-    "P of any sign": {"of": TEXT, "bounded": TEXT, "margin": NUMBER, "P": PACKED},
-    "cost": {"of": TEXT, "X": ROWS, "Q": ROWS, "R": ROWS},
-    "multipliers": {"of": TEXT, "rate": NUMBER, "Z": {WHOLE: ROWS}},
-    "mode of a mean": {"of": TEXT, "rate": NUMBER, "between": {WHOLE: NUMBER}, "rows": ROWS, "mode": [NUMBER]}
-    | {"eigenvalue": NUMBER, "inverse": ROWS, "radius": NUMBER},
-    "no P, by multipliers": {"of": TEXT, "no_P": TEXT, "Z": {WHOLE: ROWS}},
-    "no P, by unstable modes": {"of": TEXT, "no_P": TEXT, "P": {WHOLE: PACKED}},
+PROOFS: dict[str, Shape] = {  # the claims that there are, by name: which one a proof is, its keys say
+    "common P": of(NUMBER, "rate margin radius") | {"P": PACKED},
+    "polynomial": of(NUMBER, "degree rate") | {"T": ROWS, "P": PACKED, "N": [PACKED]},
+    "P of any sign": {"bounded": TEXT, "margin": NUMBER, "P": PACKED},
+    "cost": of(ROWS, "X Q R"),
+    "multipliers": {"rate": NUMBER, "Z": {WHOLE: ROWS}},
+    "mode of a mean": of(NUMBER, "rate eigenvalue radius")
+    | of(ROWS, "rows inverse")
+    | {"between": {WHOLE: NUMBER}, "mode": [NUMBER]},
+    "no P, by multipliers": {"no_P": TEXT, "Z": {WHOLE: ROWS}},
+    "no P, by unstable modes": {"no_P": TEXT, "P": {WHOLE: PACKED}},
 }
-CELLS = {  # the proofs that nothing is possible, and what they have for some cells
-    "multipliers": "Z",
-    "mode of a mean": "between",
-    "no P, by multipliers": "Z",
-    "no P, by unstable modes": "P",
-}
-RADII = {"A": (None, [OPEN]), "b": (None, [OPEN]), "B": OPEN}
-LOADS = {"names": [TEXT], "where": [WHOLE], "E": ROWS, "S": ROWS, "radius": {"E": OPEN, "S": OPEN}}
-PORTS = {"states": [TEXT], "inputs": [TEXT], "outputs": [TEXT], "tracked": [TEXT], "B": ROWS, "C": ROWS} | {
-    "tracked_rows": ROWS,
-    "loads": (None, LOADS),
-    "radius": RADII | {"C": OPEN, "tracked_rows": OPEN},
-}
-LISTED = PORTS | {"cells": [TEXT], "H": ROWS, "h": [NUMBER], "signs": [[WHOLE]], "A": [ROWS], "b": [ROWS]}
-FUNCTION = {"breakpoints": [NUMBER], "slopes": [NUMBER], "value": NUMBER}
-TERM = {"row": [NUMBER], "constant": NUMBER, "direction": [NUMBER], "function": FUNCTION}
-ELEMENTS = PORTS | {"A": ROWS, "b": ROWS, "elements": [TERM | {"segments": [TEXT]}]}
-MERGED = TERM | {"element": WHOLE, "first": WHOLE, "last": WHOLE, "name": TEXT, "merged": FUNCTION, "largest": NUMBER}
-GENERATOR = {
-    "relative_degrees": [WHOLE],
-    "directions": ROWS,
-    "scales": [NUMBER],
-    "internal": [WHOLE],
-    "eta": [TEXT],
-} | {
-    "T": [ROWS],
-    "A_eta?": [ROWS],
-}
+CELLS = {"multipliers": "Z", "mode of a mean": "between"}  # the proofs that nothing is possible, and their cells
+CELLS |= {"no P, by multipliers": "Z", "no P, by unstable modes": "P"}
+for each in PROOFS.values():
+    each["of"] = TEXT
+RADII = of((None, [OPEN]), "A b") | {"B": OPEN}
+LOADS = {"names": [TEXT], "where": [WHOLE], "E": ROWS, "S": ROWS, "radius": of(OPEN, "E S")}
+PORTS = of([TEXT], "states inputs outputs tracked") | of(ROWS, "B C tracked_rows")
+PORTS |= {"loads": (None, LOADS), "radius": RADII | of(OPEN, "C tracked_rows")}
+LISTED = PORTS | {"cells": [TEXT], "H": ROWS, "h": [NUMBER], "signs": [[WHOLE]]} | of([ROWS], "A b")
+FUNCTION = of([NUMBER], "breakpoints slopes") | {"value": NUMBER}
+TERM = of([NUMBER], "row direction") | {"constant": NUMBER, "function": FUNCTION}
+ELEMENTS = PORTS | of(ROWS, "A b") | {"elements": [TERM | {"segments": [TEXT]}]}
+MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
+GENERATOR = of([WHOLE], "relative_degrees internal") | of([ROWS], "T A_eta?")
+GENERATOR |= {"directions": ROWS, "scales": [NUMBER], "eta": [TEXT]}
 CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]
 PART = {"loop": TEXT, "channel": CHANNEL, "a": NUMBER, "Q": PACKED, "signals": SIGNALS}
-PEAK = {"part": WHOLE, "unit": WHOLE, "steps": [[WHOLE, WHOLE]], "P": PACKED, "size": NUMBER}
+PEAK = of(WHOLE, "part unit") | {"steps": [[WHOLE, WHOLE]], "P": PACKED, "size": NUMBER}
 BOUNDS = [{"channel": CHANNEL, "signals": SIGNALS, "parts": [PART], "peaks?": [PEAK]}]
-LIMIT = {"of": TEXT, "loop": TEXT, "starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}
-CORNER = {"A": [ROWS], "b": [ROWS], "B": ROWS, "radius": RADII}
-REFUSAL = {"format": TEXT, "claim": TEXT, "spec_sha256": TEXT, "set": {TEXT: TEXT}, "tracking": TEXT} | {
-    "plant": (LISTED, ELEMENTS),
-    "generator": (None, GENERATOR),
-    "K": OPEN,
-    "L": OPEN,
-    "proofs": [tuple(PROOFS.values())],
-}
-DESIGN = REFUSAL | {
-    "bounds": BOUNDS,
-    "limits": [LIMIT],
-    "uncertain": (None, {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS}),
-    "practical": (
-        None,
-        {"plant": LISTED, "merged": [MERGED], "observer_runs": TEXT, "ends_below": SIGNALS, "bounds": BOUNDS},
-    ),
-    "eta_with_loads?": ROWS,
-}
+LIMIT = of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}
+CORNER = of([ROWS], "A b") | {"B": ROWS, "radius": RADII}
+BOX = {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS}
+SPLIT = {"plant": LISTED, "merged": [MERGED], "observer_runs": TEXT, "ends_below": SIGNALS, "bounds": BOUNDS}
+REFUSAL = of(TEXT, "format claim spec_sha256 tracking") | of(OPEN, "K L") | {"set": {TEXT: TEXT}}
+REFUSAL |= {"plant": (LISTED, ELEMENTS), "generator": (None, GENERATOR), "proofs": [tuple(PROOFS.values())]}
+DESIGN = REFUSAL | {"bounds": BOUNDS, "limits": [LIMIT], "uncertain": (None, BOX), "practical": (None, SPLIT)}
+DESIGN["eta_with_loads?"] = ROWS
 
 
 def fit(value: Any, shape: Any, place: str) -> None:
