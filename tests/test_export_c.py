@@ -1,6 +1,7 @@
 """Exported C is the stored controller in every bit, compiles without a warning, and answers faults as documented."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -333,6 +334,32 @@ def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path
     stored = json.loads((run / CONTROLLER).read_text(encoding="utf-8"))
     (run / CONTROLLER).write_text(json.dumps({**stored, "K": [[0.0, 0.0]]}))
     assert "its digest is not" in refused(call("export", "c", run, "--out", tmp_path / "no", "--unproved"), 2)
+
+
+def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another spec of the same name, here or beside the folder, is not taken for its own."""
+    for name in ("one", "two", "else"):
+        (tmp_path / name).mkdir()
+    cart(tmp_path / "one", "controller: {sample_time: 0.01}", duration=2)
+    cart(tmp_path / "else", "controller: {sample_time: 0.02}", duration=2)
+    monkeypatch.chdir(tmp_path / "one")
+    assert call("design", "cart.yaml", "--out", "runs/cart").exit_code == 0
+    monkeypatch.chdir(tmp_path / "else")
+
+    def exported(run: str) -> None:
+        found = call("export", "c", run, "--out", "code", "--name", "loop")
+        assert found.exit_code == 0, found.output
+        assert "is from the exact simulation of its spec" in " ".join(Path("code/README.md").read_text().split())
+
+    exported("../one/runs/cart")
+    assert f"it belongs to {tmp_path / 'one/cart.yaml'}" in call("verify", "../one/runs/cart").output
+    shutil.move(tmp_path / "one/runs/cart", tmp_path / "two")
+    shutil.rmtree(tmp_path / "one")
+    exported("../two/cart")
+    Path("cart.yaml").unlink()
+    assert "it belongs to ../two/cart/spec.txt: same plant" in call("verify", "../two/cart").output
 
 
 def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:

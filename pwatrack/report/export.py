@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
-from pwatrack.report.run_folder import INDEX, json_text, named_spec
+from pwatrack.report.run_folder import SPEC, json_text, named_spec, read_index
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -184,19 +185,18 @@ def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
 def _stored(path: Path, given: bool) -> Subject:
     """Return a controller from its file, with its proof beside it if it is there."""
     file, folder = read(path), path.parent
-    certificate, unproved = folder / CERTIFICATE, list(file.open)
+    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), its_spec(file, folder)
     text = certificate.read_bytes() if certificate.is_file() else b""
     if not text:
         unproved.append(f"there is no {CERTIFICATE} beside it")
     elif hashlib.sha256(text).hexdigest() != file.proof:
         unproved.append(f"the {CERTIFICATE} beside it is not the one that it names")
     else:
-        verify(folder)
+        verify(folder, None if spec is None else spec.path)
     unproved += _other_gains(file, text)
     if file.program is None:
         hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
         raise InvalidSpec(Problem(message=f"{path}: the controller has no sample time", subject=None, hint=hint))
-    spec = its_spec(file, folder)
     if spec is not None:
         again = with_gains(spec, file)
         controller = pipeline.design(again, growing=True)
@@ -221,12 +221,10 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
 
 
 def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
-    """Return the spec that the run in a folder was made from, if it is still there as it was."""
-    try:
-        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        path = named_spec(index, folder)
-        if hashlib.sha256(path.read_bytes()).hexdigest() != file.spec_sha256:
-            return None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return load_spec(path, file.set)
+    """Return the spec that the run in a folder was made from: the file if it is still as it was, else the copy of it."""
+    for path in (named_spec(read_index(folder) or {}, folder), folder / SPEC):
+        missing = (OSError, InvalidSpec) if path.name == SPEC else (OSError,)  # tables that it refers to do not move
+        with suppress(*missing):
+            if hashlib.sha256(path.read_bytes()).hexdigest() == file.spec_sha256:
+                return load_spec(path, file.set)
+    return None
