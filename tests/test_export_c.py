@@ -1,7 +1,6 @@
 """Exported C is the stored controller in every bit, compiles without a warning, and answers faults as documented."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -360,6 +359,26 @@ def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
     exported("../two/cart")
     Path("cart.yaml").unlink()
     assert "it belongs to ../two/cart/spec.txt: same plant" in call("verify", "../two/cart").output
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp_path: Path, stored: bool) -> None:
+    path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
+    path.write_text(path.read_text(encoding="utf-8") + "require: {final_error: 1e-9, largest_input: {u: 1000}}\n")
+    run, out = tmp_path / "run", tmp_path / "code"
+    if stored:
+        assert call("simulate", path, "--out", run, "--plots", "none").exit_code == 6
+    for option in ((), ("--unproved",)):
+        error = refused(call("export", "c", run if stored else path, "--out", out, *option), 6)
+        assert "its run failed: final_error" in error
+        assert "largest_input" not in error
+        assert "--failed exports it all the same" in error
+    assert not out.exists()
+    assert call("export", "c", run if stored else path, "--out", out, "--name", "loop", "--failed").exit_code == 0
+    title, empty, said = (out / "loop.h").read_text(encoding="utf-8").splitlines()[1:4]
+    assert (title.removeprefix(" * "), empty) == (load_spec(path).name, " *")
+    assert said.startswith(" * FAILED: final_error: ")
+    assert "Its run FAILED: final_error: " in (out / "README.md").read_text(encoding="utf-8")
 
 
 def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:

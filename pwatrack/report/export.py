@@ -2,17 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem
 from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.c_project import write_c
 from pwatrack.export.c_source import CSource, prefix
@@ -24,6 +24,7 @@ from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
+from pwatrack.report.required import required
 from pwatrack.report.run_folder import SPEC, json_text, named_spec, read_index
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
@@ -33,17 +34,30 @@ from pwatrack.study import pipeline
 CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector
 Target = Literal["c", "st", "mat"]
+_Code = TypeVar("_Code", bound=Source)
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What is exported: a controller, what of it is not proved, what it reads in a test, its spec if that is there."""
+    """What is exported: a controller with its proof, and what goes with it.
+
+    Attributes:
+        unproved: What of it is not proved.
+        vector: What it reads in a test.
+        spec: Its spec, if that is there.
+        failed: What its run did not achieve; () too where there was none.
+    """
 
     file: ControllerFile
     certificate: str
     unproved: tuple[str, ...]
     vector: Vector
     spec: Spec | None
+    failed: tuple[str, ...] = ()
+
+    def source(self, kind: type[_Code], name: str, *, given: bool, single: bool = False) -> _Code:
+        """Return what its code is written from."""
+        return kind(file=self.file, name=name, single=single, given=given, unproved=self.unproved, failed=self.failed)
 
     @property
     def beside(self) -> dict[str, str]:
@@ -63,6 +77,7 @@ def export(
     single: bool,
     given: bool,
     unproved: bool,
+    failed: bool,
 ) -> list[str]:
     """Write a controller for a machine.
 
@@ -76,17 +91,18 @@ def export(
         single: Whether in single floats.
         given: Whether the reference comes from outside.
         unproved: Whether to write what is not proved, too.
+        failed: Whether to write the controller of a run that failed, too.
 
     Returns:
         The names of the files.
 
     Raises:
         InvalidSpec: If what is exported has no sample time, or cannot be read or written.
-        CheckFailed: If it is not proved, unless `unproved`.
+        CheckFailed: If it is not proved, unless `unproved`, or its run failed, unless `failed`.
     """
-    subject = subject_of(target, parameters, sample_time, given, unproved)
+    subject = subject_of(target, parameters, sample_time, given, unproved, failed)
     kind, called = CSource if to == "c" else Source, prefix(name or subject.file.name)
-    code = kind(file=subject.file, name=called, single=single, given=given, unproved=subject.unproved)
+    code = subject.source(kind, called, single=single, given=given)
     try:
         if isinstance(code, CSource):
             names = write_c(code, subject.vector, out)
@@ -105,22 +121,41 @@ def unwritable(out: Path, error: OSError) -> InvalidSpec:
     return InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}"))
 
 
-def subject_of(target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool) -> Subject:
+def subject_of(
+    target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool, failed: bool
+) -> Subject:
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
     if stored(target, parameters, sample_time):
-        found = _stored(target / CONTROLLER if target.is_dir() else target, given)
+        path = target / CONTROLLER if target.is_dir() else target
+        found = replace(_stored(path, given), failed=tuple(_missed(read_index(path.parent) or {})))
     else:
         found = of_spec(load_spec(target, parameters), sample_time, given)
-    if found.unproved and not unproved:
-        raise CheckFailed(
-            *(Problem(message=f"{target}: not proved: {line}", subject=None) for line in found.unproved[:-1]),
-            Problem(
-                message=f"{target}: not proved: {found.unproved[-1]}",
-                subject=None,
-                hint="--unproved exports it all the same, and its header says so",
-            ),
+    against = [
+        ("not proved", found.unproved, "--unproved", unproved),
+        ("its run failed", found.failed, "--failed", failed),
+    ]
+    problems = [
+        Problem(
+            message=f"{target}: {what}: {line}",
+            subject=None,
+            hint=f"{option} exports it all the same, and its header says so",
         )
+        for what, lines, option, meant in against
+        for line in lines
+        if not meant
+    ]
+    if problems:
+        raise CheckFailed(*problems)
     return found
+
+
+def _missed(index: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a run did not achieve, as its index says it."""
+    if index.get("exit") != ExitCode.CHECK_FAILED:
+        return
+    missed = [asked["said"] for asked in index.get("requirements", ()) if not asked["met"]]
+    said = (index.get("simulation") or {}).get("said") or f"it ended with exit {ExitCode.CHECK_FAILED:d}"
+    yield from missed or [said]
 
 
 def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
@@ -137,7 +172,7 @@ def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
-    """Design what a spec asks for, simulate so many steps of it, and return it.
+    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
 
     Raises:
         PwatrackError: Whatever design and simulation raise, and InvalidSpec if it has no sample time.
@@ -147,7 +182,12 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
         spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
     controller = pipeline.design(spec, growing=True)
-    return _simulated(spec, controller, None, given, steps)
+    found = _simulated(spec, controller, None, given, steps)
+    if not spec.requirements:
+        return found
+    result = pipeline.simulate(spec, controller)
+    missed = [checked.text for checked in required(spec, controller, result) if not checked.met]
+    return replace(found, failed=(*missed, *([result.outcome.text] if result.outcome.code else [])))
 
 
 def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: bool, steps: int) -> Subject:
@@ -221,7 +261,7 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
 
 
 def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
-    """Return the spec that the run in a folder was made from: the file if it is still as it was, else the copy of it."""
+    """Return the spec that the run in a folder was made from: the file if it is as it was, else the copy of it."""
     for path in (named_spec(read_index(folder) or {}, folder), folder / SPEC):
         missing = (OSError, InvalidSpec) if path.name == SPEC else (OSError,)  # tables that it refers to do not move
         with suppress(*missing):
