@@ -23,6 +23,7 @@ Prefix = Annotated[str | None, typer.Option(help="Prefix of all names.", show_de
 Single = Annotated[bool, typer.Option("--float32", help="Compute in single floats.")]
 From = Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")]
 Unproved = Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")]
+Failed = Annotated[bool, typer.Option("--failed", help="Export the controller of a run that failed, too.")]
 
 exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=True)
 
@@ -37,9 +38,10 @@ def export_to_c(
     single: Single = False,
     reference: From = "inside",
     unproved: Unproved = False,
+    failed: Failed = False,
 ) -> None:
     """Write a controller in C99, with a test vector of its simulation."""
-    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
     _export("c", target, out, parameters, sample_time, **options)
 
 
@@ -53,9 +55,10 @@ def export_to_structured_text(
     single: Single = False,
     reference: From = "inside",
     unproved: Unproved = False,
+    failed: Failed = False,
 ) -> None:
     """Write a controller as a function block in Structured Text of IEC 61131-3."""
-    options = {"name": name, "single": single, "reference": reference, "unproved": unproved}
+    options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
     _export("st", target, out, parameters, sample_time, **options)
 
 
@@ -68,9 +71,10 @@ def export_to_matlab(
     name: Prefix = None,
     reference: From = "inside",
     unproved: Unproved = False,
+    failed: Failed = False,
 ) -> None:
     """Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it."""
-    options = {"name": name, "single": False, "reference": reference, "unproved": unproved}
+    options = {"name": name, "single": False, "reference": reference, "unproved": unproved, "failed": failed}
     _export("mat", target, out, parameters, sample_time, **options)
 
 
@@ -99,6 +103,7 @@ def export_to_fmu(
     of: Annotated[Literal["controller", "plant", "both"], typer.Option(help="What is exported.")] = "both",
     reference: From = "inside",
     unproved: Unproved = False,
+    failed: Failed = False,
 ) -> None:
     """Write controller and plant as FMUs for co-simulation."""
     _check_sample_time(sample_time)
@@ -116,6 +121,7 @@ def export_to_fmu(
             of=("controller", "plant") if of == "both" else (of,),
             given=reference == "outside",
             unproved=unproved,
+            failed=failed,
         ):
             typer.echo(line)
 

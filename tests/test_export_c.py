@@ -335,6 +335,52 @@ def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path
     assert "its digest is not" in refused(call("export", "c", run, "--out", tmp_path / "no", "--unproved"), 2)
 
 
+def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another spec of the same name, here or beside the folder, is not taken for its own."""
+    for name in ("one", "two", "else"):
+        (tmp_path / name).mkdir()
+    cart(tmp_path / "one", "controller: {sample_time: 0.01}", duration=2)
+    cart(tmp_path / "else", "controller: {sample_time: 0.02}", duration=2)
+    monkeypatch.chdir(tmp_path / "one")
+    assert call("design", "cart.yaml", "--out", "runs/cart").exit_code == 0
+    monkeypatch.chdir(tmp_path / "else")
+
+    def exported(run: str) -> None:
+        found = call("export", "c", run, "--out", "code", "--name", "loop")
+        assert found.exit_code == 0, found.output
+        assert "is from the exact simulation of its spec" in " ".join(Path("code/README.md").read_text().split())
+
+    exported("../one/runs/cart")
+    assert f"it belongs to {tmp_path / 'one/cart.yaml'}" in call("verify", "../one/runs/cart").output
+    shutil.move(tmp_path / "one/runs/cart", tmp_path / "two")
+    shutil.rmtree(tmp_path / "one")
+    exported("../two/cart")
+    Path("cart.yaml").unlink()
+    assert "it belongs to ../two/cart/spec.txt: same plant" in call("verify", "../two/cart").output
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp_path: Path, stored: bool) -> None:
+    path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
+    path.write_text(path.read_text(encoding="utf-8") + "require: {final_error: 1e-9, largest_input: {u: 1000}}\n")
+    run, out = tmp_path / "run", tmp_path / "code"
+    if stored:
+        assert call("simulate", path, "--out", run, "--plots", "none").exit_code == 6
+    for option in ((), ("--unproved",)):
+        error = refused(call("export", "c", run if stored else path, "--out", out, *option), 6)
+        assert "its run failed: final_error" in error
+        assert "largest_input" not in error
+        assert "--failed exports it all the same" in error
+    assert not out.exists()
+    assert call("export", "c", run if stored else path, "--out", out, "--name", "loop", "--failed").exit_code == 0
+    title, empty, said = (out / "loop.h").read_text(encoding="utf-8").splitlines()[1:4]
+    assert (title.removeprefix(" * "), empty) == (load_spec(path).name, " *")
+    assert said.startswith(" * FAILED: final_error: ")
+    assert "Its run FAILED: final_error: " in (out / "README.md").read_text(encoding="utf-8")
+
+
 def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:
     path = cart(tmp_path, duration=2)
     assert "--sample-time" in refused(call("export", "c", path, "--out", tmp_path / "c"), int(ExitCode.INVALID))

@@ -147,10 +147,11 @@ def _readme(c: CSource, vector: Vector) -> str:
     if c.given:
         reference = f"`ref` is, in this order: {', '.join(program.reference)}."
 
+    failed = f"Its run FAILED: {'; '.join(c.failed)}. " if c.failed else ""
     return _README.format(
         name=c.name,
         title=c.file.name,
-        proved=proved,
+        proved=failed + proved,
         bytes=c.state_bytes,
         constants=c.constant_bytes,
         h=repr(program.sampling.sample_time),

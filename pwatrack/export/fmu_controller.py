@@ -28,10 +28,11 @@ def controller_parts(c: CSource, duration: float, resources: dict[str, bytes]) -
         if c.unproved
         else " ".join(["Proved for the gains as printed.", *c.claims])
     )
+    failed = f"FAILED: {'; '.join(c.failed)}. " if c.failed else ""
     model = Model(
         identifier=f"{c.name}_controller",
         title=f"{c.file.name}: controller",
-        description=f"Runs once every {step!r} s. {proved} {_ORDER}",
+        description=f"{failed}Runs once every {step!r} s. {proved} {_ORDER}",
         token="",
         variables=variables,
         step=step,

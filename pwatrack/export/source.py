@@ -43,6 +43,7 @@ class Source:
         single: Whether in single floats.
         given: Whether the reference comes from outside.
         unproved: What is not proved of it, in sentences.
+        failed: What its run did not achieve, in sentences.
     """
 
     file: ControllerFile
@@ -50,6 +51,7 @@ class Source:
     single: bool
     given: bool
     unproved: tuple[str, ...]
+    failed: tuple[str, ...] = ()
 
     @property
     def real(self) -> Any:
@@ -131,6 +133,7 @@ class Source:
         lines = [
             part.name,
             "",
+            *(f"FAILED: {line}" for line in self.failed),
             f"Run once every {self.program.sampling.sample_time!r} s.",
             "Written by pwatrack. It belongs to its user: see LICENSE-EXCEPTION of pwatrack.",
             *proved,

@@ -2,16 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem
 from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.c_project import write_c
 from pwatrack.export.c_source import CSource, prefix
@@ -23,7 +24,8 @@ from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
-from pwatrack.report.run_folder import INDEX, json_text, named_spec
+from pwatrack.report.required import required
+from pwatrack.report.run_folder import SPEC, json_text, named_spec, read_index
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -32,17 +34,30 @@ from pwatrack.study import pipeline
 CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector
 Target = Literal["c", "st", "mat"]
+_Code = TypeVar("_Code", bound=Source)
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What is exported: a controller, what of it is not proved, what it reads in a test, its spec if that is there."""
+    """What is exported: a controller with its proof, and what goes with it.
+
+    Attributes:
+        unproved: What of it is not proved.
+        vector: What it reads in a test.
+        spec: Its spec, if that is there.
+        failed: What its run did not achieve; () too where there was none.
+    """
 
     file: ControllerFile
     certificate: str
     unproved: tuple[str, ...]
     vector: Vector
     spec: Spec | None
+    failed: tuple[str, ...] = ()
+
+    def source(self, kind: type[_Code], name: str, *, given: bool, single: bool = False) -> _Code:
+        """Return what its code is written from."""
+        return kind(file=self.file, name=name, single=single, given=given, unproved=self.unproved, failed=self.failed)
 
     @property
     def beside(self) -> dict[str, str]:
@@ -62,6 +77,7 @@ def export(
     single: bool,
     given: bool,
     unproved: bool,
+    failed: bool,
 ) -> list[str]:
     """Write a controller for a machine.
 
@@ -75,17 +91,18 @@ def export(
         single: Whether in single floats.
         given: Whether the reference comes from outside.
         unproved: Whether to write what is not proved, too.
+        failed: Whether to write the controller of a run that failed, too.
 
     Returns:
         The names of the files.
 
     Raises:
         InvalidSpec: If what is exported has no sample time, or cannot be read or written.
-        CheckFailed: If it is not proved, unless `unproved`.
+        CheckFailed: If it is not proved, unless `unproved`, or its run failed, unless `failed`.
     """
-    subject = subject_of(target, parameters, sample_time, given, unproved)
+    subject = subject_of(target, parameters, sample_time, given, unproved, failed)
     kind, called = CSource if to == "c" else Source, prefix(name or subject.file.name)
-    code = kind(file=subject.file, name=called, single=single, given=given, unproved=subject.unproved)
+    code = subject.source(kind, called, single=single, given=given)
     try:
         if isinstance(code, CSource):
             names = write_c(code, subject.vector, out)
@@ -104,22 +121,41 @@ def unwritable(out: Path, error: OSError) -> InvalidSpec:
     return InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}"))
 
 
-def subject_of(target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool) -> Subject:
+def subject_of(
+    target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool, failed: bool
+) -> Subject:
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
     if stored(target, parameters, sample_time):
-        found = _stored(target / CONTROLLER if target.is_dir() else target, given)
+        path = target / CONTROLLER if target.is_dir() else target
+        found = replace(_stored(path, given), failed=tuple(_missed(read_index(path.parent) or {})))
     else:
         found = of_spec(load_spec(target, parameters), sample_time, given)
-    if found.unproved and not unproved:
-        raise CheckFailed(
-            *(Problem(message=f"{target}: not proved: {line}", subject=None) for line in found.unproved[:-1]),
-            Problem(
-                message=f"{target}: not proved: {found.unproved[-1]}",
-                subject=None,
-                hint="--unproved exports it all the same, and its header says so",
-            ),
+    against = [
+        ("not proved", found.unproved, "--unproved", unproved),
+        ("its run failed", found.failed, "--failed", failed),
+    ]
+    problems = [
+        Problem(
+            message=f"{target}: {what}: {line}",
+            subject=None,
+            hint=f"{option} exports it all the same, and its header says so",
         )
+        for what, lines, option, meant in against
+        for line in lines
+        if not meant
+    ]
+    if problems:
+        raise CheckFailed(*problems)
     return found
+
+
+def _missed(index: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a run did not achieve, as its index says it."""
+    if index.get("exit") != ExitCode.CHECK_FAILED:
+        return
+    missed = [asked["said"] for asked in index.get("requirements", ()) if not asked["met"]]
+    said = (index.get("simulation") or {}).get("said") or f"it ended with exit {ExitCode.CHECK_FAILED:d}"
+    yield from missed or [said]
 
 
 def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
@@ -136,7 +172,7 @@ def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
-    """Design what a spec asks for, simulate so many steps of it, and return it.
+    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
 
     Raises:
         PwatrackError: Whatever design and simulation raise, and InvalidSpec if it has no sample time.
@@ -146,7 +182,12 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
         spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
     controller = pipeline.design(spec, growing=True)
-    return _simulated(spec, controller, None, given, steps)
+    found = _simulated(spec, controller, None, given, steps)
+    if not spec.requirements:
+        return found
+    result = pipeline.simulate(spec, controller)
+    missed = [checked.text for checked in required(spec, controller, result) if not checked.met]
+    return replace(found, failed=(*missed, *([result.outcome.text] if result.outcome.code else [])))
 
 
 def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: bool, steps: int) -> Subject:
@@ -184,19 +225,18 @@ def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
 def _stored(path: Path, given: bool) -> Subject:
     """Return a controller from its file, with its proof beside it if it is there."""
     file, folder = read(path), path.parent
-    certificate, unproved = folder / CERTIFICATE, list(file.open)
+    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), its_spec(file, folder)
     text = certificate.read_bytes() if certificate.is_file() else b""
     if not text:
         unproved.append(f"there is no {CERTIFICATE} beside it")
     elif hashlib.sha256(text).hexdigest() != file.proof:
         unproved.append(f"the {CERTIFICATE} beside it is not the one that it names")
     else:
-        verify(folder)
+        verify(folder, None if spec is None else spec.path)
     unproved += _other_gains(file, text)
     if file.program is None:
         hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
         raise InvalidSpec(Problem(message=f"{path}: the controller has no sample time", subject=None, hint=hint))
-    spec = its_spec(file, folder)
     if spec is not None:
         again = with_gains(spec, file)
         controller = pipeline.design(again, growing=True)
@@ -221,12 +261,10 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
 
 
 def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
-    """Return the spec that the run in a folder was made from, if it is still there as it was."""
-    try:
-        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        path = named_spec(index, folder)
-        if hashlib.sha256(path.read_bytes()).hexdigest() != file.spec_sha256:
-            return None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return load_spec(path, file.set)
+    """Return the spec that the run in a folder was made from: the file if it is as it was, else the copy of it."""
+    for path in (named_spec(read_index(folder) or {}, folder), folder / SPEC):
+        missing = (OSError, InvalidSpec) if path.name == SPEC else (OSError,)  # tables that it refers to do not move
+        with suppress(*missing):
+            if hashlib.sha256(path.read_bytes()).hexdigest() == file.spec_sha256:
+                return load_spec(path, file.set)
+    return None

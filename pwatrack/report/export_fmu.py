@@ -30,6 +30,7 @@ def export_fmu(
     of: Sequence[Of],
     given: bool,
     unproved: bool,
+    failed: bool,
 ) -> list[str]:
     """Write FMUs for co-simulation.
 
@@ -43,6 +44,7 @@ def export_fmu(
         of: What is written: its controller, its plant.
         given: Whether the reference comes from outside.
         unproved: Whether to write a controller that is not proved, too.
+        failed: Whether to write one whose run failed, too.
 
     Returns:
         What was written, in sentences.
@@ -50,20 +52,22 @@ def export_fmu(
     Raises:
         InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
             not for what is exported.
-        CheckFailed: If the controller is not proved, unless `unproved`; if a compiler that is there makes no binary.
+        CheckFailed: If the controller is not proved, unless `unproved`; if its run failed, unless `failed`; if a
+            compiler that is there makes no binary.
     """
     made = dict[str, Parts]()
     if "controller" not in of:
         unused = {"--sample-time": sample_time is not None, "--reference outside": given, "--unproved": unproved}
+        unused["--failed"] = failed
         if any(unused.values()):
             names = ", ".join(name for name, there in unused.items() if there)
             message = f"{names}: that is for a controller, and only the plant is exported"
             raise InvalidSpec(message, hint="leave it out, or export the controller, too: --of both")
         spec = _spec(target, parameters)
     else:
-        subject = subject_of(target, parameters, sample_time, given, unproved)
+        subject = subject_of(target, parameters, sample_time, given, unproved, failed)
         called = prefix(name or subject.file.name)
-        code = CSource(file=subject.file, name=called, single=False, given=given, unproved=subject.unproved)
+        code = subject.source(CSource, called, given=given)
         resources = {file: text.encode() for file, text in subject.beside.items()}
         spec = subject.spec
         duration = _RUNS if spec is None else spec.scenario.duration
