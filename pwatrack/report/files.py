@@ -37,6 +37,7 @@ from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
@@ -90,7 +91,11 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | {
             "figures": gain_figures(controller),
-            "remarks": [*controller.plant.remarks, *reference_remarks(spec, controller.form)],
+            "remarks": [
+                *controller.plant.remarks,
+                *reference_remarks(spec, controller.form),
+                *sampling_remarks(controller, spec.scenario.conditions),
+            ],
         }
         index |= _requirements(required(spec, controller))
         index |= limit_content(spec, controller) | preview_content(controller)
