@@ -1,4 +1,4 @@
-"""Random designs, sampled as slowly as no cell by itself forbids, and as is offered: does the loop, which switches, run away?
+"""Random designs, sampled as slowly as no cell by itself forbids, and as is offered: does the loop run away?
 
     .venv/bin/python -m benchmarks.sampling [designs]
 

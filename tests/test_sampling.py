@@ -86,9 +86,9 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     line = 1 + path.read_text(encoding="utf-8").split("controller: {sample_time")[0].count("\n")
     assert f"{path}:{line}:" in error
     found = re.search(
-        r"sampled every 0\.5 s, the loop is unstable in cell '(?:stop on|stop off)': as long as it stays there, one sample "
-        r"multiplies what is off by (\S+) in the long run; at (\S+) s no cell by itself is unstable, and at (\S+) s all of "
-        r"(\d+) simulated runs from other starts died out",
+        r"sampled every 0\.5 s, the loop is unstable in cell '(?:stop on|stop off)': as long as it stays there, one "
+        r"sample multiplies what is off by (\S+) in the long run; at (\S+) s no cell by itself is unstable, and "
+        r"at (\S+) s all of (\d+) simulated runs from other starts died out",
         error,
     )
     assert found is not None, error

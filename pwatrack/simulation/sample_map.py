@@ -41,8 +41,9 @@ def unstable_cell(controller: Controller, conditions: Conditions) -> "tuple[str,
     longest = maps.longest(sampling.sample_time)
     if longest is None:
         return None  # however short, it is unstable: that is not for its sampling, and is seen when it runs
+    name = controller.plant.cell_names[cell]
     message = (
-        f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell '{controller.plant.cell_names[cell]}': "
+        f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell '{name}': "
         f"as long as it stays there, one sample multiplies what is off by {radius:.4g} in the long run"
     )
     return message, maps, longest

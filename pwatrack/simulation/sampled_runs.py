@@ -35,7 +35,7 @@ def check_sample_time(controller: Controller, conditions: Conditions) -> None:
         conditions: What is not as the theorems assume.
 
     Raises:
-        CheckFailed: With the cell, the spectral radius there, and a time at which simulated runs die out if one is found.
+        CheckFailed: With the cell, the spectral radius there, and a time at which runs die out if one is found.
     """
     found = unstable_cell(controller, conditions)
     if found is None:
