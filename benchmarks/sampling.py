@@ -1,4 +1,4 @@
-"""Random designs, sampled as slowly as is stable in every cell: is the loop, which switches, stable then?
+"""Random designs, sampled as slowly as no cell by itself forbids, and as is offered: does the loop run away?
 
     .venv/bin/python -m benchmarks.sampling [designs]
 
@@ -17,6 +17,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.simulation.sampled_runs import dying_out
 from tests.plants import random_plant
 from tests.promises import track
 
@@ -52,18 +53,21 @@ def growth(loop: ClosedLoop, sampling: Sampling, seed: int, samples: int = 4000)
 
 def main(count: int) -> None:
     """Print how many loops were stable, and the largest growth."""
-    found: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    found: dict[str, list[float]] = {name: [] for kind in KINDS for name in (kind, f"{kind}, offered")}
     for seed in range(count):
         loop = design(seed)
         for kind, sampling in KINDS.items() if loop else ():
             assert loop is not None
-            longest = SampleMaps(loop.controller, loop.plant, sampling).longest(sampling.sample_time)
-            if longest is not None:
-                found[kind].append(growth(loop, replace(sampling, sample_time=longest), seed))
+            maps = SampleMaps(loop.controller, loop.plant, sampling)
+            longest = maps.longest(sampling.sample_time)
+            offer = None if longest is None else dying_out(maps, longest)
+            for name, time in ((kind, longest), (f"{kind}, offered", offer and offer[0])):
+                if time:
+                    found[name].append(growth(loop, replace(sampling, sample_time=time), seed))
     console = Console()
     for kind, growths in found.items():
         stable = sum(value <= 1.05 for value in growths)
-        console.print(f"{kind:18} {stable} of {len(growths)} loops stable; largest growth {max(growths):.4f}")
+        console.print(f"{kind:28} {stable} of {len(growths)} loops stable; largest growth {max(growths):.4f}")
 
 
 if __name__ == "__main__":

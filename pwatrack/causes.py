@@ -58,7 +58,7 @@ class Way(Enum):
     DESIRED_STATE = auto()
     DESIRED_START = auto()
     SMALLER_BOX = auto()  # of uncertain parameters
-    FASTER_SAMPLES = auto()  # the longest time in s that would do
+    FASTER_SAMPLES = auto()  # a time in s at which simulated runs died out
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,9 @@ def check(
             )
             reference, sizes = checked(spec, report)
             remarks = reference_remarks(spec, report.form)
+            if (sampling := spec.scenario.conditions.sampling) is not None:
+                said = "depends on its gains: `design` looks at it in each cell"
+                remarks = (*remarks, f"what sampling every {sampling.sample_time:g} s makes of the loop {said}")
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

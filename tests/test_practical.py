@@ -150,7 +150,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     console = Console(file=StringIO(), width=300)
     print_design(console, load_spec(written("practical")), asked)
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
-    assert ("0.107 m, larger than the reference, proved for every start" in first) is not worth, first
+    assert ("0.107, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
         assert design(load_spec(written("output"))).practical is not None
         return
@@ -160,7 +160,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     assert refusal.value.evidence is not None
     (problem,) = refusal.value.problems
     assert "is infeasible" in problem.message
-    assert "not worth having: |y − y_d| ends below 0.107 m, and the reference is of size 0.1 m" in problem.message
+    assert "not worth having: |y − y_d| ends below 0.107, and the reference is of size 0.1" in problem.message
 
 
 def test_where_exact_tracking_is_found_nothing_is_merged(specs: Path, tmp_path: Path) -> None:

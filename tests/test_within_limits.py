@@ -27,6 +27,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.limits import limit_rows
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
@@ -117,6 +118,19 @@ def test_a_corner_of_the_feedforward_is_its_peak(tmp_path: Path) -> None:
     most = 2 * 0.1 / 0.2**2  # three averages over 0.2 s
     assert [peak.low[0], peak.high[0]] == pytest.approx([-most, most], rel=1e-9)
     assert peak.times[0] == pytest.approx([0.5123 + 0.1, 0.5123 - 0.1], abs=1e-9)
+
+
+def test_a_headroom_that_is_rounding_is_none(tmp_path: Path) -> None:
+    """What was left of 100 A beside a feedforward of 0 but for rounding was 2.3e-13 A, or 6e-18 times the sizes."""
+    limits = np.array([[0.0, 100.0]])
+    for low in (2.273e-13, 0.0, -2.273e-13):
+        peak = Peak(low=np.array([low]), high=np.array([low]), times=np.zeros((1, 2)))
+        assert peak.left(limits).tolist() == [0.0]
+        assert peak.beyond(limits) == []
+    spec = load_spec(written(tmp_path, STAGE, REFERENCE="{constant: 0}", LIMITS="[0, 100]"))
+    said = list(limit_rows(spec, design(spec)))
+    assert len(said) == 1
+    assert said[0].endswith("which takes the whole limit: nothing is left for what is off")
 
 
 def test_a_state_behind_the_output_is_integrated_and_its_start_dies_out(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from pwatrack.model.sizes import Sizes
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 _LITTLE = 1e-3  # of a size: what any error may be at least
 _OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
+_NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +52,20 @@ class Peak:
             >>> peak.left(np.array([[-5.0, 5.0]])).round(4).tolist(), peak.left(np.array([[-np.inf, 2.0]])).tolist()
             ([2.0], [0.0])
         """
-        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        off = self._off(limits)
         room = np.minimum(limits[:, 1] - self.high, self.low - limits[:, 0])
         return np.asarray(np.maximum(room - off, 0.0))
 
     def beyond(self, limits: Array) -> list[tuple[int, int]]:
         """Return where the feedforward is beyond a limit, by more than it is known to: (input, 0 for its lower one)."""
-        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        off = self._off(limits)
         over = np.column_stack([limits[:, 0] - self.low > off, self.high - limits[:, 1] > off])
         return [(int(k), int(side)) for k, side in np.argwhere(over)]
+
+    def _off(self, limits: Array) -> Array:
+        """Return what tells no feedforward from a limit, (m,)."""
+        largest = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
+        return np.asarray(np.maximum(_OFF * np.maximum(np.abs(self.low), np.abs(self.high)), _NO_ROOM * largest))
 
     def with_also(self, other: "Peak") -> "Peak":
         """Return the peak of two stretches of time."""

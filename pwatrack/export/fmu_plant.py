@@ -10,7 +10,9 @@ from pwatrack.export.fmu_description import Model, Variable
 from pwatrack.export.source import said
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
-from pwatrack.spec.spec import Spec
+from pwatrack.spec.spec import Spec, Steady
+from pwatrack.study.starting import plant_start
+from pwatrack.study.tracking import desired_trajectory
 
 _MOST_NUMBERS = 2**19  # of A_i and b_i: 4 MB
 _MOST_TERMS = 24  # of a step
@@ -40,6 +42,9 @@ def plant_parts(spec: Spec, name: str) -> Parts:
     inputs, B = _inputs(spec, plant)
     outputs, C = _outputs(plant)
     given = scenario.initial.plant
+    if isinstance(given, Steady):
+        trajectory, generator = desired_trajectory(spec, False)
+        given = plant_start(spec, trajectory, generator, trajectory.eta0)
     start = np.zeros(n) if given is None else np.asarray(given, dtype=np.float64)
     variables = _variables(spec, plant, inputs, outputs, start)
     reals = [variable for variable in variables if not variable.whole]

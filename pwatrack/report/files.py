@@ -38,6 +38,7 @@ from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
@@ -90,7 +91,11 @@ def write_design(
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | proved_content(spec, controller) | preview_content(controller)
-        index["remarks"] = [*controller.plant.remarks, *reference_remarks(spec, controller.form)]
+        index["remarks"] = [
+            *controller.plant.remarks,
+            *reference_remarks(spec, controller.form),
+            *sampling_remarks(controller, spec.scenario.conditions),
+        ]
         index |= _requirements(required(spec, controller))
         if largest is not None:
             index["largest_box"] = largest_content(largest)

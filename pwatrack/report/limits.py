@@ -67,8 +67,9 @@ def limit_rows(spec: Spec, controller: Controller) -> Iterator[str]:
             )
             yield f"{said}: {takes}, more than that, from where the generator starts{after}"
         else:
-            left = f"{down(float(limited.peak.left(limited.limits)[k]))} {unit}".rstrip()
-            yield f"{said}: {takes}, which leaves {left} for what is off"
+            room = float(limited.peak.left(limited.limits)[k])
+            left = f"leaves {down(room)} {unit}".rstrip() if room else "takes the whole limit: nothing is left"
+            yield f"{said}: {takes}, which {left} for what is off"
     yield from _promise_rows(controller, limited)
 
 

@@ -27,6 +27,7 @@ from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import remark_rows, titled
 from pwatrack.report.uncertain import box_rows, largest_text, run_rows
 from pwatrack.report.wording import all_cells, down, error_unit, load_kind, signal_text, sized, states_unit
+from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.spec.spec import Spec
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
@@ -53,7 +54,8 @@ def print_design(
     _proved_rows(table, spec, controller)
     if largest is not None:
         table.add_row("largest box", largest_text(largest))
-    remark_rows(table, (*controller.plant.remarks, *reference_remarks(spec, controller.form)))
+    remarks = (*reference_remarks(spec, controller.form), *sampling_remarks(controller, spec.scenario.conditions))
+    remark_rows(table, (*controller.plant.remarks, *remarks))
     console.print(table)
 
 

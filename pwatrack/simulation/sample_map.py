@@ -1,4 +1,4 @@
-"""What one sample does to errors in each cell, and which sample times are short enough."""
+"""What one sample does to errors in each cell by itself, and up to which sample times it lets them vanish in all."""
 
 from dataclasses import dataclass, replace
 from decimal import ROUND_FLOOR, Context
@@ -7,48 +7,52 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.controller import Controller
-from pwatrack.errors import CheckFailed, Problem
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
 
-_HALVINGS = 40  # of a sample time that is too long, until none is found that does
+_HALVINGS = 40  # of a sample time that is too long, until one is found
 _BISECTIONS = 12  # of a sample time: to a part in 4,000
-_SHORTER = 16  # times below one that does which must do too
+_SHORTER = 16  # times below one that are looked at too
 _SURE = 1 + 1e-9  # the eigenvalues of a map are known to less
 
 
-def check_sample_time(controller: Controller, conditions: Conditions) -> None:
-    """Refuse a sample time at which the loop is unstable in some cell, where a shorter one would do.
+def unstable_cell(controller: Controller, conditions: Conditions) -> "tuple[str, SampleMaps, float] | None":
+    """Say in which cell the sampled loop is unstable by itself, where it is not in any at a shorter sample time.
+
+    Nothing is said of a loop that is stable in each cell: switching between them may still make it run away.
 
     Args:
         controller: The design.
         conditions: What is not as the theorems assume.
 
-    Raises:
-        CheckFailed: With the cell, the spectral radius there, and the longest time that is found to do.
+    Returns:
+        The words, the maps of one sample, and the longest time (s) found at which no cell is unstable by itself.
     """
     sampling, plant = conditions.sampling, conditions.plant or controller.plant
     if controller.practical is not None:  # cells that are merged need not be stable by themselves
         plant = controller.plant
     if sampling is None:
-        return
+        return None
     maps = SampleMaps(controller, plant, sampling)
     cell, radius = maps.worst(sampling.sample_time)
     if radius < _SURE:
-        return
+        return None
     longest = maps.longest(sampling.sample_time)
     if longest is None:
-        return  # however short, it is unstable: that is not for its sampling, and is seen when it runs
+        return None  # however short, it is unstable: that is not for its sampling, and is seen when it runs
     name = controller.plant.cell_names[cell]
     message = (
         f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell '{name}': "
-        f"one sample multiplies what is off by {radius:.4g} in the long run; {longest:g} s would do in all cells"
+        f"as long as it stays there, one sample multiplies what is off by {radius:.4g} in the long run"
     )
-    raise CheckFailed(
-        Problem(message=message, subject=(Part.SAMPLE_TIME,), remedy=Remedy(Way.FASTER_SAMPLES, (longest,)))
-    )
+    return message, maps, longest
+
+
+def sampling_remarks(controller: Controller, conditions: Conditions) -> tuple[str, ...]:
+    """Say beforehand that a simulation will be refused for its sample time."""
+    found = unstable_cell(controller, conditions)
+    return () if found is None else (f"{found[0]}; so it is not simulated",)
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ class SampleMaps:
 
     def worst(self, h: float) -> tuple[int, float]:
         """Return the cell with the largest radius, and that."""
-        radii = {cell: self.radius(cell, h) for cell in self._cells}
+        radii = {cell: self.radius(cell, h) for cell in self.cells}
         cell = max(radii, key=lambda cell: radii[cell])
         return cell, radii[cell]
 
@@ -132,9 +136,9 @@ class SampleMaps:
         return self._stepped(rates, h)[len(S) :]
 
     def longest(self, h: float) -> float | None:
-        """Return the longest sample time below a given one at which all cells are stable, in s; None if there is none.
+        """Return the longest sample time below a given one at which each cell is stable by itself, in s, or None.
 
-        Shorter ones do, too, as far as was looked. Where two digits are as good, it has two.
+        So it is at shorter ones, as far as was looked. Where two digits are as good, it has two.
         """
         high = h
         for _ in range(_HALVINGS):
@@ -151,7 +155,7 @@ class SampleMaps:
         return rounded if self.worst(rounded)[1] < 1 else low
 
     @property
-    def _cells(self) -> list[int]:
+    def cells(self) -> list[int]:
         """The cells of the plant that are not all alike."""
         found: dict[bytes, int] = {}
         A_eta = self.controller.trajectory.rate

@@ -358,7 +358,6 @@ ExactVector = list[Exact]
 ExactRows = list[list[Exact]]
 _ByName = Annotated[dict[str, Number], Tag("by name")]
 _InOrder = Annotated[Vector, Tag("in order")]
-Start = Annotated[_ByName | _InOrder, Discriminator(_start_kind)]
 StartOrMeasured = Annotated[
     Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]

@@ -93,6 +93,10 @@ def start_problems(data: Mapping[str, Any], context: Context) -> list[Problem]:
         message = f"{path_text((*subject, 'observer'))}: each observer starts from what is measured then"
         hint = "leave it out, or 'observer: measured' under simulation.initial"
         problems.append(Problem(message=message, subject=(*subject, "observer"), hint=hint))
+    if at_path(data, ("simulation", "initial", "plant")) == "steady" and at_path(data, (*subject, "plant")) is not None:
+        message = f"{path_text((*subject, 'plant'))}: where 'plant: steady' is, is not known before the design"
+        hint = "give its start under simulation.initial in numbers"
+        problems.append(Problem(message=message, subject=(*subject, "plant"), hint=hint))
     for part in ("plant", "observer"):
         inside: Subject = (*subject, part, "ellipsoid")
         places: list[Subject] = [("simulation", "initial", part)]

@@ -13,7 +13,6 @@ from pwatrack.spec.entries import (
     NotNegative,
     Number,
     Positive,
-    Start,
     StartOrMeasured,
     StartOrSteady,
     Whole,
@@ -27,9 +26,12 @@ _MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
 
 
 class InitialSection(Section):
-    """x(0), x̂(0) and η̂(0); zero where not given. States stand in their order, or by name; or a word says how."""
+    """x(0), x̂(0) and η̂(0). States stand in their order, or by name; or a word says how.
 
-    plant: Start | None = None
+    Zero where not given, and of the generator its steady state.
+    """
+
+    plant: StartOrSteady | None = None
     observer: StartOrMeasured | None = None
     generator: StartOrSteady | None = None
 

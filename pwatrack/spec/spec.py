@@ -77,14 +77,17 @@ class Measured:
 
 @dataclass(frozen=True)
 class Steady:
-    """A start of the generator: in its steady state for the reference as it begins."""
+    """A start in steady state for the reference as it begins: of the generator, or of the plant, on x_d."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InitialStates:
-    """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name; None for zero."""
+    """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name.
 
-    plant: Array | None = None
+    None is zero, and of the generator as `Steady`.
+    """
+
+    plant: Array | Steady | None = None
     observer: Array | Measured | None = None
     generator: Array | Mapping[str, float] | Steady | None = None
 

@@ -52,7 +52,7 @@ _WORDS: Mapping[Way, str] = {
     Way.DESIRED_STATE: "{hint}: give x_d as state or setpoint instead",
     Way.DESIRED_START: "{hint}: give x_d(0) as start instead",
     Way.SMALLER_BOX: "{hint}: 'design --robust largest' finds how far the box can be scaled",
-    Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s) or less: it is stable in all cells",
+    Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s): simulated runs died out there, which is no proof",
 }
 _IN_PYTHON: Mapping[Way, str] = {
     Way.STATE_TRACKING: f"{_STATE_TRACKING}: tracking='state'",
@@ -67,7 +67,7 @@ _IN_PYTHON: Mapping[Way, str] = {
     Way.EXACT_NUMBERS: "{hint}: write the text '2*pi' instead of its decimals, and the like",
     Way.OTHER_SOLVER: "{hint}: solver='{0}'",
     Way.GAIN_BOUND: "give a bound beside it, for example 'gain': 100, or the rate that is wanted",
-    Way.FASTER_SAMPLES: "'sample_time': {0:g} (s) or less is stable in all cells",
+    Way.FASTER_SAMPLES: "'sample_time': {0:g} (s): simulated runs died out there, which is no proof",
 }
 
 

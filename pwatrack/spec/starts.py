@@ -14,7 +14,7 @@ def initial_states(section: InitialSection, states: Sequence[str]) -> InitialSta
     """Return where a run starts."""
     observer, generator = section.observer, section.generator
     return InitialStates(
-        plant=_in_order(section.plant, states),
+        plant=Steady() if isinstance(section.plant, str) else _in_order(section.plant, states),
         observer=Measured() if isinstance(observer, str) else _in_order(observer, states),
         generator=Steady()
         if isinstance(generator, str)

@@ -11,7 +11,7 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
-from pwatrack.study.starting import generator_start, starts_of
+from pwatrack.study.starting import generator_start, plant_start, starts_of
 
 
 def room_within_limits(
@@ -52,7 +52,8 @@ def room_within_limits(
     if lasting is not None:
         _check(spec, limits, lasting)
         peak = None if peak is None else peak.with_also(lasting)
-    starts = (*Starts.within(sizes), *starts_of(spec, trajectory, given, sizes))
+    x = plant_start(spec, trajectory, generator, trajectory.eta0)
+    starts = (*Starts.within(sizes), *starts_of(spec, trajectory, x, given, sizes))
     return Limited(limits=limits, lasting=lasting, peak=peak, starts=starts)
 
 

@@ -21,20 +21,20 @@ from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
-from pwatrack.simulation.sample_map import check_sample_time
+from pwatrack.simulation.sampled_runs import check_sample_time
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.box import Box
 from pwatrack.spec.corners import corners
-from pwatrack.spec.spec import Measured, Spec
+from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.study.limiting import room_within_limits
 from pwatrack.study.merged import may_merge, not_worth, practical_design
 from pwatrack.study.outcome import Watch
 from pwatrack.study.result import Result
 from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.starting import generator_start, initial_values
+from pwatrack.study.starting import generator_start, initial_values, plant_start
 from pwatrack.study.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
@@ -165,24 +165,25 @@ def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
 
     Raises:
-        PwatrackError: If the spec says it twice, with wrong lengths, or asks for a steady state that is not found.
+        PwatrackError: If the spec says it twice, or with wrong lengths.
     """
     controller, initial = loop.controller, spec.scenario.initial
     n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
-    if initial.generator is not None and start_fixed(spec, controller):
+    trajectory, generator = controller.trajectory, controller.generator
+    if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))
-    fixed, x = controller.trajectory.eta0, initial_values(initial.plant, n, "plant")
-    start = loop.start(
-        plant=x,
-        observer=measured_start(loop, x)
-        if isinstance(initial.observer, Measured)
-        else initial_values(initial.observer, n, "observer"),
-        generator=generator_start(spec, controller.trajectory, controller.generator) if fixed is None else fixed,
-    )
-    steady_state = _steady_state(spec, controller, start[loop.at.eta_hat])
+    fixed = trajectory.eta0
+    eta = generator_start(spec, trajectory, generator) if fixed is None else fixed
+    steady_state = _steady_state(spec, controller, eta)
     if steady_state is not None and starts_periodic(spec):
-        start[loop.at.eta_hat] = steady_state.z[0, :p]
-    return start, steady_state
+        fixed = eta = steady_state.z[0, :p]
+    x = plant_start(spec, trajectory, generator, fixed)
+    observer = (
+        measured_start(loop, x)
+        if isinstance(initial.observer, Measured)
+        else initial_values(initial.observer, n, "observer")
+    )
+    return loop.start(plant=x, observer=observer, generator=eta), steady_state
 
 
 def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Watch, Spool | None]:

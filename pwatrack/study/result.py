@@ -19,6 +19,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study.along import so_far
 from pwatrack.study.bands import bands
 from pwatrack.study.outcome import Outcome
+from pwatrack.study.starting import start_remarks
 from pwatrack.study.tracking import reference_remarks, start_fixed
 
 
@@ -60,6 +61,7 @@ class Result:
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
         remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
         remarks += reference_remarks(self.spec, self.controller.form)
+        remarks += start_remarks(self.spec, self.controller.trajectory, self.controller.generator)
         duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
         if fastest * step > 2 * np.pi / 10:
             remarks.append(

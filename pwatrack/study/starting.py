@@ -12,20 +12,20 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.region import Box, Region
-from pwatrack.simulation.startup import from_measured, steady_start
+from pwatrack.simulation.startup import consistent_start, from_measured
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 
 
 def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
-    """Return η̂(0), in order or by the names of the states of the generator.
+    """Return η̂(0), in order or by the names of the states of the generator; see `consistent_start` where none is given.
 
     Raises:
-        InvalidSpec: If it has another number of entries, or names, or begins in a steady state that there is not.
+        InvalidSpec: If it has another number of entries, or names.
     """
     given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
-    if isinstance(given, Steady):
-        return steady_start(trajectory, generator)
+    if given is None or isinstance(given, Steady):
+        return consistent_start(trajectory, generator)[0]
     if not isinstance(given, Mapping):
         return initial_values(given, len(names), "generator")
     unknown = [
@@ -40,6 +40,37 @@ def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: Trajec
     if unknown:
         raise InvalidSpec(*unknown)
     return np.array([given.get(name, 0.0) for name in names])
+
+
+def start_remarks(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> tuple[str, ...]:
+    """Say what was taken where a steady state is asked for that there is not."""
+    initial = spec.scenario.initial
+    asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
+    if not asked or trajectory.eta0 is not None:
+        return ()
+    said = consistent_start(trajectory, generator)[1]
+    return (f"simulation.initial.{asked[-1]}: there is no steady state: {said}",) if said else ()
+
+
+def plant_start(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, eta: Array | None = None
+) -> Array:
+    """Return x(0); in steady state it is x_d(0), from which the plant follows its reference, or rests with it.
+
+    Args:
+        spec: What is asked.
+        trajectory: What makes x_d.
+        generator: That of output tracking.
+        eta: η̂(0), where the reference says it; else it is that of `consistent_start`.
+
+    Raises:
+        InvalidSpec: If it has another number of entries.
+    """
+    given = spec.scenario.initial.plant
+    if not isinstance(given, Steady):
+        return initial_values(given, len(spec.problem.plant.states), "plant")
+    eta = consistent_start(trajectory, generator)[0] if eta is None else eta
+    return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
 
 
 def initial_values(values: Array | None, length: int, part: str) -> Array:
@@ -58,15 +89,18 @@ def initial_values(values: Array | None, length: int, part: str) -> Array:
     return values
 
 
-def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None, sizes: Sizes) -> Iterator[Starts]:
+def starts_of(
+    spec: Spec, trajectory: DesiredTrajectory, plant_at: Array, generator: Array | None, sizes: Sizes
+) -> Iterator[Starts]:
     """Yield the errors with which a run begins, and the members of its ensemble, where it is known where x_d does.
 
     Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated. Estimates of loads
     start at 0.
 
     Args:
-        spec: It says where plant and observer start.
+        spec: It says where the observer starts, and the members.
         trajectory: It says where x_d starts.
+        plant_at: x(0).
         generator: η̂(0), if it is known.
         sizes: In which the observer makes the least of what is measured.
     """
@@ -80,7 +114,7 @@ def starts_of(spec: Spec, trajectory: DesiredTrajectory, generator: Array | None
     if loads is not None and disturbance is not None and loads.are(disturbance):
         acting[list(loads.where)] = -loads.truth(disturbance.Q, disturbance.rates) @ disturbance.w0
     for varied in ({}, regions) if regions else ({},):
-        x = _columns(varied.get("plant"), initial_values(initial.plant, n, "plant"))
+        x = _columns(varied.get("plant"), plant_at)
         if isinstance(initial.observer, Measured):
             x_hat, own = from_measured(sizes, plant.C) @ plant.C @ x, np.zeros((n, 0))
         else:
