@@ -243,8 +243,7 @@ def prove_convergence(
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
     refutation, tried = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
-        best = best_certificate(M, sizes=sizes, solver=solver)
-        best = _precisely(M, role, exact, sizes, solver) if best is None else best
+        best = best_certificate(M, sizes=sizes, solver=solver) or _precisely(M, role, exact, sizes, solver)
         if best is not None:
             return best
         instead, tried = _polynomial(M, role, exact, sizes)
