@@ -120,7 +120,7 @@ def precise_certificate(
     if not (np.isfinite(inside).all() and np.linalg.eigvals(inside).real.max() < 0):
         return None
     found = best_certificate(inside, start=start, soon=True, solver=solver)
-    proof = None if found is None else prove_exactly(role, M, at.matrix(found.P), found.rate)
+    proof = None if found is None else prove_exactly(role, M, at.matrix(found.P / np.linalg.norm(found.P)), found.rate)
     if proof is None:
         return None
     return Certificate(M=stack(M), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin, precise=proof.P)
