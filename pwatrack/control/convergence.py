@@ -120,7 +120,7 @@ def precise_certificate(
     if not (np.isfinite(inside).all() and np.linalg.eigvals(inside).real.max() < 0):
         return None
     found = best_certificate(inside, start=start, soon=True, solver=solver)
-    proof = None if found is None else prove_exactly(role, M, at.matrix(found.P), found.rate)
+    proof = None if found is None else prove_exactly(role, M, at.matrix(found.P / np.linalg.norm(found.P)), found.rate)
     if proof is None:
         return None
     return Certificate(M=stack(M), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin, precise=proof.P)
@@ -243,8 +243,7 @@ def prove_convergence(
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
     refutation, tried = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
-        best = best_certificate(M, sizes=sizes, solver=solver)
-        best = _precisely(M, role, exact, sizes, solver) if best is None else best
+        best = best_certificate(M, sizes=sizes, solver=solver) or _precisely(M, role, exact, sizes, solver)
         if best is not None:
             return best
         instead, tried = _polynomial(M, role, exact, sizes)

@@ -24,7 +24,7 @@ from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import Rational, decimals, floats, identity, scalar
+from pwatrack.rational import Rational, decimals, identity, scalar
 
 _RATES = 16  # at most so many rates are tried for the fastest one
 _SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
@@ -230,7 +230,7 @@ class Search:
         costs = self.candidates.regulator(rate)
         found = self.first((c for c in (next(costs, None),) if c is not None), rate)
         scale = self.task.scale
-        precise = self._of_mean(found, rate, square(1 / scale.state), square(1 / scale.input))
+        precise = self._of_mean(found, rate, square(scale.state).inv(), square(scale.input).inv())
         if precise is not None:
             found = self._proved_precisely(*precise, rate) or found or self._turned(precise[0], rate)
         if found is not None:
@@ -249,7 +249,7 @@ class Search:
         precise = self._of_mean(found, 0.0, decimals(Q), decimals(R)) if len(self.candidates.A) == 1 else None
         return found if precise is None else self._proved_precisely(*precise, 0.0) or found
 
-    def _of_mean(self, found: Proved | None, rate: float, Q: Rational, R: Rational) -> tuple[Precise, Rational] | None:
+    def _of_mean(self, found: Proved | None, rate: float, Q: Rational, R: Rational) -> tuple[Precise, Array] | None:
         """Return the gain of least cost of the mean of the cells, and its coordinates, where doubles do not hold it.
 
         Not where one is found already that is proved in doubles.
@@ -261,15 +261,16 @@ class Search:
         mean = sum((A[i] for i in at[1:]), A[at[0]]) / len(at)
         return Precise.of_regulator(mean + scalar(rate * (1 + FASTER)) * identity(B.nrows()), B, Q, R)
 
-    def _proved_precisely(self, at: Precise, K: Rational, rate: float, start: Array | None = None) -> Proved | None:
+    def _proved_precisely(self, at: Precise, K: Array, rate: float, start: Array | None = None) -> Proved | None:
         """Prove a gain in such coordinates, with as many digits as it needs, if it reaches a rate."""
-        nearest = floats(K)
+        if not np.isfinite(self.task.closed(K)).all():
+            return None
         digits = DIGITS
-        while digits < _DIGITS and not self.task.norm(nearest) < _ROUNDED * 10.0**digits:
+        while digits < _DIGITS and not self.task.norm(K) < _ROUNDED * 10.0**digits:
             digits += 1
-        printed = short(nearest, digits)
+        printed = short(K, digits)
         closed = different(self.task.exactly_closed(printed))
-        start = np.eye(len(nearest.T)) if start is None else start
+        start = np.eye(len(K.T)) if start is None else start
         certificate = precise_certificate(at, self.task.role, closed, start, solver=self.task.solver)
         return (printed, certificate) if certificate is not None and reaches(certificate, rate) else None
 
@@ -283,7 +284,8 @@ class Search:
             cells=[self.task.cells[i] for i in chosen],
             solver=self.task.solver,
         )
-        found = Search(inside).regulator(rate) if len(chosen) > 1 and np.isfinite(inside.A).all() else None
+        finite = np.isfinite(inside.A).all() and np.isfinite(inside.B).all()
+        found = Search(inside).regulator(rate) if len(chosen) > 1 and finite else None
         return None if found is None else self._proved_precisely(at, at.gain(found[0]), rate, found[1].P)
 
     def gentlest(self, rate: float) -> Proved | None:

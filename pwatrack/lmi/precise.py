@@ -46,7 +46,7 @@ class Precise:
             return None if P is None or root is None else cls._of(_middle(root), _middle(root.inv()))
 
     @classmethod
-    def of_regulator(cls, A: Rational, B: Rational, Q: Rational, R: Rational) -> "tuple[Precise, Rational] | None":
+    def of_regulator(cls, A: Rational, B: Rational, Q: Rational, R: Rational) -> "tuple[Precise, Array] | None":
         """Return coordinates in which the least cost is |z|², where doubles do not hold them, and the gain; else None.
 
         Args:
@@ -59,7 +59,7 @@ class Precise:
             >>> A, B = decimals(np.diag([1.0, 1.00001])), decimals(np.ones((2, 1)))
             >>> found = Precise.of_regulator(A, B, decimals(np.eye(2)), decimals(np.eye(1)))
             >>> at, K = found
-            >>> bool(np.abs(floats(at.inverse * (A + B * K) * at.T)).max() < 5)
+            >>> bool(np.abs(at.system([A + B * decimals(K)])).max() < 5)
             True
             >>> Precise.of_regulator(A, decimals(np.eye(2)), decimals(np.eye(2)), decimals(np.eye(2))) is None
             True
@@ -71,25 +71,25 @@ class Precise:
             if X is None or root is None:
                 return None
             at = cls._of(_middle(root.inv().transpose()), _middle(root.transpose()))
-            return None if at is None else (at, -act * _middle(X))
+            return None if at is None else (at, _near(-act * _middle(X)))
 
     @classmethod
     def _of(cls, T: Rational, inverse: Rational) -> "Precise | None":
         P = T * T.transpose()
-        near = floats(P)
+        near = _near(P)
         return None if np.isfinite(near).all() and np.linalg.cond(near) < _DOUBLES_DO else cls(T, inverse, P)
 
     def system(self, M: Sequence[Rational]) -> Array:
         """Return matrices M_i in these coordinates, as doubles (l, n, n)."""
-        return np.array([floats(self.inverse * M_i * self.T) for M_i in M])
+        return np.array([_near(self.inverse * M_i * self.T) for M_i in M])
 
     def input(self, B: Rational) -> Array:
         """Return B (n, m) in these coordinates."""
-        return floats(self.inverse * B)
+        return _near(self.inverse * B)
 
-    def gain(self, K: Array) -> Rational:
+    def gain(self, K: Array) -> Array:
         """Return the gain u = K x (m, n) of one in these coordinates."""
-        return _exact(K) * self.inverse
+        return _near(_exact(K) * self.inverse)
 
     def matrix(self, P: Array) -> Rational:
         """Return the P (n, n) of one in these coordinates."""
@@ -100,6 +100,14 @@ def square(sizes: Array) -> Rational:
     """Return diag(sizes²), (n, n)."""
     root = _exact(np.diag(sizes))
     return root * root
+
+
+def _near(X: Rational) -> Array:
+    """Return the nearest doubles; what is not a number where one is too large for them."""
+    try:
+        return floats(X)
+    except OverflowError:
+        return np.full((X.nrows(), X.ncols()), np.nan)
 
 
 def _exact(X: Array) -> Rational:
