@@ -266,10 +266,10 @@ def test_w_of_a_step_between_two_samples_counts_while_it_lasts(tmp_path: Path) -
     result = simulate(load_spec(path))
     assert result.outcome.code == 0
     assert result.w is not None
-    y_d, t = result.controller.trajectory.exosystem, np.linspace(1, 1.01, 100_001)
+    y_d, t = result.controller.trajectory.exosystem, np.linspace(1, 1.01, 1001)
     u_ff = [2 * float(y_d(s, derivative=2)[0]) + 8 * float(y_d(s, derivative=1)[0]) for s in t]
     worst = (1 / 1.8 - 1 / 2) * np.abs(u_ff).max()
-    assert worst * (1 - 1e-9) <= result.w[:, 1].max() <= worst * (1 + 1e-3)
+    assert worst * (1 - 1e-9) <= result.w[:, 1].max() <= worst * (1 + 5e-3)  # between two of 1001 times
     assert np.argmax(result.w[:, 1]) == 2  # 1 s to 1.5 s
     assert result.w[3:, 1].max() < 1e-9 * worst
     [said] = run_rows(result)

@@ -157,7 +157,7 @@ class Dependence:
 
 def _units(section: Element) -> Iterator[tuple[Subject, Real, PiecewiseLinear]]:
     """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
-    given = {name: getattr(section, name, None) for name in SHAPE}
+    given: dict[str, Any] = {name: getattr(section, name, None) for name in SHAPE}
     nothing = {
         name: [Real.of(0)] * len(v) if isinstance(v, list) else Real.of(0) for name, v in given.items() if v is not None
     }
