@@ -338,7 +338,7 @@ def test_the_entries_of_w_that_are_bounded_are_those_that_vary(
     """Here {1, 2} vary: genuine bounds of {0, 1}, as many, say nothing."""
     (tmp_path / "chain.yaml").write_text(CHAIN)
     spec = load_spec(tmp_path / "chain.yaml")
-    monkeypatch.setattr("pwatrack.control.robust.varying_rows", lambda exact, corners: rows)
+    monkeypatch.setattr("pwatrack.control.robust.varying_rows", lambda *_: rows)
     content = json.dumps(design_certificate(spec, design(spec)))
     assert audit(content)[1] == [
         "the bounds of uncertain parameters are not those of the entries of w that vary, each once"
