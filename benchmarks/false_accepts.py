@@ -302,7 +302,7 @@ def forged(content: dict[str, Any], random: np.random.Generator) -> tuple[str, b
             right = one in changed["set"] and "spec_sha256" not in home
             del home[one]
         elif how == "twice":
-            home[one + "@@"] = random.choice([None, 0, "1", home[one]]) if random.integers(2) else home[one]
+            home[one + "@@"] = [None, 0, "1", home[one]][random.integers(4)]
         else:
             home[next(key for key in random.permutation([*keys, "note"]).tolist() if key not in home)] = "1"
     elif how == "entry":
@@ -310,7 +310,7 @@ def forged(content: dict[str, Any], random: np.random.Generator) -> tuple[str, b
         entries, k = at(changed, place), int(random.integers(len(at(changed, place))))
         drop = bool(random.integers(2))
         entries.pop(k) if drop else entries.insert(k, copy.deepcopy(entries[k]))
-        right = place[-1] in LESS and (drop or place[-1] in ("proofs", "parts"))
+        right = (drop and place[-1] in LESS) or (not drop and place[-1] in ("proofs", "parts", "corners"))  # as before
     elif how == "asymmetric":
         places_ = [place for place in where if place and place[-1] in SYMMETRIC]
         matrices = [at(changed, place) for place in places_ if isinstance(at(changed, place), list)]

@@ -155,9 +155,12 @@ def first(content: Any) -> Any:
         (lambda c: first(c).update(row=["-2", "0", "1"]), "the rows of the elements are not independent"),
         (lambda c: c["plant"].update(elements=[]), "the rows of the elements are not independent"),
         (lambda c: c["plant"]["elements"].append(first(c)), "the rows of the elements are not independent"),
-        (lambda c: c["plant"]["radius"].update(A=[["1"] * 3] * 3), "the numbers of elements are exact"),
+        (lambda c: c["plant"]["radius"].update(A=[[["1"] * 3] * 3]), "the numbers of elements are exact"),
         (lambda c: c["generator"].update(T=[[["1"] * 3] * 3]), "T is not that of the plant"),
-        (lambda c: c.update(uncertain={"corners": []}), "where parameters are uncertain, all cells are listed"),
+        (
+            lambda c: c.update(uncertain={"parameters": [], "corners": [], "bounds": []}),
+            "where parameters are uncertain, all cells are listed",
+        ),
     ],
 )
 def test_a_changed_element_is_refused(stops: Path, change: Callable[[Any], Any], fault: str) -> None:

@@ -84,10 +84,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         decided |= {of} - ({of} if which == "cost" else set())
     loop = Loop(plant, K or [], L or [], X)
     channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in content.get("bounds", []))]
-    if channels != sorted(set(channels)):
-        raise Fault("the bounds are not in order, or one is there twice")
     for entry in content.get("bounds", []):
         faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
+    if channels != sorted(set(channels)):
+        faults.append("the bounds are not in order, or one is there twice")
     if content.get("bounds"):
         said.append(f"the bounds of {len(content['bounds'])} disturbances, noises and starts are proved")
     for number_, entry in enumerate(content.get("limits", []), 1):
