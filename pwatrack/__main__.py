@@ -3,11 +3,11 @@
 import atexit
 import gc
 import signal
-import sys
 import warnings
 
 from pwatrack.cli import app
 from pwatrack.cores import one_thread
+from pwatrack.interruption import listen
 from pwatrack.report.terminal import refusals
 
 
@@ -16,7 +16,7 @@ def run() -> None:
     gc.set_threshold(300_000, 20)  # nearly all that is made when modules are imported stays
     atexit.register(gc.freeze)  # and goes with the process: to look through it at the end would take 0.3 s
     one_thread()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nothing half-written is left
+    listen()  # so that nothing half-written is left
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # whoever reads our output has had enough: no word, as customary
     warnings.filterwarnings(
         "ignore", category=RuntimeWarning

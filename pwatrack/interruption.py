@@ -6,11 +6,38 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
+from types import FrameType
 from typing import TypeVar
 
 _T = TypeVar("_T")
 _LONGEST_WAIT = 0.5  # s: a signal that comes just before a wait begins does not end it
+_SIGNALLED = 128  # and the number of the signal: the exit code, as shells have it
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+_ended_by: list[int] = []  # signals that were to end the program
+
+
+def listen() -> None:
+    """Let SIGTERM end the program with what is open closed, and remember what was to end it: see `ended_by`."""
+    signal.signal(signal.SIGTERM, _end)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    _ended_by.append(number)
+    if number == signal.SIGINT:
+        signal.default_int_handler(number, frame)
+    raise SystemExit(_SIGNALLED + number)
+
+
+def ended_by() -> int | None:
+    """Return the exit code of a program that a signal was to end, if one was.
+
+    What runs when the signal comes, such as the compiler, may turn that into an error of its own.
+    """
+    return _SIGNALLED + _ended_by[0] if _ended_by else None
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """controller.json holds all of a controller, runs as the simulation does, and is refused where it was changed."""
 
+import csv
 import json
 import random
 from dataclasses import replace
@@ -36,6 +37,19 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
 def content(run: tuple[Path, Result]) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((run[0] / "controller.json").read_text(encoding="utf-8"))
     return found
+
+
+def test_a_noisy_run_is_replayed_from_its_trace(tmp_path: Path) -> None:
+    noise = "noise: {std: {y: 1e-3}, sample_time: 0.01, seed: 1}"
+    path = cart(tmp_path, "controller: {sample_time: 0.02, delay: 1}", "quantum: {y: 1e-4}", noise, duration=2)
+    run = tmp_path / "run"
+    assert call("simulate", path, "--out", run, "--plots", "none").exit_code in (0, 6)
+    with (run / "trace.csv").open(encoding="utf-8", newline="") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    assert max(abs(row["y_measured"] - row["y"]) for row in rows) > 1e-3
+    controller = Controller.load(run / "controller.json")
+    assert len(rows) > 100
+    assert [controller.step(np.array([row["y_measured"]]))[0] for row in rows] == [row["u"] for row in rows]
 
 
 def test_the_schema_in_the_docs_is_that_of_the_file() -> None:

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -64,3 +66,25 @@ def test_an_interruption_is_put_off_to_the_end_of_the_block_and_told_at_once() -
         interrupted()
     assert done == ["told", "whole"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+ENDED = """
+import os, signal, time
+from pwatrack.interruption import listen
+from pwatrack.report.terminal import refusals
+listen()
+with refusals():
+    try:
+        os.kill(os.getpid(), signal.NUMBER)
+        time.sleep(10)
+    finally:
+        raise ValueError("made of it")
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_whatever_is_made_of_an_interruption_is_no_bug(number: str, code: int) -> None:
+    """What runs when a signal comes, such as the compiler of the simulation, may raise an error of its own."""
+    command = [sys.executable, "-c", ENDED.replace("NUMBER", number)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (code, "", "")

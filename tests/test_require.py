@@ -36,6 +36,7 @@ def response(y: Array, y_d: Array, t: Array = T) -> Response:
         trace=trace,
         y=y,
         y_d=y_d,
+        measured=y,
         tracked=y,
         tracked_d=y_d,
         tracking_error=y - y_d,

@@ -13,7 +13,7 @@ from pwatrack.batch.find import left_out
 from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.junit import write_junit
 from pwatrack.batch.lines import write_lines, write_sarif
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import Outcome, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.run import Options, run_batch
@@ -22,7 +22,7 @@ from pwatrack.batch.sweep_files import draw_sweep, write_sweep
 from pwatrack.batch.table import print_batch, print_left_out
 from pwatrack.batch.work import simulate
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.terminal import console
+from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[Outcome], Path], None]
@@ -72,7 +72,7 @@ def batch(
         _report(sorted(ended, key=lambda outcome: outcome.spec), writers)
         raise
     _report(outcomes, writers)
-    return max(outcome.code for outcome in outcomes)
+    return exit_code(outcomes)
 
 
 def _cluster(scheduler: str | None, options: Options) -> AbstractContextManager[Cluster | None]:
@@ -83,7 +83,7 @@ def _report(outcomes: Sequence[Outcome], writers: Sequence[tuple[Writer, Path]])
     """Print the table and write all reports; what cannot be written is said after the others are."""
     print_batch(outcomes)
     refused: list[InvalidSpec] = []
-    if os.environ.get("GITHUB_ACTIONS") == "true":
+    if STYLE.get() == "github" or os.environ.get("GITHUB_ACTIONS") == "true":
         for command in annotations(outcomes):
             console().print(command, soft_wrap=True)
     try:

@@ -26,7 +26,8 @@ def annotations(outcomes: Sequence[Outcome]) -> Iterator[str]:
         for fault in outcome.faults[:_MOST_ANNOTATIONS]:
             line, column = (fault.place.line, fault.place.column) if fault.place else (None, None)
             text = visible(fault.message + (f"\nhint: {fault.hint}" if fault.hint else ""))
-            yield annotation(text, title=title, file=file, line=line, column=column)
+            coded = f"{title} {fault.code}".rstrip()
+            yield annotation(text, title=coded, file=file, line=line, column=column)
         if not outcome.faults:
             yield annotation(visible("; ".join([outcome.ending, *outcome.missed])), title=title, file=file)
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from pwatrack.batch.outcomes import Outcome
 from pwatrack.report.run_folder import written_at_once
@@ -29,7 +29,8 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
         if outcome.how == "skipped":
             case.result = [Skipped("one failed before")]
         elif outcome.failed:
-            failure = Failure(_printable("; missed: ".join([outcome.ending, *outcome.missed])))
+            kind = Error if outcome.crashed else Failure
+            failure = kind(_printable("; missed: ".join([outcome.ending, *outcome.missed])))
             failure.text = _printable(outcome.messages)
             case.result = [failure]
         lines = (f"{'met' if met else 'missed'}: {text}" for text, met in outcome.required)

@@ -86,6 +86,11 @@ class Outcome:
         return self.exit or int(ExitCode.CHECK_FAILED)
 
     @property
+    def crashed(self) -> bool:
+        """Whether it ended by a bug or a signal, and was not to."""
+        return self.code == ExitCode.BUG
+
+    @property
     def result(self) -> str:
         """What the table says of it in a word."""
         if self.how == "skipped":
@@ -106,6 +111,16 @@ class Outcome:
         """How it ended and what was expected."""
         exit_code = "" if self.exit is None else f", exit {self.exit}"
         return f"{self.verdict}{exit_code}, expected {self.expected}"
+
+
+def exit_code(outcomes: Sequence[Outcome]) -> int:
+    """Return the exit code of a batch: that of a crash if there is one, else the largest.
+
+    Example:
+        >>> exit_code([Outcome(spec=Path("a.yaml"), folder=Path("a"), exit=code) for code in (1, 0, 6)])
+        1
+    """
+    return int(ExitCode.BUG) if any(each.crashed for each in outcomes) else max(each.code for each in outcomes)
 
 
 def counted(outcomes: Sequence[Outcome]) -> str:

@@ -346,6 +346,7 @@ def signal_columns(result: Result, response: Response) -> Sequence[tuple[Sequenc
         ([f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])], response.eta_hat),
         (plant.outputs, response.y),
         ([f"{y}_d" for y in plant.outputs], response.y_d),
+        *([([f"{y}_measured" for y in plant.outputs], response.measured)] if _reads_other(result) else []),
         ([plant.tracked_names[k] for k in forms], response.tracked[:, forms]),
         ([f"{plant.tracked_names[k]}_d" for k in forms], response.tracked_d[:, forms]),
         (loads, response.loads),
@@ -353,6 +354,11 @@ def signal_columns(result: Result, response: Response) -> Sequence[tuple[Sequenc
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )
+
+
+def _reads_other(result: Result) -> bool:
+    """Say whether a controller reads something else than y."""
+    return result.loop.conditions.sampling is not None or result.loop.conditions.noise is not None
 
 
 def _event_rows(loop: ClosedLoop, trace: Trace) -> Iterator[list[str]]:

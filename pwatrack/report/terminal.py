@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pwatrack.errors import ExitCode, Problem, PwatrackError
+from pwatrack.interruption import ended_by
 from pwatrack.report.annotation import annotations, as_json, excerpt
 from pwatrack.report.codes import code_of
 
@@ -64,14 +65,16 @@ def refusals() -> Iterator[None]:
     """End the program with the messages and the exit code of a refusal raised inside; no traceback.
 
     Raises:
-        SystemExit: With the code of the refusal, 2 if stdout takes no more, 130 if the program is interrupted, and 1
-            for any other exception.
+        SystemExit: With the code of the refusal, 2 if stdout takes no more, 130 if the program is interrupted (143 by
+            SIGTERM), and 1 for any other exception.
     """
     try:
         yield
     except KeyboardInterrupt:
         _end(128 + signal.SIGINT)
     except Exception as error:
+        if (code := ended_by()) is not None:  # whatever was made of that
+            _end(code)
         if isinstance(error, OSError) and error.filename is None:  # those of files are refusals by now
             _end(ExitCode.INVALID, f"error: cannot print: {error.strerror or error}")
         code, lines = told(error)

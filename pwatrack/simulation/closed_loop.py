@@ -85,6 +85,7 @@ class ClosedLoop:
             eta_hat=z[:, at.eta_hat],
             y=x @ running.C.T,
             y_d=x_d @ designed.C.T,
+            measured=self._measured(z),
             tracked=tracked,
             tracked_d=tracked_d,
             u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
@@ -95,6 +96,13 @@ class ClosedLoop:
             state_sizes=self.controller.sizes.state,
             error_sizes=self.controller.error_sizes,
         )
+
+    def _measured(self, z: Array) -> Array:
+        """Return y as the controller has it: with its noise, and of a program in steps and held, (K, q)."""
+        if self.conditions.sampling:
+            return z[:, self.at.y]
+        y: Array = z[:, self.at.x] @ self.plant.C.T
+        return y + z[:, self.at.v] if self.conditions.noise else y
 
     @property
     def load_rows(self) -> Array:
@@ -139,6 +147,7 @@ class Response:
         x, x_hat, x_d: States of plant and observer, and desired states, (K, n).
         eta, eta_hat: What the generator's state is for, and that state, (K, p).
         y, y_d: Measured outputs without their noise, and what they are at x_d, (K, q).
+        measured: They as the controller has them: with noise, and of a program in steps and held, (K, q).
         tracked, tracked_d: What follows a reference, and its desired value, (K, p).
         u, u_ff: Inputs and their feedforward parts, (K, m).
         estimates, loads: Of each load that is estimated, and what it is, (K, loads).
@@ -154,6 +163,7 @@ class Response:
     eta_hat: Array
     y: Array
     y_d: Array
+    measured: Array
     tracked: Array
     tracked_d: Array
     u: Array

@@ -58,7 +58,7 @@ def _of_the_trace(signals: Collection[str]) -> Iterator[Problem]:
     messages = [
         f"'{name}{suffix}' is how the trace names a signal that belongs to '{name}'"
         for name in signals
-        for suffix in ("_hat", "_d", "_ff")
+        for suffix in ("_hat", "_d", "_ff", "_measured")
         if name + suffix in known
     ]
     messages += [f"'{name}' is how the trace names a column of its own" for name in signals if _COLUMN.fullmatch(name)]
