@@ -349,9 +349,9 @@ def _joined(parts: list[_Pieces]) -> _Pieces:
     return _Pieces(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in ("t", "zeta", "length")})
 
 
-def _bernstein(degree: int) -> Array:
+def bernstein(degree: int) -> Array:
     """Return what makes of power coefficients on [0, 1] those of Bernstein's form."""
     return np.array([[comb(i, j) / comb(degree, j) for j in range(degree + 1)] for i in range(degree + 1)])
 
 
-_BERNSTEIN = {degree: _bernstein(degree) for degree in (1, _DEGREE)}
+_BERNSTEIN = {degree: bernstein(degree) for degree in (1, _DEGREE)}
