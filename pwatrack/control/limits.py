@@ -24,7 +24,7 @@ from pwatrack.model.sizes import Sizes
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 _LITTLE = 1e-3  # of a size: what any error may be at least
-_OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
+OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,13 +51,13 @@ class Peak:
             >>> peak.left(np.array([[-5.0, 5.0]])).round(4).tolist(), peak.left(np.array([[-np.inf, 2.0]])).tolist()
             ([2.0], [0.0])
         """
-        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        off = OFF * np.maximum(np.abs(self.low), np.abs(self.high))
         room = np.minimum(limits[:, 1] - self.high, self.low - limits[:, 0])
         return np.asarray(np.maximum(room - off, 0.0))
 
     def beyond(self, limits: Array) -> list[tuple[int, int]]:
         """Return where the feedforward is beyond a limit, by more than it is known to: (input, 0 for its lower one)."""
-        off = _OFF * np.maximum(np.abs(self.low), np.abs(self.high))
+        off = OFF * np.maximum(np.abs(self.low), np.abs(self.high))
         over = np.column_stack([limits[:, 0] - self.low > off, self.high - limits[:, 1] > off])
         return [(int(k), int(side)) for k, side in np.argwhere(over)]
 
@@ -199,6 +199,7 @@ class Limited:
         lasting: What the feedforward takes whatever the generator starts with, where that is known: in its steady
             state for the reference as it begins, and from there on.
         peak: The same from the start of the generator in this run too; None where it could not be followed.
+        ever: Whether it is within that after the run too; else no more than the run is spoken of.
         starts: Errors with which a run may begin.
         promises: What is proved of some of them.
     """
@@ -206,6 +207,7 @@ class Limited:
     limits: Array
     lasting: Peak | None
     peak: Peak | None
+    ever: bool = False
     starts: tuple[Starts, ...] = ()
     promises: tuple[Promise, ...] = ()
 

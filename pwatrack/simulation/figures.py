@@ -1,7 +1,7 @@
 """What is measured of a run: sizes of errors and inputs, and how each output goes to where its reference comes to rest.
 
-All of it is read off the samples, block by block. Times are wanted when the whole run is known, so the blocks are
-gone through twice.
+Sizes are enclosed between samples and so hold at all times; times and overshoot are read off the samples. Times are
+wanted when the whole run is known, so the blocks are gone through twice.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.simulation.closed_loop import Response
+from pwatrack.simulation.closed_loop import ClosedLoop, Response
+from pwatrack.simulation.enclosure import Enclosing, Segments, Turns
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.trace import last_tenth
 
@@ -21,7 +22,7 @@ _RISES = 0.1, 0.9  # of the way
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Measures of a run at its samples.
+    """Measures of a run: the first, second and fourth at all times, to 1e-7 from above, the others at its samples.
 
     The last move of an output y begins at the last time t_s (s) before which its reference y_d was at rest, at 0 if
     it never was before it came to rest for good; y_d is at rest where it changes by less than 1e-9 of the signals.
@@ -54,10 +55,15 @@ class Figures:
 
     @staticmethod
     def of(
-        response: Response, *, outputs: Sequence[str], inputs: Sequence[str], bands: Mapping[str, float]
+        response: Response,
+        loop: ClosedLoop | None = None,
+        *,
+        outputs: Sequence[str],
+        inputs: Sequence[str],
+        bands: Mapping[str, float],
     ) -> "Figures":
         """Return the figures of a run that is all in memory; see `Measuring`."""
-        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands)
+        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands, loop=loop)
         measuring.see(response)
         return measuring.figures([response])
 
@@ -155,12 +161,14 @@ class Measuring:
         samples: How many it will see.
         outputs, inputs: Their names.
         bands: How far from its rest an output counts as settled, in its unit, where that is given.
+        loop: What runs; without it no more is known of sizes than the samples show.
     """
 
     samples: int
     outputs: Sequence[str]
     inputs: Sequence[str]
     bands: Mapping[str, float]
+    loop: ClosedLoop | None = None
     _number: int = 0
     _final: float = 0.0
     _largest: float = 0.0
@@ -170,6 +178,13 @@ class Measuring:
     _visited: set[Mode] = field(default_factory=set)
     _input: Array = field(default_factory=lambda: np.zeros(1))
     _moves: list[Move] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.loop is not None:
+            error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
+            turns: dict[Mode, Turns] = {}
+            self._error, self._late = (Enclosing(lambda _: error, norm=True, turns=turns) for _ in range(2))
+            self._inputs = Enclosing(self.loop.inputs, turns=turns)
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -186,6 +201,12 @@ class Measuring:
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
+        if self.loop is not None:
+            segments = Segments.of(self.loop.flow, block.trace)
+            self._inputs.see(segments)
+            self._error.see(segments)
+            if tail < len(size):
+                self._late.see(segments.since(self._last_tenth))
 
     def figures(self, blocks: Iterable[Response]) -> Figures:
         """Return the figures of all that was seen, given the same blocks once more."""
@@ -195,6 +216,10 @@ class Measuring:
         for block in blocks:
             for k, move in enumerate(self._moves):
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
+        if self.loop is not None:
+            inputs, error, late = (within.range() for within in (self._inputs, self._error, self._late))
+            self._input = np.maximum(self._input, np.maximum(inputs.high, -inputs.low))
+            self._largest, self._final = max(self._largest, float(error.high[0])), max(self._final, float(late.high[0]))
         return Figures(
             final_error=self._final,
             largest_error=self._largest,

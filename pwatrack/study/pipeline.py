@@ -188,7 +188,8 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
         spec.problem.plant,
         Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain),
     )
-    measuring = Measuring(samples, outputs=plant.tracked_names, inputs=plant.inputs, bands=spec.scenario.bands)
+    bands = spec.scenario.bands
+    measuring = Measuring(samples, outputs=plant.tracked_names, inputs=plant.inputs, bands=bands, loop=loop)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
@@ -196,14 +197,16 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
         kept.append(trace if spool is None else trace.every(step, number))
         if spool is not None:
-            spool.add(trace)
+            spool.add(replace(trace, breaks=None))
         number += len(trace.t)
         response = loop.response(trace)
         watch.see(response)
         measuring.see(response)
     if spool is None:
-        return response, measuring.figures([response]), watch.outcome(), None
-    return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch.outcome(), spool
+        figures = measuring.figures([response])
+        return response, figures, watch.outcome(figures), None
+    figures = measuring.figures(map(loop.response, spool))
+    return loop.response(Trace.coarse(kept)), figures, watch.outcome(figures), spool
 
 
 def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:

@@ -296,9 +296,8 @@ def _member(result: Result, loop: ClosedLoop) -> Member:
         watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
         bands = spec.scenario.bands
-        return _Judged(
-            watch.outcome(), Figures.of(response, outputs=plant.tracked_names, inputs=plant.inputs, bands=bands)
-        )
+        figures = Figures.of(response, loop, outputs=plant.tracked_names, inputs=plant.inputs, bands=bands)
+        return _Judged(watch.outcome(figures), figures)
 
     start = result.start.copy()
     _observe(spec, loop, start)
