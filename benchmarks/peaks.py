@@ -1,16 +1,17 @@
-"""Enclosed peaks of feedforwards against a fine walk of its own, of random and of the gallery's specs; prints the counts.
+"""Enclosed peaks of feedforwards against another, fine walk, of random specs and the gallery's; prints the counts.
 
     .venv/bin/python -m benchmarks.peaks [specs [seconds]]
 
-The other walk knows no events and no enclosure: it goes in 200,000 equal steps, each by the exponential of the cell that
-it begins in, and takes u_ff at each. What is said may not be below that, and at most 1e-6 of the largest u_ff above it,
-but for what a parabola between samples can add.
+The other walk knows no events and no enclosure: it goes in 200,000 equal steps, each by the exponential of the cell
+that it begins in, and takes u_ff at each. What is said may not be below that, and at most 1e-6 of the largest u_ff
+above it, but for what a parabola between samples can add.
 """
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -89,21 +90,22 @@ def random_cases(count: int) -> Iterator[Peaked]:
         random = np.random.default_rng(seed)
         turn, damping = 10.0 ** random.uniform(0, 3), 10.0 ** random.uniform(-1.5, 0)
         c = np.round(random.normal(size=6), 3).tolist()
-        text = f"""
-name: random {seed}
-system:
-  states: [x, p, q]
-  inputs: [u]
-  outputs: [y]
-  A: [[{c[0]}, {10 * c[1]}, {c[2]}], [0, 0, {turn:.4g}], [{c[3]}, {-turn:.4g}, {-2 * damping * turn:.4g}]]
-  B: [[1], [0], [0]]
-  C: [[1, 0, 0]]
-  nonlinearities: [{{name: stop, kind: spring, of: p, start: {abs(c[4]) / 5:.3g}, slope: {turn * damping:.4g}, into: {{q: -1}}}}]
-reference: {{output: "{c[5]} + 0.1*sin({10.0 ** random.uniform(-0.5, 1.5):.4g}*t)"}}
-simulation: {{duration: {200 / turn + 1:.4g}, sample_time: 0.01}}
-"""
-        path = Path("/tmp") / f"peaks_{seed}.yaml"
-        yield from _case(text, random.normal(size=2))
+        stop = {"name": "stop", "kind": "spring", "of": "p", "start": 0.01 + abs(c[4]) / 5, "slope": turn * damping}
+        spec = {
+            "name": f"random {seed}",
+            "system": {
+                "states": ["x", "p", "q"],
+                "inputs": ["u"],
+                "outputs": ["y"],
+                "A": [[c[0], 10 * c[1], c[2]], [0, 0, turn], [c[3], -turn, -2 * damping * turn]],
+                "B": [[1], [0], [0]],
+                "C": [[1, 0, 0]],
+                "nonlinearities": [stop | {"into": {"q": -1}}],
+            },
+            "reference": {"output": f"{c[5]} + 0.1*sin({10.0 ** random.uniform(-0.5, 1.5):.4g}*t)"},
+            "simulation": {"duration": 1 + 200 / turn, "sample_time": 0.01},
+        }
+        yield from _case(spec, random.normal(size=2))
 
 
 def gallery() -> Iterator[Peaked]:
@@ -112,7 +114,7 @@ def gallery() -> Iterator[Peaked]:
         yield from _case(path, None)
 
 
-def _case(source: Path | str, start: Array | None) -> Iterator[Peaked]:
+def _case(source: Path | Mapping[str, Any], start: Array | None) -> Iterator[Peaked]:
     try:
         spec = load_spec(source)
         trajectory, generator = desired_trajectory(spec, True)
