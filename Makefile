@@ -110,6 +110,7 @@ peaks: $(READY) ## hold enclosed peaks of feedforwards against a fine walk of 10
 .PHONY: previews
 previews: $(READY) ## follow references with 100 random plants that are not minimum phase
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview 100
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview grazing 20
 
 .PHONY: bounds
 bounds: $(READY) ## hold the bounds of random designs against the worst that can be found

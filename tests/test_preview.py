@@ -10,15 +10,16 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.linalg import expm
 
-from benchmarks.preview import followed, left_by_pieces, spec_text
+from benchmarks.preview import INTEGRATED, followed, grazing_text, integrated, last_tenth, left_by_pieces, spec_text
 from pwatrack import design, load_spec, plant, problem, simulate
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control import generator as generator_module
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
+from pwatrack.export.stored import claims
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility
@@ -31,9 +32,11 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.preview import preview_rows
+from pwatrack.simulation import preview as preview_module
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.study.how_far import how_far
+from pwatrack.study.tracking import desired_trajectory
 from tests.conftest import SPECS
 from tests.plants import saddle
 
@@ -392,6 +395,79 @@ def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: i
     spec = load_spec(path)
     controller = design(spec)
     assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.left_by_preview < 1e-3
+
+
+PRESSED = """\
+name: a stop that is hardly pressed
+system:
+  states: [x, h]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, 1]]
+  B: [[1], [0]]
+  C: [[1, 0]]
+  nonlinearities: [{name: stop, kind: spring, of: x, start: 0.999, slope: 100, into: {h: -1}}]
+reference: {output: {sine: {amplitude: 1, frequency: 1, phase: -0.9062286500739787}}}
+simulation: {duration: 18, sample_time: 0.01}
+"""
+
+
+@pytest.mark.parametrize("seed", [-1, 0, 1, 2])
+def test_no_short_stay_beyond_a_facet_is_missed(tmp_path: Path, seed: int) -> None:
+    """x_d is beyond a facet for a small part of a radian; the true plant, by another integrator, keeps what is said."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(PRESSED if seed < 0 else grazing_text(seed), encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    preview, told = controller.trajectory.preview, controller.left_by_preview
+    assert preview is not None
+    assert (preview.residual <= 1e-10 * preview.terms).all()
+    assert integrated(controller, min(spec.scenario.duration, 18.0)) <= told + INTEGRATED
+    start = controller.trajectory.state(np.append(controller.trajectory.exosystem.w0, 1.0))
+    assert last_tenth(spec, controller, start)[0] <= told
+    said = f"but for what is played back, which leaves at most {up(told)} of it"
+    assert claims(spec, controller) == [f"all solutions track y_d with error going to 0, {said}"]
+
+
+def test_a_simulation_shows_what_is_left_by_what_is_played_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Polynomials that are a millionth off: the loop follows the true plant, and what is said is above."""
+    monkeypatch.setattr(preview_module, "_FITTED", 1e-6)
+    path = tmp_path / "plant.yaml"
+    path.write_text(PRESSED, encoding="utf-8")
+    found = followed(path)
+    assert found.left > 1e-8
+    assert found.near == pytest.approx(found.left, rel=0.1)
+    assert max(found.near, found.left) <= found.bound
+
+
+def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
+    """At 2,000 times of a run of many periods, with more digits."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(PRESSED, encoding="utf-8")
+    spec = load_spec(path)
+    trajectory, _ = desired_trajectory(spec, True)
+    preview, system = trajectory.preview, trajectory.exosystem
+    assert preview is not None
+    assert trajectory.turns is not None
+    t = np.random.default_rng(0).uniform(0, 18, 2000).astype(np.longdouble)
+    s = np.hstack([system.states(t), np.ones((len(t), 1))])
+    cell = (trajectory.signs * np.sign(s @ trajectory.guards.T)[:, None] >= 0).all(axis=2).argmax(axis=1)
+    rho = s[:, :-1] @ system.S.T - np.einsum("tij,tj->ti", trajectory.turns[cell], s)[:, :-1]
+    eta = system.Q[-1] != 0
+    assert np.abs(rho[:, eta]).max() <= preview.residual[0]
+    assert np.abs(rho[:, eta]).max() >= preview.residual[0] / 4
+    left = preview.left.states(t) @ preview.left.Q.T
+    np.testing.assert_allclose(left[:, 0], rho[:, eta][:, 0], atol=0.1 * preview.residual[0])
+
+
+def test_a_constant_reference_is_played_back_as_a_constant() -> None:
+    arrays = plant(A=[[0, 1], [-1, 1]], B=[[1], [0]], C=[[1, 0]])
+    spec = problem(arrays, reference=0.7, simulation={"duration": 1000, "sample_time": 1})
+    trajectory, _ = desired_trajectory(spec, True)
+    system = trajectory.exosystem
+    np.testing.assert_allclose(system.states(np.array([0.0, 1000.0]))[:, -10:] @ system.Q[-1, -10:], 0.7, rtol=1e-12)
 
 
 TANKS = """\

@@ -18,8 +18,9 @@ class Preview:
 
     Attributes:
         names: What each η is.
-        residual: sup |η' − (15)| of what is played back, for each η, in its unit per second.
-        terms: The largest sum of the sizes of the terms of (15), likewise.
+        residual: Above |η' − (15)| of what is played back at all times, for each η, in its unit per second.
+        left: η' − (15) itself over time, one signal per η.
+        terms: The largest sum of the sizes of the terms of (15) at the starts of polynomials, likewise.
         times, jumps: When, in s, and by how much each η jumps from one polynomial to the next, (K,) and (K, p).
         lead: How long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way;
             None where the reference does not begin at rest.
@@ -27,6 +28,7 @@ class Preview:
 
     names: tuple[str, ...]
     residual: Array
+    left: Exosystem
     terms: Array
     times: Array
     jumps: Array

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-FORMAT = "pwatrack controller 2"
+FORMAT = "pwatrack controller 3"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = list[Finite]
@@ -156,18 +156,20 @@ class FinalBound(Part):
 class ControllerFile(Part):
     """All of a controller.
 
-    `practical` is null where the tracking error is proved to go to 0; else it is below what it is proved to end.
+    `claims` say what is proved of the tracking error; `practical` is below what it is proved to end where cells are
+    merged, else null.
     `sha256` is that of the rest: JSON with sorted keys, no white space, and the shortest decimals of each double.
     `proof` is the digest of certificate.json; `open` says what its theorems do not speak of.
     """
 
-    format: Literal["pwatrack controller 2"]
+    format: Literal["pwatrack controller 3"]
     sha256: Digest
     name: str
     spec_sha256: Digest
     set: dict[str, str]
     tracking: Literal["output", "state"]
     proof: Digest
+    claims: Names
     practical: list[FinalBound] | None
     open: Names
     plant: Plant

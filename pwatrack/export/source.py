@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray, up
+from pwatrack.arrays import Array, IntArray
 from pwatrack.control.program import Follows, Program
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
@@ -71,17 +71,8 @@ class Source:
 
     @property
     def claims(self) -> list[str]:
-        """What is proved of its error, a sentence for each tracked signal."""
-        part = self.file
-        if part.practical is None:
-            names = part.plant.tracked if part.tracking == "output" else part.plant.states
-            return [f"Of the loop that the theorems are about the error goes to 0: {', '.join(names)}."]
-        return [
-            f"Of the loop that the theorems are about the error of {bound.signal} "
-            f"ends below {up(bound.below)} {bound.unit}".rstrip()
-            + "; it need not go to 0."
-            for bound in part.practical
-        ]
+        """What is proved of its error, in sentences."""
+        return [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
 
     @property
     def counted(self) -> bool:

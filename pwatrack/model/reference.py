@@ -167,18 +167,20 @@ class Exosystem:
         ]
 
     def states(self, times: Array) -> Array:
-        """Return w at some times in s, (T, p), after any reset at that time."""
+        """Return w at some times in s, (T, p), after any reset at that time; as precisely as the times are."""
         since, w = np.tile(times[:, None], len(self.w0)), np.tile(self.w0, (len(times), 1))
         for where, t, values in self.pieces():
             last = np.searchsorted(t, times, side="right") - 1
             past = last >= 0
             since[past, where] = (times[past] - t[last[past]])[:, None]
             w[past, where] = values[last[past]]
-        total = np.zeros_like(w)
+        total = np.zeros(w.shape, dtype=since.dtype)
         with np.errstate(all="ignore"):  # what grows may be out of range
             for rate, chain in spectral_terms(self.S, self.rates):
+                own = np.flatnonzero(chain[0].any(axis=1))
+                turned = np.exp(rate * since[:, own])
                 for m, E in enumerate(chain):
-                    total += (np.exp(rate * since) * (since**m / factorial(m)) * (w @ E.T)).real
+                    total[:, own] += (turned * (since[:, own] ** m / factorial(m)) * (w @ E[own].T)).real
         return total
 
 

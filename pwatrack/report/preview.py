@@ -44,6 +44,6 @@ def preview_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     unit = units.pop() if len(units) == 1 else ""
     left = f"|y − y_d| ≤ {up(controller.left_by_preview)} {unit}".rstrip()
     yield (
-        f"(15) is satisfied to {share:.1e} of its terms where it was checked; with the jumps of what is played back "
-        f"that leaves {left} in the end"
+        f"(15) is satisfied to {share:.1e} of its terms at all times of this run; with the jumps of what is played "
+        f"back that leaves {left} in the end"
     )

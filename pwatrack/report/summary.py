@@ -15,6 +15,7 @@ from pwatrack.control.cost import noise_level
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
+from pwatrack.export.stored import claims
 from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.report.bounds import bound_rows, cause
 from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
@@ -81,12 +82,11 @@ def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
         end = "go to 0 as said here" if controller.practical is None else "end below the bounds said here"
         table.add_row("loads", f"{', '.join(named)}: estimated and compensated; errors {end} whatever their size")
     if generator is None:
-        until, bounded = controller.trajectory.until, controller.trajectory.bounded
+        until = controller.trajectory.until
         end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
         table.add_row("Assumption 1", f"x_d and u_ff satisfy (3){end}")
-        condition = "" if bounded else ", as long as x_d stays bounded, which is not proved"
         if controller.practical is None:
-            table.add_row("Theorem 2", f"all solutions track x_d with error going to 0{condition}")
+            table.add_row("Theorem 2", *claims(spec, controller))
     else:
         _generator_rows(table, spec, controller, generator)
     _promise_rows(table, controller)
@@ -156,9 +156,7 @@ def _generator_rows(table: Table, spec: Spec, controller: Controller, generator:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             table.add_row("Assumption 2", f"holds for no shift; {reason}")
     if controller.practical is None:
-        desired = ", ".join(f"{name}_d" for name in generator.form.plant.tracked_names)
-        condition = "" if controller.trajectory.preview is None else ", but for what is played back"
-        table.add_row("Theorem 3", f"all solutions track {desired} with error going to 0{condition}")
+        table.add_row("Theorem 3", *claims(spec, controller))
 
 
 def _rate(proved: Sequence[Contraction]) -> str:

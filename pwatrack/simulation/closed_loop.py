@@ -51,7 +51,10 @@ class ClosedLoop:
         """Return z(0) for x(0), x̂(0) and η̂(0)."""
         z, at = np.zeros(self.at.order), self.at
         z[at.x], z[at.x_hat], z[at.eta_hat], z[-1] = plant, observer, generator, 1.0
-        z[at.w] = z[at.w_seen] = self.controller.trajectory.exosystem.w0
+        trajectory = self.controller.trajectory
+        z[at.w] = z[at.w_seen] = trajectory.exosystem.w0
+        if trajectory.preview is not None:
+            z[at.rho] = trajectory.preview.left.w0[: at.rho.stop - at.rho.start]
         if self.conditions.disturbance is not None:
             z[at.d] = self.conditions.disturbance.w0
         return z
@@ -59,7 +62,10 @@ class ClosedLoop:
     def resets(self, duration: float) -> list[StateResets]:
         """Return all that takes new values up to a time (s): exosystems at their pieces, and the noise."""
         at, conditions = self.at, self.conditions
-        found = pieces(self.controller.trajectory.exosystem, at.w)
+        trajectory = self.controller.trajectory
+        found = pieces(trajectory.exosystem, at.w)
+        if trajectory.preview is not None and at.rho.stop > at.rho.start:
+            found += pieces(trajectory.preview.left, at.rho)
         if conditions.disturbance is not None:
             found += pieces(conditions.disturbance, at.d)
         if conditions.noise is not None:
@@ -296,7 +302,8 @@ def _counted(
 
     The derivative of x_d is f(x_d) + B u_ff + E ŝ + X L_s (ŷ − y), see `control.compensation`, less what is left over
     of (3); that is 0 where rounding explains it, so that of x only its error is left. In other cells rows of x_d may
-    differ.
+    differ. Of an η that is played back what is left over of (15) is a signal by itself: as a difference of large rows
+    it would be lost in rounding.
 
     Args:
         flow: Reads x and x̂ from ζ, and has their own rates.
@@ -317,6 +324,9 @@ def _counted(
     left = np.where(np.abs(left) > ROUNDING * size, left, 0.0)
     for F in (F0, *parts.values()):
         F[..., at.x_hat, :] -= F[..., at.x, :]
+    if trajectory.preview is not None and controller.form is not None:
+        F0[at.rho, at.rho] = trajectory.preview.left.S
+        F0[at.x, at.rho] -= controller.form.T_inverse[0][:, controller.form.r :] @ trajectory.preview.left.Q
     F0[at.x] -= loads[at.x_hat] + X @ controller.design.L[len(X) :] @ off
     parts["generator"][:, at.x] -= plant.B @ u_ff
     parts["generator"][:, at.x] -= field

@@ -12,10 +12,11 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, ŝ, η̂, w, d, v, u, late, before, wanted, change, y, w', 1); what nobody asks for is empty.
+    """z = (x, x̂, ŝ, η̂, w, ρ, d, v, u, late, before, wanted, change, y, w', 1); what nobody asks for is empty.
 
     Attributes:
         x, x_hat, s_hat, eta_hat, w: Plant, observer, its estimates of loads, generator, exosystem.
+        rho: Exosystem of what is left over of (15) by an η that is played back.
         d, v: Exosystem of the disturbances, noise.
         u, late, before, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next
             one first, the one computed last where that matters, the measured output, its own w.
@@ -28,6 +29,7 @@ class Layout:
     s_hat: slice
     eta_hat: slice
     w: slice
+    rho: slice
     d: slice
     v: slice
     u: slice
@@ -45,9 +47,10 @@ class Layout:
         (n, m), q = controller.plant.B.shape, len(controller.plant.C)
         p, s = controller.trajectory.rate.shape[1], len(controller.trajectory.exosystem.w0)
         sizes = {"x": n, "x_hat": n, "s_hat": len(controller.design.L) - n, "eta_hat": p, "w": s}
+        preview, sampling = controller.trajectory.preview, conditions.sampling
+        sizes["rho"] = len(preview.left.w0) if preview and not sampling else 0  # a program counts from nothing
         sizes["d"] = len(conditions.disturbance.w0) if conditions.disturbance else 0
         sizes["v"] = q if conditions.noise else 0
-        sampling = conditions.sampling
         sizes |= dict.fromkeys(("u", "late", "before", "wanted", "change", "y", "w_held"), 0)
         if sampling is not None:
             sizes |= {

@@ -12,33 +12,34 @@ so that nothing grows, however fast a mode or long a stay is. What joins the sta
 Newton's method, whose derivative has no terms for them, as the field is continuous.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
-from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
-from pwatrack.arrays import EPS, Array, IntArray, balancing
+from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import Part
 from pwatrack.control.trajectory import DesiredTrajectory, Preview
 from pwatrack.errors import Problem, Undecided
-from pwatrack.model.reference import beside
-from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.model.reference import beside, exosystem
+from pwatrack.model.signal import Signal
+from pwatrack.simulation.curve import Curve, Field, Looked
 from pwatrack.simulation.driven import Modes, Turns
+from pwatrack.simulation.played import DEGREE, FIT, Pieces, Played, jumps_of, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
 _MOST_STEPS = 30  # of Newton's method, from one guess
 _FINEST = 2.0**-10  # part of the way from a linear system to what is asked, in which that must settle
-_DEGREE = 9  # of the polynomials that are played back
 _FITTED, _NOISE = 1e-14, 1e-13  # of the largest value: how near they are, and what may be rounding
 _LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
 _SHORT = 2.0**-6  # of that time: over so short a one a Taylor polynomial is exact
-_MOST_POINTS = 2_000_000  # at which cells are looked up
+_SEEN = 64  # points of each stay from which the size of η is taken
+_MOST_PIECES = 200_000  # of what is played back
 
 
 def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tuple[Signal, ...], Preview]:
@@ -57,50 +58,44 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
     Raises:
         Undecided: If Newton's method does not settle.
     """
-    system, p = trajectory.exosystem, trajectory.rate.shape[1]
-    poles = np.linalg.eigvals(trajectory.rate[:, :, :p])
+    system = trajectory.exosystem
+    poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])
+    settled = _SETTLED / float(np.abs(poles.real).min())
     period = 1.0 / float(np.abs(poles).max()) if system.constant else system.period
-    if period is None:
-        last = duration + _SETTLED / float(np.abs(poles.real).min())
-        last = last if system.end is None else min(last, max(duration, system.end))
-        solution = _Problem(trajectory, last, periodic=False).solve()
+    if period is not None and period <= duration + 2 * settled:
+        solution = _Problem(trajectory, 0.0, period, periodic=True).solve()
+    elif period is not None:  # all of it would be seen only in a longer run
+        solution, period = _Problem(trajectory, -settled, duration + settled, periodic=False).solve(), None
     else:
-        solution = _Problem(trajectory, period, periodic=True).solve()
-    fitted = list(solution.polynomials(duration))
-    residual, terms = solution.residual(fitted)
+        last = duration + settled if system.end is None else min(duration + settled, max(duration, system.end))
+        solution = _Problem(trajectory, 0.0, last, periodic=False).solve()
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
-    starts = tuple(k * (period or 0.0) + a for k in range(turns) for a, _, _ in fitted)
-    pieces = [c for _, _, c in fitted] * turns
-    signals = tuple(Signal(starts, tuple(ExponentialPolynomial.polynomial(c[k]) for c in pieces)) for k in range(p))
-    return signals, Preview(
+    played = Played.of(trajectory, solution.pieces(duration), turns, period or 0.0)
+    return played.signals, Preview(
         names=trajectory.names,
-        residual=residual,
-        terms=terms,
-        times=np.array(starts[1:]),
-        jumps=_jumps(fitted, turns),
-        lead=_lead(trajectory, solution, duration),
+        residual=played.looked.residual.max(axis=0),
+        terms=played.terms,
+        left=played.left,
+        times=played.start[1:],
+        jumps=jumps_of(solution.pieces(duration), turns),
+        lead=_lead(trajectory, played.signals, duration),
     )
 
 
-def _jumps(fitted: Sequence[tuple[float, float, Array]], turns: int) -> Array:
-    """Return by how much polynomials that follow each other, some turns of them, jump from one to the next, (K, p)."""
-    first = np.array([c[:, 0] for _, _, c in fitted])
-    last = np.array([c @ (b - a) ** np.arange(c.shape[1]) for a, b, c in fitted])
-    return np.asarray(np.abs(np.roll(first, -1, axis=0) - last)[np.arange(turns * len(fitted) - 1) % len(fitted)])
-
-
-def _lead(trajectory: DesiredTrajectory, solution: "_Solution", duration: float) -> float | None:
+def _lead(trajectory: DesiredTrajectory, signals: Sequence[Signal], duration: float) -> float | None:
     """Return how long before a reference that begins at rest first moves η has left its rest."""
     system = trajectory.exosystem
     if system.constant or not system.resets or system.begins() != 0.0:
         return None
     moves = system.resets[0].t
     still = replace(trajectory, exosystem=replace(system, resets=()))
-    rest = _Problem(still, moves, periodic=True).solve().eta(0, np.zeros(1))[0]
-    off = [(t, np.abs(solution.eta(k, t) - rest)) for k, t in solution.times(duration)]
-    size = np.max([values.max(axis=0) for _, values in off], axis=0)
-    left = [t[(values > _LEFT * size).any(axis=1)] for t, values in off]
-    return float(max(0.0, moves - min((t[0] for t in left if len(t)), default=moves)))
+    rest = _Problem(still, 0.0, moves, periodic=True).solve().rest
+    edges = np.append(signals[0].starts, duration)
+    t = np.linspace(edges[:-1], edges[1:], 2 * DEGREE, endpoint=False).T.ravel()
+    made = exosystem(signals)
+    away = np.abs(made.states(t) @ made.Q.T - rest)
+    left = t[(away > _LEFT * away.max(axis=0)).any(axis=1)]
+    return float(max(0.0, moves - left.min(initial=moves)))
 
 
 def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajectory:
@@ -152,9 +147,9 @@ class _Stay:
 
 
 class _Problem:
-    """The two-point problem of a reference, from t = 0 to an end in s."""
+    """The two-point problem of a reference, from a start to an end in s."""
 
-    def __init__(self, trajectory: DesiredTrajectory, end: float, *, periodic: bool) -> None:
+    def __init__(self, trajectory: DesiredTrajectory, start: float, end: float, *, periodic: bool) -> None:
         p, system = trajectory.rate.shape[1], trajectory.exosystem
         self.d = balancing(trajectory.rate[:, :, :p])
         self.rate = trajectory.rate / self.d[:, None]
@@ -163,12 +158,16 @@ class _Problem:
         self.guards[:, :p] *= self.d
         self.signs, self.end, self.periodic, self.p = trajectory.signs, end, periodic, p
         self.turns = Turns(system)
-        self.breaks = [0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if 0 < t < end)]
-        starts = system.states(np.array(self.breaks))
+        breaks = dict.fromkeys([start, 0.0, *(reset.t for reset in system.resets)])
+        self.breaks = [t for t in breaks if start <= t < end]
+        starts = states_at(system, np.array(self.breaks)).astype(np.float64)
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
+        self.field = Field(rate=self.rate, guards=self.guards, signs=self.signs, S=system.S)
+        self.quick = float(np.abs(system.rates).max(initial=0.0))
         poles = np.linalg.eigvals(self.rate[:, :, :p])
         self.fastest, self.settled = float(np.abs(poles).max()), _SETTLED / float(np.abs(poles.real).min())
         self.turning = max(float(np.abs(poles.imag).max()), float(np.abs(system.rates.imag).max(initial=0.0)))
+        self.constant = system.constant
 
     def solve(self) -> "_Solution":
         """Return the bounded solution: Newton's method, on the way from a linear system where it does not settle."""
@@ -200,11 +199,6 @@ class _Problem:
         """Return (w, 1) of a piece at times in s, (K, s + 1)."""
         states = self.pieces[piece].states(t - self.breaks[piece])
         return np.column_stack([states, np.ones(len(t))])
-
-    def cells(self, z: Array) -> IntArray:
-        """Return the cell of x_d at each z = (η, w, 1), (K,)."""
-        sides = np.sign(z @ self.guards.T)
-        return np.asarray([(self.signs * side >= 0).all(axis=1).argmax() for side in sides], dtype=np.int64)
 
 
 class _Solution:
@@ -273,152 +267,116 @@ class _Solution:
         (s, s_w), (u, u_w) = modes.forward(t - stay.start), modes.backward(stay.end - t)
         return np.asarray(np.hstack([s @ end[:q] + s_w @ w[0], u @ end[q:] + u_w @ w[1]]) @ modes.V.T)
 
-    def z(self, k: int, t: Array) -> Array:
-        """Return (η, w, 1), (K, p + s + 1)."""
-        return np.hstack([self.eta(k, t), self.problem.w(self.stays[k].piece, t)])
+    @property
+    def rest(self) -> Array:
+        """η at the start, (p,)."""
+        return self.eta(0, np.array([self.stays[0].start]))[0] * self.problem.d
 
     @cached_property
-    def _looked_up(self) -> list[tuple[Array, IntArray]]:
-        """Times of each stay, close where something may change fast, and the cell that x_d is in then."""
-        found, total = [], 0
-        for k, stay in enumerate(self.stays):
-            t = _grid(stay.start, stay.end, turning=self.problem.turning, fastest=self.problem.fastest)
-            total += len(t)
-            if total > _MOST_POINTS:
-                raise _unsettled("the reference turns too fast for its length")
-            found.append((t, self.problem.cells(self.z(k, t))))
-        return found
-
-    def times(self, until: float) -> Iterator[tuple[int, Array]]:
-        """Yield each stay that begins before a time in s, with times in it."""
-        for k, (t, _) in enumerate(self._looked_up):
-            if len(t := t[t <= until]):
-                yield k, t
+    def _looked(self) -> tuple[Pieces, Looked]:
+        """Polynomials of all stays, and the cells that x_d visits on them."""
+        problem = self.problem
+        pieces = self._fitted(np.inf)
+        cut, w = pieces.cut(problem.quick), np.zeros((0, len(problem.turns.S) - 1))
+        piece = np.array([stay.piece for stay in self.stays])[pieces.of[cut.of]]
+        w = np.zeros((len(piece), len(problem.turns.S) - 1))
+        for k in range(len(problem.pieces)):
+            w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
+        field = replace(problem.field, rate=self.rate)
+        curve = Curve(start=cut.start, length=cut.length, c=cut.c, w=w, off=4 * EPS * np.abs(w), of=pieces.of[cut.of])
+        return cut, field.look(curve, sharp=False)
 
     @property
     def missed(self) -> float:
         """By how much η' is off where x_d is in another cell than was taken, relative to the largest rates."""
-        off, size = np.zeros(self.problem.p), np.full(self.problem.p, 1e-300)
-        for k, (t, cells) in enumerate(self._looked_up):
-            z, taken = self.z(k, t), self.stays[k].cell
-            size = np.maximum(size, np.abs(z @ self.rate[taken].T).max(axis=0))
-            for i in set(cells.tolist()) - {taken}:
-                where = cells == i
-                off = np.maximum(off, np.abs(z[where] @ (self.rate[i] - self.rate[taken]).T).max(axis=0))
-        return float((off / size.max()).max())
+        pieces, looked = self._looked
+        taken, cells, rows = (
+            np.array([stay.cell for stay in self.stays])[looked.of],
+            looked.cells(),
+            np.arange(len(looked.of)),
+        )
+        off = np.abs(looked.ends[rows, :, cells] - looked.ends[rows, :, taken]).max(axis=1).max(axis=0)
+        size = np.abs(pieces.c[:, :, 1]).max(initial=0.0)
+        return float(off.max() / size) if size else float(off.max() > 0)
 
     def visited(self) -> list[_Stay]:
         """Return the stays that this solution has, with the times at which its x_d crosses facets."""
-        found = list[_Stay]()
-        for k, (t, cells) in enumerate(self._looked_up):
-            stay, edges = self.stays[k], list[float]()
-            for j in np.flatnonzero(np.diff(cells)).tolist():
-                edges += self._crossings(k, float(t[j]), float(t[j + 1]))
-            times = np.array([stay.start, *edges, stay.end])
-            within = self.problem.cells(self.z(k, (times[:-1] + times[1:]) / 2)).tolist()
-            for a, b, cell in zip(times[:-1].tolist(), times[1:].tolist(), within, strict=True):
-                if found and found[-1].cell == cell and found[-1].piece == stay.piece:
-                    found[-1] = replace(found[-1], end=b)
-                elif b > a:
-                    found.append(_Stay(a, b, cell, stay.piece))
+        found, looked = list[_Stay](), self._looked[1]
+        for start, k, cell in zip(looked.start.tolist(), looked.of.tolist(), looked.cells().tolist(), strict=True):
+            stay = self.stays[k]
+            if found and found[-1].piece == stay.piece:
+                if found[-1].cell == cell:
+                    continue
+                found[-1] = replace(found[-1], end=start)
+            elif found:
+                found[-1] = replace(found[-1], end=stay.start)
+            found.append(_Stay(start, self.problem.end, cell, stay.piece))
         return found
 
-    def _crossings(self, k: int, a: float, b: float) -> list[float]:
-        """Return the times between a and b at which x_d is on a hyperplane that it is on the other side of then."""
-        guards = self.problem.guards
-        left, right = self.z(k, np.array([a, b])) @ guards.T
-        return sorted(self._crossing(k, guards[j], a, b) for j in np.flatnonzero(left * right < 0))
+    def pieces(self, until: float) -> Pieces:
+        """Return polynomials in units given, from t = 0 on and so many that they reach a time in s."""
+        pieces = self._fitted(until)
+        kept = pieces.start >= 0.0
+        values = pieces.start[kept], pieces.length[kept], pieces.c[kept] * self.problem.d[:, None], pieces.of[kept]
+        return Pieces(**dict(zip(Pieces.__annotations__, values, strict=True)))
 
-    def _crossing(self, k: int, guard: Array, a: float, b: float) -> float:
-        """Return the time between a and b at which one guard is 0."""
-
-        def value(t: float) -> float:
-            return float(self.z(k, np.array([t]))[0] @ guard)
-
-        one, other = value(a), value(b)
-        if not one * other < 0:  # alone, one end is on the other side by rounding
-            return a if abs(one) < abs(other) else b
-        return float(scipy.optimize.brentq(value, a, b, xtol=4 * EPS * b, rtol=4 * EPS))
-
-    def polynomials(self, until: float) -> Iterator[tuple[float, float, Array]]:
-        """Yield (from, to, coefficients (p, degree + 1)) of polynomials of the time since `from`, in units given."""
-        size = max(float(np.abs(self.eta(k, t)).max()) for k, (t, _) in enumerate(self._looked_up))
-        interpolation, resolved = _Interpolation(_DEGREE), _RESOLVED / max(self.problem.fastest, self.problem.turning)
+    def _fitted(self, until: float) -> Pieces:
+        """Return polynomials of the time since they start, in balanced units, up to a time in s."""
+        if self.problem.constant:
+            (stay, *_), c = self.stays, np.zeros((1, self.problem.p, DEGREE + 1))
+            c[0, :, 0] = self.eta(0, np.array([stay.start]))[0]
+            return Pieces(start=np.zeros(1), length=np.array([self.problem.end]), c=c, of=np.zeros(1, dtype=np.int64))
+        seen = (self.eta(k, np.linspace(stay.start, stay.end, _SEEN)) for k, stay in enumerate(self.stays))
+        size, found, total = max(float(np.abs(eta).max()) for eta in seen), list[Pieces](), 0
         for k, stay in enumerate(self.stays):
-            todo = [(stay.start, min(stay.end, until), np.inf)] if stay.start < until else []
-            while todo:
-                a, b, before = todo.pop()
-                if b - a <= resolved * _SHORT:  # of which a difference of values has no slope
-                    yield a, b, self._taylor(k, a) * self.problem.d[:, None]
-                    continue
-                fitted, off = interpolation(self.eta(k, a + (b - a) * interpolation.points), b - a)
-                missed = float(off.max()) / size if size else 0.0  # nothing drives it: it is 0
-                noise = missed < _NOISE and missed > before / 8  # halving would take it to 1/1000
-                if missed > _FITTED and not noise and b - a > resolved:
-                    todo += [((a + b) / 2, b, missed), (a, (a + b) / 2, missed)]
-                else:
-                    yield a, b, fitted.T * self.problem.d[:, None]
+            if stay.start < until:
+                found += self._fitted_to(k, size, until)
+                total += sum(len(part.start) for part in found[-1:])
+                if total > _MOST_PIECES:
+                    raise _unsettled("the reference turns too fast for its length")
+        return Pieces.joined(found)
 
-    def _taylor(self, k: int, a: float) -> Array:
-        """Return the Taylor coefficients of η at a time in s of a stay, (p, degree + 1), in balanced units."""
-        p, stay = self.problem.p, self.stays[k]
-        z, turns = self.z(k, np.array([a]))[0], self.problem.turns.S
-        found = [z]
-        for j in range(1, _DEGREE + 1):
+    def _fitted_to(self, k: int, size: float, until: float) -> list[Pieces]:
+        """Return polynomials of a stay: halves, until they are near enough, all those of one length at once.
+
+        What is stable is known at the left ends of halves and what is not at the right ones, so that nothing grows.
+        """
+        stay, end, problem = self.stays[k], self._ends[k], self.problem
+        modes, span, points = self._modes[stay.cell], stay.end - stay.start, FIT.points
+        q, start, length = modes.stable, np.array([stay.start]), span
+        s, u, before, found = end[None, :q], end[None, q:], np.full(1, np.inf), list[Pieces]()
+        resolved = _RESOLVED / max(problem.fastest, problem.turning)
+        if span <= resolved * _SHORT:  # of which a difference of values has no slope
+            return [Pieces(start=start, length=np.array([span]), c=self._taylor(k)[None], of=np.array([k]))]
+        while len(start):
+            E, E_w = modes.forward(length * np.append(points, 0.5))
+            G, G_w = modes.backward(length * np.append(1 - points, 0.5))
+            w, w_end = problem.w(stay.piece, start), problem.w(stay.piece, start + length)
+            stable = np.einsum("tij,nj->nti", E, s) + np.einsum("tij,nj->nti", E_w, w)
+            other = np.einsum("tij,nj->nti", G, u) + np.einsum("tij,nj->nti", G_w, w_end)
+            c, off = FIT(np.concatenate([stable, other], axis=2)[:, :-1] @ modes.V.T, np.full(len(start), length))
+            missed = off / size if size else np.zeros(len(start))  # nothing drives it: it is 0
+            noise = (missed < _NOISE) & (missed > before / 8)  # halving would take it to 1/1000
+            open_ = (missed > _FITTED) & ~noise & (length > resolved)
+            done = ~open_
+            found.append(
+                Pieces(start=start[done], length=np.full(done.sum(), length), c=c[done], of=np.full(done.sum(), k))
+            )
+            length /= 2
+            start = np.concatenate([start[open_], start[open_] + length])
+            s, u = (np.concatenate(pair) for pair in ((s[open_], stable[open_, -1]), (other[open_, -1], u[open_])))
+            before, near = np.tile(missed[open_], 2), start < until
+            start, s, u, before = start[near], s[near], u[near], before[near]
+        return found
+
+    def _taylor(self, k: int) -> Array:
+        """Return the Taylor coefficients of η at the start of a stay, (p, degree + 1), in balanced units."""
+        p, stay, turns = self.problem.p, self.stays[k], self.problem.turns.S
+        t = np.array([stay.start])
+        found = [np.concatenate([self.eta(k, t)[0], self.problem.w(stay.piece, t)[0]])]
+        for j in range(1, DEGREE + 1):
             found.append(np.concatenate([self.rate[stay.cell] @ found[-1], turns @ found[-1][p:]]) / j)
         return np.array(found).T[:p]
-
-    def residual(self, fitted: Sequence[tuple[float, float, Array]]) -> tuple[Array, Array]:
-        """Return sup |η' − A_i η − B_i (w, 1)| of polynomials, and sup Σ |terms|, of each entry, (p,) each.
-
-        On each of them this is, to rounding, a polynomial of no more than twice the degree: from so many Chebyshev
-        points its largest value is at most 1 / cos(π/4) times what is seen there (Ehlich and Zeller, 1964).
-        """
-        problem, k = self.problem, 0
-        nodes = (1 + np.cos(np.pi * (np.arange(4 * _DEGREE) + 0.5) / (4 * _DEGREE))) / 2
-        worst, rate = np.zeros(problem.p), np.zeros(problem.p)
-        for a, b, coefficients in fitted:
-            while self.stays[k].end <= a:
-                k += 1
-            tau = (b - a) * nodes
-            powers = tau[:, None] ** np.arange(_DEGREE + 1)
-            c = coefficients / problem.d[:, None]
-            slope = powers[:, :-1] @ (c[:, 1:] * np.arange(1, _DEGREE + 1)).T
-            z = np.hstack([powers @ c.T, problem.w(self.stays[k].piece, a + tau)])
-            cell = int(problem.cells(z[[len(z) // 2]])[0])
-            worst = np.maximum(worst, np.abs(slope - z @ self.rate[cell].T).max(axis=0))
-            size = np.abs(z) @ np.abs(self.rate[cell].T)
-            rate = np.maximum(rate, size.max(axis=0))
-        return worst * problem.d * np.sqrt(2), rate * problem.d
-
-
-def _grid(a: float, b: float, *, turning: float, fastest: float) -> Array:
-    """Return times from a to b: evenly, closer than what turns, and ever closer to both ends, where modes decay."""
-    even = np.linspace(0.0, 1.0, 1 + min(_MOST_POINTS, max(16, int(np.ceil((b - a) * turning * 4)))))
-    levels = int(np.clip(np.ceil(np.log2(max(2.0, 16 * fastest * (b - a)))), 1, 60))
-    near = np.add.outer(0.5 ** np.arange(1, levels + 1), 0.0) * np.array([0.5, 0.625, 0.75, 0.875, 1.0])[:, None]
-    parts = np.unique(np.concatenate([even, near.ravel(), 1 - near.ravel()]))
-    return np.asarray(a + (b - a) * parts)
-
-
-class _Interpolation:
-    """Polynomials through values at Chebyshev points, as powers of the time since the left end."""
-
-    def __init__(self, degree: int) -> None:
-        unit = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-        between = np.cos(np.pi * np.arange(degree + 2) / (degree + 1))
-        self.count, self.points = degree + 1, (1 + np.concatenate([unit, between])) / 2
-        self._series = np.linalg.inv(chebyshev.chebvander(unit, degree))  # from values to a Chebyshev series
-        self._others = chebyshev.chebvander(between, degree)
-        shifted = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(degree + 1)]
-        self._powers = np.array([np.pad(c, (0, degree + 1 - len(c))) for c in shifted]).T
-
-    def __call__(self, seen: Array, span: float) -> tuple[Array, Array]:
-        """Return the coefficients, (degree + 1, p), and by how much they miss other values, (p,)."""
-        known, others = seen[: self.count], seen[self.count :]
-        series = self._series @ known
-        off = np.abs(self._others @ series - others).max(axis=0)
-        return (self._powers @ series) / span ** np.arange(self.count)[:, None], np.asarray(off)
 
 
 def _unsettled(reason: str) -> Undecided:
