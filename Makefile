@@ -113,6 +113,10 @@ false-accepts: $(READY) ## look for false proofs: tampered certificates, nearly 
 promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
 
+.PHONY: peaks
+peaks: $(READY) ## hold enclosed peaks of feedforwards against a fine walk of 100 random specs and the gallery's
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peaks 100 600
+
 .PHONY: previews
 previews: $(READY) ## follow references with 100 random plants that are not minimum phase
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview 100

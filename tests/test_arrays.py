@@ -406,7 +406,8 @@ def test_pictures_are_drawn_where_they_are_asked_for(run: Result) -> None:
 def test_the_table_of_an_ensemble_has_what_was_drawn_and_measured(run: Result, tmp_path: Path) -> None:
     many = ensemble(run, 3, seed=2)
     assert many.e.shape == (3, len(many.t))
-    assert np.array_equal(many.table["largest_error"], many.e.max(axis=1))
+    assert many.table["largest_error"] == pytest.approx(many.e.max(axis=1), rel=1e-2)  # between samples it is larger
+    assert (many.table["largest_error"] >= many.e.max(axis=1)).all()
     assert {"x1", "x2", "final_error", "largest_input_u"} <= {*many.table}
     rows = np.genfromtxt(many.save(tmp_path / "many") / "ensemble.csv", delimiter=",", names=True, dtype=None)
     assert np.array_equal(rows["x1"], many.table["x1"])

@@ -560,3 +560,72 @@ def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right
     text = STAGE.replace("reference:", "design: {estimate: {hum: {into: {v: 1/m}, frequency: 3}}}\nreference:")
     controller = design(load_spec(written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]")))
     assert [p.starts.kind for p in controller.promises] == ["exact"]
+
+
+FAST = """
+name: A fast start of the generator
+system:
+  states: [x, p, q]
+  inputs: [u]
+  outputs: [y]
+  sizes: {x: 0.01, p: 0.01, q: 0.01, u: 1}
+  A: [[-1, 10, 0], [0, 0, 3000], [0, -3000, -600]]
+  B: [[1], [0], [0]]
+  C: [[1, 0, 0]]
+reference: {output: "0.1*sin(t)"}
+simulation:
+  duration: 20
+  sample_time: 0.01
+  initial: {generator: [0, 1], plant: [0, 0, 1], observer: [0, 0, 1]}
+  actuator: {limits: {u: LIMITS}}
+"""
+
+
+def fast(t: Array) -> Array:
+    """u_ff = y' + y - 10 p, (p, q) from (0, 1) on."""
+    F = np.array([[0, 3000.0], [-3000, -600]])
+    step, eta, p = expm(F * (t[1] - t[0])), np.array([0.0, 1.0]), np.empty(len(t))
+    for k in range(len(t)):
+        p[k], eta = eta[0], step @ eta
+    return np.asarray(0.1 * np.cos(t) + 0.1 * np.sin(t) - 10 * p)
+
+
+def test_a_peak_that_a_fast_generator_makes_between_the_samples_of_a_slow_reference_is_found(tmp_path: Path) -> None:
+    u = fast(np.linspace(0, 0.03, 300_001))
+    _, peak = limited(load_spec(written(tmp_path, FAST, LIMITS="[-20, 20]")))
+    size = np.abs(u).max()
+    assert u.max() <= peak.high[0] <= u.max() + 1e-6 * size
+    assert peak.low[0] <= u.min() <= peak.low[0] + 1e-6 * size
+    assert peak.times[0] == pytest.approx([u.argmin() * 1e-7, u.argmax() * 1e-7], abs=1e-6)
+
+
+def test_no_start_is_promised_to_reach_no_limit_that_the_feedforward_reaches_between_samples(tmp_path: Path) -> None:
+    path = written(tmp_path, FAST, LIMITS="[-2, 2]")
+    said = " ".join(call("simulate", path, "--out", tmp_path / "out").stdout.split())
+    assert "its feedforward takes -8.526 to 6.391" in said
+    assert "limit is" not in said
+    assert simulate(load_spec(path)).figures.largest_input["u"] == pytest.approx(2, rel=2e-7)
+
+
+@pytest.mark.parametrize(("later", "said"), [(15, "no limit is reached in this run"), (5, "no limit is ever reached")])
+def test_what_the_reference_does_after_the_run_is_not_spoken_of(tmp_path: Path, later: float, said: str) -> None:
+    steps = f"{{step: [{{size: 0.1, at: 1, smooth: 1}}, {{size: 0.2, at: {later}, smooth: 1}}]}}"
+    path = written(tmp_path, STAGE, REFERENCE=steps, DURATION="10", LIMITS="[-20, 20]")
+    text = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert f"in the loop as designed {said} from" in text
+
+
+def test_nothing_is_said_for_ever_while_the_start_of_the_generator_still_matters(tmp_path: Path) -> None:
+    start = "initial: {generator: [0.5]}"
+    for duration, ever in (("8", True), ("0.5", False)):
+        text = FILTER.replace("duration: 8", f"duration: {duration}")
+        path = written(tmp_path, text, REFERENCE="0.3*sin(2*t)", LIMITS="[-90, 90]", MORE=start)
+        assert limited(load_spec(path))[0].ever == ever
+
+
+def test_what_is_required_of_an_input_is_held_against_it_between_samples(tmp_path: Path) -> None:
+    text = FAST.replace("  actuator: {limits: {u: LIMITS}}\n", "")
+    path = written(tmp_path, text + "require: {largest_input: 8}\n")
+    result = call("simulate", path, "--out", tmp_path / "out")
+    assert result.exit_code == 6
+    assert "largest_input of u: 8.526, at most 8 required" in " ".join(result.stdout.split())

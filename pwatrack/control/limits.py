@@ -24,7 +24,7 @@ from pwatrack.model.sizes import Sizes
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 _LITTLE = 1e-3  # of a size: what any error may be at least
-_OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
+OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
 _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
 
 
@@ -65,7 +65,7 @@ class Peak:
     def _off(self, limits: Array) -> Array:
         """Return what tells no feedforward from a limit, (m,)."""
         largest = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
-        return np.asarray(np.maximum(_OFF * np.maximum(np.abs(self.low), np.abs(self.high)), _NO_ROOM * largest))
+        return np.asarray(np.maximum(OFF * np.maximum(np.abs(self.low), np.abs(self.high)), _NO_ROOM * largest))
 
     def with_also(self, other: "Peak") -> "Peak":
         """Return the peak of two stretches of time."""
@@ -210,6 +210,7 @@ class Limited:
         lasting: What the feedforward takes whatever the generator starts with, where that is known: in its steady
             state for the reference as it begins, and from there on.
         peak: The same from the start of the generator in this run too; None where it could not be followed.
+        ever: Whether it is within that after the run too; else no more than the run is spoken of.
         starts: Errors with which a run may begin.
         promises: What is proved of some of them.
     """
@@ -217,6 +218,7 @@ class Limited:
     limits: Array
     lasting: Peak | None
     peak: Peak | None
+    ever: bool = False
     starts: tuple[Starts, ...] = ()
     promises: tuple[Promise, ...] = ()
 

@@ -65,7 +65,7 @@ def member_figures(many: EnsembleResult) -> dict[str, Array]:
 
     Those of signals have the name of the signal in theirs: `settling_time_y`. What no member has is left out.
     """
-    columns = {"largest_error": many.ensemble.largest, "final_error": many.ensemble.final}
+    columns = {name: np.array([getattr(f, name) for f in many.figures]) for name in ("largest_error", "final_error")}
     for name in ("settling_time", "rise_time", "overshoot", "largest_input"):
         found: list[Mapping[str, float]] = [getattr(figures, name) for figures in many.figures]
         for signal in dict.fromkeys(signal for values in found for signal in values):

@@ -37,7 +37,7 @@ def limit_content(spec: Spec, controller: Controller) -> dict[str, Any]:
         for p in limited.promises
         if left is not None
     ]
-    return {"limits": {"inputs": inputs, "starts": said}}
+    return {"limits": {"inputs": inputs, "ever": limited.ever, "starts": said}}
 
 
 def _sizes(spec: Spec, promise: Promise, values: Sequence[float]) -> dict[str, float]:
@@ -74,7 +74,8 @@ def limit_rows(spec: Spec, controller: Controller) -> Iterator[str]:
 
 
 def _promise_rows(controller: Controller, limited: Limited) -> Iterator[str]:
-    """Yield from which starts no limit is ever reached."""
+    """Yield from which starts no limit is reached: ever, or in this run where more may be taken after it."""
+    never = "no limit is ever reached" if limited.ever else "no limit is reached in this run"
     for promise in limited.promises:
         assert limited.left is not None
         scale, kind = promise.scale(limited.left), promise.starts.kind
@@ -90,9 +91,9 @@ def _promise_rows(controller: Controller, limited: Limited) -> Iterator[str]:
             starts += " with its loads" if promise.starts.load is not None else ""
             starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
             starts += " with x̂ = x" * (kind == "members")
-        yield f"in the loop as designed no limit is ever reached from {starts}"
+        yield f"in the loop as designed {never} from {starts}"
     if limited.left is not None and not limited.promises:
-        yield "from which starts no limit is ever reached could not be proved"
+        yield f"from which starts {never} could not be proved"
 
 
 def _range(peak: Peak, k: int, unit: str) -> str:

@@ -266,7 +266,7 @@ def _repair_rows(table: Table, result: Result) -> None:
     on = [(k, *cause(spec, ("disturbance", k))[1:]) for k in np.flatnonzero(acting).tolist()]
     table.add_row(
         "repair",
-        "with states and inputs no larger than here, the plant as it was given differs by at most "
+        "with states and inputs no larger than at the samples here, the plant as it was given differs by at most "
         + ", ".join(f"{up(acting[k])} {unit} on {name}".replace("  ", " ") for k, name, unit in on),
     )
     for signal in bounds[0].sizes:

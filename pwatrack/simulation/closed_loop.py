@@ -11,8 +11,8 @@ from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
-from pwatrack.simulation.actuator import actuators, rate_limits
-from pwatrack.simulation.flow import Flow, SwitchedPart
+from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
+from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
 from pwatrack.simulation.layout import Layout
 from pwatrack.simulation.propagate import StateResets, pieces, sample_count
 from pwatrack.simulation.sampling import sampled
@@ -133,10 +133,26 @@ class ClosedLoop:
 
         They are the same in all cells: of x_d, only last derivatives of y are not.
         """
-        x = np.eye(self.at.order)[self.at.x]
-        if self.controller.tracking == "state":
-            return np.asarray(x - self.x_d[0])
-        return np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ self.x_d[0])
+        states = len(self.plant.states)
+        return self.signal_errors[-states:] if self.controller.tracking == "state" else self.signal_errors
+
+    @property
+    def signal_errors(self) -> Array:
+        """Rows of y − y_d, and of x − x_d below them where states are tracked, (p or p + n, N)."""
+        x, x_d = np.eye(self.at.order)[self.at.x], self.x_d[0]
+        y = np.asarray(self.plant.tracked @ x - self.controller.plant.tracked @ x_d)
+        return np.vstack([y, x - x_d]) if self.controller.tracking == "state" else y
+
+    def inputs(self, mode: Mode) -> Array:
+        """Return rows with u = rows z in a mode, within its limits, (m, N); what a program puts out it has limited."""
+        cell = [part.name for part in self.flow.parts].index("generator")
+        rows: Array = self.u[mode[cell]].copy()
+        for part, segment in zip(self.flow.parts, mode, strict=True):
+            level = part.levels[segment] if isinstance(part, Actuator) else None
+            if isinstance(part, Actuator) and level is not None and not self.conditions.sampling:
+                rows[part.input] = 0.0
+                rows[part.input, -1] = level
+        return rows
 
     def generator_flow(self) -> Flow:
         """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled and with no load estimated."""

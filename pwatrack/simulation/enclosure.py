@@ -9,13 +9,14 @@ several rows together the curve is in the convex hull of its control points, so 
 theirs. What arithmetic may be off by is added. T_{k+1} has the signs of ζ: where what is fast has decayed it is small,
 however long the piece. R is known for lengths s 2ᵈ by doubling, R(2s) = max(R(s), R(s) |e^{Fs}|).
 
-Only pieces whose bound is above the largest value that is surely attained, by more than 1e-6 of the signal's size, are
+Only pieces whose bound is above the largest value that is surely attained, by more than 1e-7 of the signal's size, are
 split, at a length s 2ᵈ where e^{Fs} is known (branch and bound); all pieces of a mode at once.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from math import comb
+from math import comb, factorial
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.tables import taylor, unit
 from pwatrack.simulation.trace import Trace
 
-CLOSE = 1e-6  # of the size of a signal: what is said is at most so much above what is attained
+CLOSE = 1e-7  # of the size of a signal: what is said is at most so much above what is attained
+_SAME = 1e-6  # of the size: of peaks that differ by less the first one counts
 _SHORT = 0.5  # ‖F s‖ for the length s from which on there is doubling
 _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the length than it gains
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
@@ -95,13 +97,15 @@ class Range:
     """What signals are within.
 
     Attributes:
-        low, high: Bounds, at most 1e-6 of the largest |signal| off, (q,).
-        inner: A value near each that is attained, (q, 2); where the work ran out the distance says how close they are.
+        low, high: Bounds, at most 1e-7 of the largest |signal| off, or within rounding, (q,).
+        complete: Whether they are; else it took too long, and they are bounds that may be further off.
+        inner: A value near each that is attained, (q, 2).
         times: When that is, in s, (q, 2); of peaks that differ by less than 1e-6 of that the first one.
     """
 
     low: Array
     high: Array
+    complete: bool
     inner: Array
     times: Array
 
@@ -141,45 +145,70 @@ def largest_norm(blocks: Iterable[Segments], rows: Rows) -> Range:
 
 @dataclass(frozen=True, kw_only=True)
 class _Pieces:
-    """P pieces in one mode, none longer than s 2^level."""
+    """P pieces in one mode."""
 
     t: Array
     zeta: Array
     length: Array
 
 
-class _Tables:
-    """What is known of a mode."""
+class Turns:
+    """What is known of e^{Fσ} in a mode."""
 
-    def __init__(self, F: Array, rows: Array) -> None:
+    def __init__(self, F: Array) -> None:
         d = balancing(F[None])
         norm = max(float(np.linalg.norm(F / d[:, None] * d)), TINY)
-        self.F, self.rows, self.u = F.T, rows.T, unit(len(F))
-        self.s = 2.0 ** np.floor(np.log2(_SHORT / norm))
+        self.F, self.s = F, 2.0 ** np.floor(np.log2(_SHORT / norm))
         terms = taylor(F * self.s)
         self._turns = {0: terms[::-1, 0].sum(axis=0)}
         self._reach = [_OUTWARD * terms[::-1, 1].sum(axis=0)]
 
-    def level(self, length: Array) -> IntArray:
+    def levels(self, length: Array) -> IntArray:
         """Return the least d with length ≤ s 2ᵈ, (P,)."""
-        with np.errstate(divide="ignore"):
-            found = np.ceil(np.log2(length / self.s))
-        found = np.where(self.s * 2.0**found < length, found + 1, found)
+        found = np.ceil(np.log2(length / self.s))
+        found += self.s * 2.0**found < length
         return np.asarray(np.maximum(found, _DEEPEST), dtype=np.int64)
 
     def turn(self, d: int) -> Array:
         """Return e^{F s 2ᵈ}."""
         if d not in self._turns:
             half = self.turn(d - 1) if d > 0 else None
-            self._turns[d] = taylor(self.F.T * self.s * 2.0**d)[::-1, 0].sum(axis=0) if half is None else half @ half
+            self._turns[d] = taylor(self.F * self.s * 2.0**d)[::-1, 0].sum(axis=0) if half is None else half @ half
         return np.asarray(self._turns[d])
 
     def reach(self, d: int) -> Array:
-        """Return a bound on |r| |e^{Fσ}| for all σ ≤ s 2ᵈ, transposed, (N, q)."""
+        """Return R, a bound on |e^{Fσ}| for all σ ≤ s 2ᵈ."""
         while len(self._reach) <= d:
             last, turn = self._reach[-1], np.abs(self.turn(len(self._reach) - 1))
             self._reach.append(np.maximum(last, _OUTWARD * (last @ turn)))
-        return np.asarray((np.abs(self.rows).T @ self._reach[max(d, 0)]).T)
+        return np.asarray(self._reach[max(d, 0)])
+
+
+class _Tables:
+    """What is known of some rows in a mode, transposed, so that products run along rows."""
+
+    def __init__(self, turns: Turns, rows: Array) -> None:
+        self.turns, self.F, self.rows, self.u = turns, turns.F.T, rows.T, unit(len(turns.F))
+        self._terms: dict[int, Array] = {}
+        self._bounds: dict[int, Array] = {}
+
+    def terms(self, degree: int) -> Array:
+        """Return r Fʲ for j up to the degree, and F to one more, side by side, (N, (degree + 1) q + N)."""
+        if degree not in self._terms:
+            powers = [self.rows]
+            for _ in range(degree):
+                powers.append(self.F @ powers[-1])
+            self._terms[degree] = np.hstack([*powers, np.linalg.matrix_power(self.F, degree + 1)])
+        return self._terms[degree]
+
+    def bounds(self, d: int) -> Array:
+        """Return |r| R |F|ʲ for j up to 4, R for all σ ≤ s 2ᵈ, side by side, (N, 5 q)."""
+        if d not in self._bounds:
+            powers = [(np.abs(self.rows).T @ self.turns.reach(d)).T]
+            for _ in range(_DEGREE + 1):
+                powers.append(np.abs(self.F) @ powers[-1])
+            self._bounds[d] = _OUTWARD * np.hstack(powers)
+        return self._bounds[d]
 
 
 class Enclosing:
@@ -188,12 +217,14 @@ class Enclosing:
     Args:
         rows: Rows on z in a mode, (q, N).
         norm: Whether of all of them together the norm is meant.
+        turns: Others that enclose signals of the same flow may share this.
     """
 
-    def __init__(self, rows: Rows, *, norm: bool = False) -> None:
+    def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Turns] | None = None) -> None:
         self._rows, self._norm, self._left = rows, norm, _MOST_PIECES
+        self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
-        self._best = self._high = np.zeros(0)  # what is attained, and the bound, of each side: highs, then −lows
+        self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows
         self._seen = list[tuple[Array, Array]]()  # values near the best, −inf elsewhere, (P, sides), and when, (P,)
         self._step = 0.0  # the longest segment in s
 
@@ -201,27 +232,29 @@ class Enclosing:
         """Take more of a trajectory into account."""
         if not len(block.t):
             return
-        queue = dict[tuple[int, int], list[_Pieces]]()
+        self._step = max(self._step, float(block.length.max()))
+        order = np.argsort(block.number, kind="stable")
+        edges = np.searchsorted(block.number[order], np.arange(len(block.modes) + 1))
+        queue = list[tuple[_Tables, _Pieces]]()
         for number, mode in enumerate(block.modes):
-            here = np.flatnonzero(block.number == number)
+            here = order[edges[number] : edges[number + 1]]
             if not len(here):
                 continue
             if mode not in self._tables:
-                self._tables[mode] = _Tables(block.F[number], block.reading(self._rows(mode)))
-            table = self._tables[mode]
-            self._attain(self._sides(block.zeta[here] @ table.rows), block.t[here])
-            self._queue(
-                queue, number, table, _Pieces(t=block.t[here], zeta=block.zeta[here], length=block.length[here])
+                turns = self._turns.get(mode) or self._turns.setdefault(mode, Turns(block.F[number]))
+                self._tables[mode] = _Tables(turns, block.reading(self._rows(mode)))
+            table, pieces = (
+                self._tables[mode],
+                _Pieces(t=block.t[here], zeta=block.zeta[here], length=block.length[here]),
             )
-        self._step = max(self._step, float(block.length.max(initial=0.0)))
+            self._attain(self._sides(pieces.zeta @ table.rows), pieces.t)
+            queue.append((table, pieces))
         while queue:
-            following = dict[tuple[int, int], list[_Pieces]]()
-            for (number, level), parts in queue.items():
-                table = self._tables[block.modes[number]]
-                for rest in self._narrowed(table, level, _joined(parts)):
-                    self._queue(following, number, table, rest)
-            queue = following
-        self._forget()
+            halves = ((table, self._narrowed(table, pieces)) for table, pieces in queue)
+            queue = [(table, pieces) for table, pieces in halves if pieces is not None]
+        values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
+        near = (values >= self._least).any(axis=1)
+        self._seen = [(values[near], t[near])]
 
     def range(self) -> Range:
         """Return the bounds on all that was seen."""
@@ -234,22 +267,17 @@ class Enclosing:
             first = int(np.append(np.flatnonzero(np.diff(t) > 2 * self._step), len(t) - 1)[0]) + 1
             top = values[:first].max()
             times[k] = t[np.argmax(values[:first] >= top - 1e-12 * abs(top))]
-        if self._norm:
-            return Range(low=np.zeros(1), high=highs, inner=np.array([[0.0, *self._best]]), times=times[[0, 0]][None])
-        q = len(highs) // 2
-        inner, when = (np.column_stack([part[q:], part[:q]]) for part in (self._best, times))
+        inner, complete, q = self._best, self._left >= 0, len(highs) // 2
+        if self._norm:  # from below there is 0
+            inner, times, highs, q = *(np.append(part, 0.0) for part in (inner, times, highs)), 1
+        inner, times = (np.column_stack([part[q:], part[:q]]) for part in (inner, times))
         inner[:, 0] *= -1
-        return Range(low=-highs[q:], high=highs[:q], inner=inner, times=when)
-
-    @property
-    def _tolerance(self) -> Array:
-        """How close a bound must be, (sides,)."""
-        size = np.abs(self._best)
-        return CLOSE * (size if self._norm else np.tile(size.reshape(2, -1).max(axis=0), 2))
+        return Range(low=-highs[q:], high=highs[:q], complete=complete, inner=inner, times=times)
 
     @property
     def _least(self) -> Array:
-        return self._best - self._tolerance
+        """What is as good as the best, (sides,)."""
+        return np.asarray(self._best - _SAME * self._size)
 
     def _sides(self, values: Array) -> Array:
         """Return of values (…, q) what is to be kept from above, (…, sides)."""
@@ -267,64 +295,61 @@ class Enclosing:
 
     def _attain(self, values: Array, t: Array) -> None:
         """Take note of values (P, sides) that are attained, or as good as that."""
-        top = values.max(axis=0, initial=-np.inf)
+        top = values.max(axis=0)
         if not len(self._best):
             self._best = self._high = np.full(values.shape[1], -np.inf)
+        elif not (top >= self._least).any():
+            return
         self._best = np.maximum(self._best, top)
-        with np.errstate(invalid="ignore"):
-            near = (values >= self._least).any(axis=1)
+        size = np.abs(self._best)
+        self._size = size if self._norm else np.tile(size.reshape(2, -1).max(axis=0), 2)
+        near = (values >= self._least).any(axis=1)
         self._seen.append((values[near], t[near]))
 
-    def _forget(self) -> None:
-        """Drop values that have turned out to be smaller than the best."""
-        values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
-        near = (values >= self._least).any(axis=1)
-        self._seen = [(values[near], t[near])]
-
-    def _queue(self, queue: dict[tuple[int, int], list[_Pieces]], number: int, table: _Tables, pieces: _Pieces) -> None:
-        levels = table.level(pieces.length)
-        for level in np.unique(levels).tolist():
-            here = (levels == level) & (pieces.length > 0)
-            if here.any():
-                part = _Pieces(t=pieces.t[here], zeta=pieces.zeta[here], length=pieces.length[here])
-                queue.setdefault((number, level), []).append(part)
-
-    def _narrowed(self, table: _Tables, level: int, pieces: _Pieces) -> Iterator[_Pieces]:
-        """Bound the signals on pieces of a level, and yield the halves of those that may be above the best."""
-        degree, lengths = _DEGREE if level < _STIFF else 1, pieces.length[:, None]
+    def _narrowed(self, table: _Tables, pieces: _Pieces) -> _Pieces | None:
+        """Bound the signals on some pieces, and return the halves of those that may be above the best, if any."""
+        keep = pieces.length > 0
+        t, zeta, length = pieces.t[keep], pieces.zeta[keep], pieces.length[keep]
+        if not len(t) or self._left < 0:
+            return None
+        self._left -= len(t)
+        levels, q = table.turns.levels(length), table.rows.shape[1]
+        longest = int(levels.max())
+        degree = _DEGREE if longest < _STIFF else 1
         with np.errstate(over="ignore", invalid="ignore"):
-            term, size, total = pieces.zeta, np.abs(pieces.zeta), np.abs(pieces.zeta)
-            power = [term @ table.rows]
-            for j in range(1, degree + 2):
-                term, size = term @ table.F * (lengths / j), size @ np.abs(table.F) * (lengths / j)
-                total = total + size
-                if j <= degree:
-                    power.append(term @ table.rows)
-            off = _OUTWARD * ((np.abs(term) + table.u * total) @ table.reach(level))
-            powers = np.array(power)
+            scale = np.array([length**j / factorial(j) for j in range(degree + 2)])[:, :, None]
+            terms, bounds = zeta @ table.terms(degree), table.bounds(longest)
+            powers = scale[:-1] * terms[:, : q * (degree + 1)].reshape(-1, degree + 1, q).swapaxes(0, 1)
+            rest = scale[-1] * (np.abs(terms[:, q * (degree + 1) :]) @ bounds[:, :q])
+            rounded = (np.abs(zeta) @ bounds[:, : q * (degree + 2)]).reshape(-1, degree + 2, q).swapaxes(0, 1)
+            off = _OUTWARD * (rest + table.u * (scale * rounded).sum(axis=0))
             control = np.tensordot(_BERNSTEIN[degree], powers, 1)  # (degree + 1, P, q)
             upper = self._sides(control).max(axis=0) + self._spread(off)
             upper = np.where(np.isnan(upper), np.inf, upper)
-            self._tops(powers, off, pieces)
-            noise = _NOISE * self._spread(table.u * np.abs(pieces.zeta) @ table.reach(0))
-            above = np.asarray(np.any(upper > self._best + np.maximum(self._tolerance, noise), axis=1))
-        self._left -= len(above)
-        if self._left < 0 or level <= _DEEPEST:
+            above = self._above(table, upper, zeta)
+            if above.any():
+                self._tops(powers[:, above], off[above], t[above], length[above])
+                above[above] = self._above(table, upper[above], zeta[above])
+        above &= levels > _DEEPEST
+        if self._left < 0:
             above[:] = False
         self._high = np.maximum(self._high, upper[~above].max(axis=0, initial=-np.inf))
-        if above.any():
-            half = table.s * 2.0 ** (level - 1)
-            t, zeta, length = pieces.t[above], pieces.zeta[above], pieces.length[above]
-            yield _Pieces(t=t, zeta=zeta, length=np.minimum(length, half))
-            yield _Pieces(t=t + half, zeta=zeta @ table.turn(level - 1).T, length=length - half)
+        return _halved(table.turns, levels[above], t[above], zeta[above], length[above]) if above.any() else None
 
-    def _tops(self, powers: Array, off: Array, pieces: _Pieces) -> None:
+    def _above(self, table: _Tables, upper: Array, zeta: Array) -> Any:
+        """Return which pieces may be above the best by more than they need be, (P,)."""
+        above = np.asarray((upper > self._best + CLOSE * self._size).any(axis=1))
+        if above.any():  # not by noise alone
+            noise = _NOISE * self._spread(table.u * np.abs(zeta[above]) @ table.bounds(0)[:, : table.rows.shape[1]])
+            above[above] = (upper[above] > self._best + noise).any(axis=1)
+        return above
+
+    def _tops(self, powers: Array, off: Array, t: Array, length: Array) -> None:
         """Take note of what the polynomials attain at their ends and at their stationary points."""
         places = [np.ones_like(off)]
         if len(powers) > 2 and not self._norm:
             a, b, c = 3 * powers[3], 2 * powers[2], powers[1]
-            root = np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))
-            half = -(b + np.copysign(root, b)) / 2
+            half = -(b + np.copysign(np.sqrt(np.maximum(b * b - 4 * a * c, 0.0)), b)) / 2
             with np.errstate(divide="ignore"):
                 places += [np.clip(np.nan_to_num(tau), 0.0, 1.0) for tau in (half / a, c / half)]
         for tau in places:
@@ -333,20 +358,23 @@ class Enclosing:
                 values = values * tau + coefficient
             sides = self._sides(values) - self._spread(off)
             sides[np.isnan(sides)] = -np.inf
-            top = sides.max(axis=0)
-            if (top >= self._least).any():
-                when = pieces.t[:, None] + tau * pieces.length[:, None]
-                for k in range(1 if self._norm else off.shape[1]):
-                    only = np.full_like(sides, -np.inf)
-                    columns = [0] if self._norm else [k, k + off.shape[1]]
-                    only[:, columns] = sides[:, columns]
-                    self._attain(only, when[:, k])
+            for k in np.flatnonzero(sides.max(axis=0) >= self._least).tolist():
+                only = np.full_like(sides, -np.inf)
+                only[:, k] = sides[:, k]
+                self._attain(only, t + tau[:, k % off.shape[1]] * length)
 
 
-def _joined(parts: list[_Pieces]) -> _Pieces:
-    if len(parts) == 1:
-        return parts[0]
-    return _Pieces(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in ("t", "zeta", "length")})
+def _halved(turns: Turns, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
+    """Return each piece as two, the first one of a length s 2ᵈ."""
+    half, middle = turns.s * 2.0 ** (levels - 1), np.empty_like(zeta)
+    for level in np.unique(levels).tolist():
+        here = levels == level
+        middle[here] = zeta[here] @ turns.turn(level - 1).T
+    return _Pieces(
+        t=np.concatenate([t, t + half]),
+        zeta=np.concatenate([zeta, middle]),
+        length=np.concatenate([np.minimum(length, half), length - half]),
+    )
 
 
 def bernstein(degree: int) -> Array:

@@ -1,7 +1,7 @@
 """What is measured of a run: sizes of errors and inputs, and how each output goes to where its reference comes to rest.
 
-All of it is read off the samples, block by block. Times are wanted when the whole run is known, so the blocks are
-gone through twice.
+Sizes are enclosed between samples and so hold at all times; times and overshoot are read off the samples. Times are
+wanted when the whole run is known, so the blocks are gone through twice.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.simulation.closed_loop import Response
+from pwatrack.simulation.closed_loop import ClosedLoop, Response
+from pwatrack.simulation.enclosure import Enclosing, Segments, Turns
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.trace import last_tenth
 
@@ -21,7 +22,7 @@ _RISES = 0.1, 0.9  # of the way
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Measures of a run at its samples.
+    """Measures of a run: the first, second and fourth at all times, to 1e-7 from above, the others at its samples.
 
     The last move of an output y begins at the last time t_s (s) before which its reference y_d was at rest, at 0 if
     it never was before it came to rest for good; y_d is at rest where it changes by less than 1e-9 of the signals.
@@ -59,6 +60,7 @@ class Figures:
     @staticmethod
     def of(
         response: Response,
+        loop: ClosedLoop | None = None,
         *,
         outputs: Sequence[str],
         inputs: Sequence[str],
@@ -66,7 +68,7 @@ class Figures:
         states: Sequence[str] = (),
     ) -> "Figures":
         """Return the figures of a run that is all in memory; see `Measuring`."""
-        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands, states=states)
+        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands, states=states, loop=loop)
         measuring.see(response)
         return measuring.figures([response])
 
@@ -165,6 +167,7 @@ class Measuring:
         outputs, inputs: Their names.
         bands: How far from its rest an output counts as settled, in its unit, where that is given.
         states: Their names, where they follow x_d.
+        loop: What runs; without it no more is known of sizes than the samples show.
     """
 
     samples: int
@@ -172,6 +175,7 @@ class Measuring:
     inputs: Sequence[str]
     bands: Mapping[str, float]
     states: Sequence[str] = ()
+    loop: ClosedLoop | None = None
     _number: int = 0
     _final: float = 0.0
     _largest: float = 0.0
@@ -182,6 +186,15 @@ class Measuring:
     _visited: set[Mode] = field(default_factory=set)
     _input: Array = field(default_factory=lambda: np.zeros(1))
     _moves: list[Move] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.loop is not None:
+            error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
+            turns: dict[Mode, Turns] = {}
+            self._error, self._late = (Enclosing(lambda _: error, norm=True, turns=turns) for _ in range(2))
+            self._inputs = Enclosing(self.loop.inputs, turns=turns)
+            each = self.loop.signal_errors
+            self._signals = tuple(Enclosing(lambda _: each, turns=turns) for _ in range(2 * (len(each) > 1)))
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -202,6 +215,14 @@ class Measuring:
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
+        if self.loop is not None:
+            segments = Segments.of(self.loop.flow, block.trace)
+            self._inputs.see(segments)
+            self._error.see(segments)
+            late = segments.since(self._last_tenth) if tail < len(size) else None
+            for within, part in zip((self._late, *self._signals), (late, late, segments), strict=False):
+                if part is not None:
+                    within.see(part)
 
     def figures(self, blocks: Iterable[Response]) -> Figures:
         """Return the figures of all that was seen, given the same blocks once more."""
@@ -211,6 +232,12 @@ class Measuring:
         for block in blocks:
             for k, move in enumerate(self._moves):
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
+        if self.loop is not None:
+            inputs, error, late = (within.range() for within in (self._inputs, self._error, self._late))
+            self._input = np.maximum(self._input, np.maximum(inputs.high, -inputs.low))
+            self._largest, self._final = max(self._largest, float(error.high[0])), max(self._final, float(late.high[0]))
+            sizes = [np.maximum(r.high, -r.low) for r in (within.range() for within in self._signals)]
+            self._each = np.maximum(self._each, sizes or [[self._final], [self._largest]])
         return Figures(
             final_error=self._final,
             largest_error=self._largest,

@@ -6,11 +6,14 @@ from typing import Any, Literal
 
 from pwatrack.causes import Subject
 from pwatrack.errors import Problem
+from pwatrack.simulation.enclosure import CLOSE
 from pwatrack.spec.entries import Context, sized_number
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.wording import guess, shown
 
 _HERE = "require"
+_ROUNDING = 1e-12  # of a figure
+_ENCLOSED = CLOSE + _ROUNDING  # likewise, of one that is a bound on what is between samples
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,7 @@ class Quantity:
         each: The figure that is the same of each signal by itself: limits by name are about that.
         unit: Its unit, or which unit that is.
         share: Whether it is a share, that may be written in percent.
+        known: To which part of itself it is known; missing a limit by less is no miss.
     """
 
     of: Literal["design", "run", "member"]
@@ -33,6 +37,7 @@ class Quantity:
     each: str | None = None
     unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""
     share: bool = False
+    known: float = _ROUNDING
 
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -45,12 +50,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "robust_rate": Quantity("design", "at least", unit="1/s"),
     "robust_share_K": Quantity("design", "at least", share=True),
     "robust_share_L": Quantity("design", "at least", share=True),
-    "final_error": Quantity("member", each="final_errors", unit="of the error"),
-    "largest_error": Quantity("member", each="largest_errors", unit="of the error"),
-    "final_errors": Quantity("member", per="errors", unit="of the signal"),
-    "largest_errors": Quantity("member", per="errors", unit="of the signal"),
+    "final_error": Quantity("member", each="final_errors", unit="of the error", known=_ENCLOSED),
+    "largest_error": Quantity("member", each="largest_errors", unit="of the error", known=_ENCLOSED),
+    "final_errors": Quantity("member", per="errors", unit="of the signal", known=_ENCLOSED),
+    "largest_errors": Quantity("member", per="errors", unit="of the signal", known=_ENCLOSED),
     "final_observer_error": Quantity("member"),
-    "largest_input": Quantity("member", per="inputs", unit="of the signal"),
+    "largest_input": Quantity("member", per="inputs", unit="of the signal", known=_ENCLOSED),
     "mode_changes": Quantity("member"),
     "joint_modes": Quantity("member"),
     "settling_time": Quantity("member", per="outputs", unit="s"),
@@ -85,9 +90,9 @@ class Requirement:
         return QUANTITIES[self.figure]
 
     def met(self, value: float) -> bool:
-        """Whether a value keeps the limit, but for rounding."""
+        """Whether a value keeps the limit, but for what it is known to."""
         sign = 1.0 if self.quantity.best == "at most" else -1.0
-        return sign * value <= sign * self.limit + 1e-12 * abs(self.limit)
+        return sign * value <= sign * self.limit + self.quantity.known * abs(self.limit)
 
 
 def read_requirements(data: Any, context: Context) -> tuple[tuple[Requirement, ...], list[Problem]]:

@@ -4,14 +4,17 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import Limited, Peak, Starts
+from pwatrack.control.limits import OFF, Limited, Peak, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.study.starting import generator_start, plant_start, starts_of
+
+_STILL = 1e-12  # of the terms of w': what is less is rounding
 
 
 def room_within_limits(
@@ -54,7 +57,43 @@ def room_within_limits(
         peak = None if peak is None else peak.with_also(lasting)
     x = plant_start(spec, trajectory, generator, trajectory.eta0)
     starts = (*Starts.within(sizes), *starts_of(spec, trajectory, x, given, sizes))
-    return Limited(limits=limits, lasting=lasting, peak=peak, starts=starts)
+    off = None if steady is None or given is None else given - steady
+    ever = peak is not None and _goes_on(trajectory, generator, peak, off, spec.scenario.duration)
+    return Limited(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
+
+
+def _goes_on(
+    trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, peak: Peak, off: Array | None, duration: float
+) -> bool:
+    """Say whether u_ff is within its peak after the run too, not only in it.
+
+    It is if the reference has no piece to come, and u_ff repeats or is at rest; where a generator has a state, if that
+    is so close to its steady state by then that u_ff cannot differ by what the peak is known to, by the P of (17).
+
+    Args:
+        trajectory: What makes u_ff.
+        generator: That of output tracking.
+        peak: What was found in the run, and in a period.
+        off: η̂(0) less that of the steady state, where there is one.
+        duration: Of the run, in s.
+    """
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    if system.end is not None or any(reset.t > duration for reset in system.resets):
+        return False
+    if not p:
+        w = system.states(np.array([duration]))[0]
+        at_rest = np.abs(system.S @ w) <= _STILL * (np.abs(system.S) @ np.abs(w))
+        return bool(at_rest.all()) or (system.period is not None and not system.resets)
+    if off is None or generator is None or system.resets or any(generator.form.piecewise):
+        return False  # in the last case u_ff jumps: however close, it may be of another cell
+    if not isinstance(generator.certificate, Certificate):
+        return False
+    P, gains = generator.certificate.P, trajectory.u_ff[:, :, :p]
+    reach = np.sqrt(
+        np.einsum("lmp,lmp->lm", gains, np.linalg.solve(P, gains.swapaxes(1, 2)).swapaxes(1, 2)).max(axis=0)
+    )
+    left = reach * np.sqrt(float(off @ P @ off)) * np.exp(-generator.rate * duration)
+    return bool((left <= OFF * np.maximum(np.abs(peak.low), np.abs(peak.high))).all())
 
 
 def _steady(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array | None:

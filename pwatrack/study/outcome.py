@@ -14,6 +14,7 @@ from pwatrack.control.envelope import from_start
 from pwatrack.control.robust import Robust
 from pwatrack.errors import ExitCode
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
+from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.box import Box
 from pwatrack.study.along import Along
@@ -114,7 +115,7 @@ class Watch:
         self._names = loop.controller.error_names
         self._edges, self._number = tenths(samples), 0
         self._error = _Envelope(len(self._names))
-        self._reference, self._norm, self._final_norm = np.zeros(len(self._names)), 0.0, 0.0
+        self._reference = np.zeros(len(self._names))
         self._scale, self._speed = _balanced(loop)
         self._size = 0.0  # of the largest state so far, balanced
         self._acting: dict[Channel, float] = {}  # largest size of each disturbance and noise so far
@@ -135,8 +136,6 @@ class Watch:
         self._reference = np.maximum(
             self._reference, np.abs(block.tracked_d if self._tracked == "output" else block.x_d).max(axis=0)
         )
-        self._norm = max(self._norm, float(norm.max()))
-        self._final_norm = max(self._final_norm, float(norm[max(self._edges[9] - number, 0) :].max(initial=0.0)))
         largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
         self._size = max(self._size, float((largest / self._scale).max()))
         self._disturbed(block.trace)
@@ -152,13 +151,17 @@ class Watch:
         """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n)."""
         return None if self._along is None else self._along.w
 
-    def outcome(self) -> Outcome:
-        """Say how the run went, the worst first."""
+    def outcome(self, figures: Figures) -> Outcome:
+        """Say how the run went, the worst first.
+
+        Args:
+            figures: Of this run: sizes of the error that hold between samples too.
+        """
         if (growth := self._loop.controller.trajectory.growth) is not None:
             return Outcome(kind="grows", text=growth.message)
         if self._broken:
             return Outcome(kind="above its bound", text=self._broken)
-        return self._growing() or self._practical() or self._settled()
+        return self._growing() or self._practical(figures) or self._settled(figures)
 
     def _above_its_bound(self, block: Response, norm: Array) -> str:
         """Say where an error is above what is proved of it and of the rounding of the simulation, or nothing."""
@@ -226,42 +229,42 @@ class Watch:
             if error.grows(k, sizes[k]) and error.grows(k, sizes[k] + self._caused(k)):
                 last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
                 text = (
-                    f"the error grows: |{name} − {name}_d| up to {last} in the last tenth of the time, more than ever "
-                    f"before; reference and start are at most {expected}"
+                    f"the error grows: |{name} − {name}_d| up to {last} at the samples in the last tenth of the time, "
+                    f"more than at any before; reference and start are up to {expected} there"
                 )
                 return Outcome(kind="grows", text=text)
         return None
 
-    def _practical(self) -> Outcome | None:
+    def _practical(self, figures: Figures) -> Outcome | None:
         """Say that the error is below what it is proved to end below, where cells are merged and it is."""
         practical = self._loop.controller.practical
         if practical is None or self._loop.beyond_the_proofs:
             return None
         bound = practical.norm(self._tracked, self._loop.controller.error_sizes.tolist())
-        if self._final_norm > bound:
+        if figures.final_error > bound:
             return None
-        unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
-        final, worst = (f"{v:.2e} {unit}".rstrip() for v in self._norms)
+        final, worst = self._norms(figures)
         text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "
         text += f"{self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
         return Outcome(kind="within its bound", text=text)
 
-    def _settled(self) -> Outcome:
+    def _settled(self, figures: Figures) -> Outcome:
         """Say what is left of the error, and of which entry most."""
         error = self._error.largest
-        last, largest = error[9], error.max(axis=0)
+        last, largest, seen = error[9], error.max(axis=0), " at the samples"
+        if len(self._names) == 1:
+            last, largest, seen = np.array([figures.final_error]), np.array([figures.largest_error]), ""
         size = np.where(self._expected > 0, self._expected, largest)
         allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
-            unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
-            final, worst = (f"{v:.2e} {unit}".rstrip() for v in self._norms)
+            final, worst = self._norms(figures)
             return Outcome(kind="tracks", text=f"tracks: {self._norm_name} at most {final} {when} ({worst} at worst)")
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]
-        figures = [self._with_unit(v, name) for v in (last[k], largest[k], expected)]
-        share = f", {_share(last[k] / expected)} of reference and start, {figures[2]}" if expected else ""
-        text = f"off: |{name} − {name}_d| up to {figures[0]} {when}{share} ({figures[1]} at worst)"
+        late, worst, usual = (self._with_unit(v, name) for v in (last[k], largest[k], expected))
+        share = f", {_share(last[k] / expected)} of reference and start, {usual}" if expected else ""
+        text = f"off: |{name} − {name}_d| up to {late}{seen} {when}{share} ({worst} at worst)"
         return Outcome(kind="off", text=text)
 
     @property
@@ -272,9 +275,10 @@ class Watch:
         start = np.maximum(np.abs(actual[0]), np.abs(self._first.tracking_error[0]))
         return np.asarray(np.maximum(self._reference, start))
 
-    @property
-    def _norms(self) -> tuple[float, float]:
-        return self._final_norm, self._norm
+    def _norms(self, figures: Figures) -> tuple[str, str]:
+        """Return the largest norm of the error in the last tenth of the time, and of all, as text."""
+        unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
+        return f"{figures.final_error:.2e} {unit}".rstrip(), f"{figures.largest_error:.2e} {unit}".rstrip()
 
     @property
     def _norm_name(self) -> str:

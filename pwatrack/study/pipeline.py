@@ -153,7 +153,7 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
             loop=loop,
             response=response,
             figures=figures,
-            outcome=watch.outcome(),
+            outcome=watch.outcome(figures),
             w=watch.w,
             start=start,
             steady_state=steady_state,
@@ -191,7 +191,7 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
     watch = Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain)
-    measuring = Measuring(samples, **spec.measured)
+    measuring = Measuring(samples, **spec.measured, loop=loop)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
     spool = Spool() if step > 1 else None
 
@@ -199,7 +199,7 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
         kept.append(trace if spool is None else trace.every(step, number))
         if spool is not None:
-            spool.add(trace)
+            spool.add(replace(trace, breaks=None))
         number += len(trace.t)
         response = loop.response(trace)
         watch.see(response)

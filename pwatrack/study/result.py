@@ -66,7 +66,7 @@ class Result:
         if fastest * step > 2 * np.pi / 10:
             remarks.append(
                 f"sample_time {step:g} s is too long for a reference with a period of "
-                f"{2 * np.pi / fastest:.4g} s: pictures and largest values miss what lies between samples"
+                f"{2 * np.pi / fastest:.4g} s: pictures and times miss what lies between samples"
             )
         if self.end < duration * (1 - 1e-9):
             remarks.append(

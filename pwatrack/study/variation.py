@@ -295,7 +295,8 @@ def _member(result: Result, loop: ClosedLoop) -> Member:
     def judge(trace: Trace) -> _Judged:
         watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
-        return _Judged(watch.outcome(), Figures.of(response, **spec.measured))
+        figures = Figures.of(response, loop, **spec.measured)
+        return _Judged(watch.outcome(figures), figures)
 
     start = result.start.copy()
     _observe(spec, loop, start)

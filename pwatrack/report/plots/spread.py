@@ -17,7 +17,7 @@ def fan(many: EnsembleResult) -> Figure:
     """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
     unit = error_unit(result)
-    largest = f"{kept.final.max():.1e} {unit}".rstrip()
+    largest = f"{max(figures.final_error for figures in many.figures):.1e} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
     last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
