@@ -129,7 +129,7 @@ class Plant:
 
 def plant_of(spec: Mapping[str, Any], values: Mapping[str, float]) -> Plant:
     """Return the plant of a spec with some parameters changed."""
-    known = {"sqrt": math.sqrt}
+    known: dict[str, Any] = {"sqrt": math.sqrt}
     for name, text in spec["parameters"].items():
         known[name] = values[name] if name in values else eval(str(text), {}, known)
     system = spec["system"]
@@ -207,10 +207,8 @@ def judge(seed: int, *, inner: int = 12) -> Verdict:
     """Design for a random spec, and hold what is said against plants inside its box and plants that change."""
     spec, rng = random_spec(seed), np.random.default_rng([seed, 1])
     box = {name: tuple(map(float, ends)) for name, ends in spec["design"]["uncertain"].items()}
-    drawn = [
-        dict(zip(box, values, strict=True))
-        for values in rng.uniform(*np.array(list(box.values())).T, (inner, len(box)))
-    ]
+    low, high = np.array(list(box.values())).T
+    drawn = [dict(zip(box, low + (high - low) * share, strict=True)) for share in rng.random((inner, len(box)))]
     try:
         controller = design(load_spec(spec))
     except (OutsideTheory, Undecided, PwatrackError) as refusal:

@@ -386,9 +386,9 @@ def test_deviation_is_that_of_the_worst_plant_of_the_box(tmp_path: Path) -> None
     assert controller.robust is not None
     x_d, u_ff = rng.normal(size=(7, 2)), rng.normal(size=(7, 1))
     D, cells = controller.robust.differences, [controller.plant.partition.locate(x) for x in x_d]
-    w = [D.A[:, i] @ x + D.b[:, i] + D.B @ u for i, x, u in zip(cells, x_d, u_ff, strict=True)]
+    deviations = [D.A[:, i] @ x + D.b[:, i] + D.B @ u for i, x, u in zip(cells, x_d, u_ff, strict=True)]
     found, reached = np.zeros(2), 0.0
-    np.maximum.at(found, D.of, np.abs(w).max(axis=0))
+    np.maximum.at(found, D.of, np.abs(deviations).max(axis=0))
     for m, k in product(np.linspace(1.9, 2.1, 5), np.linspace(2.85, 3.15, 5)):
         plant = load_spec(spec.path, {"m": repr(float(m)), "k": repr(float(k))}).problem.plant
         for x, u in zip(x_d, u_ff, strict=True):
