@@ -251,7 +251,7 @@ def test_elements_with_more_corners_than_are_worth_their_bytes_are_refused_with_
     one = {"breakpoints": ["0"], "slopes": ["0", "0.01"], "value": "0"}
     P = {"integers": [[int(i == j) for j in range(n)] for i in range(n)], "exponents": [0] * n}
     names = [f"x{k}" for k in range(n)]
-    plant = {"states": names, "inputs": ["u"], "outputs": ["y"], "tracked": ["y"], "loads": None}
+    plant: dict[str, Any] = {"states": names, "inputs": ["u"], "outputs": ["y"], "tracked": ["y"], "loads": None}
     plant |= {"B": [["0"]] * n, "C": unit[:1], "tracked_rows": unit[:1], "b": [["0"]] * n}
     plant |= {"A": [["-1" if v == "1" else v for v in row] for row in unit]}
     plant |= {"radius": {"A": None, "b": None, "B": None, "C": None, "tracked_rows": None}}

@@ -321,11 +321,10 @@ def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
     practical = controller.practical
     assert practical is not None
     runs = "all cells" if controller.plant.watched is not None else "merged cells"
+    ends = ((form, size) for form, size in practical.final.items() if size or form[0] == controller.tracking)
     return merged_content(spec, practical.merges) | {
         "observer_runs": runs,
-        "ends_below": _sizes(
-            (form, size) for form, size in practical.final.items() if size or form[0] == controller.tracking
-        ),
+        "ends_below": _sizes(ends),
         "bounds": [_bounds(bounds) for bounds in practical.bounds],
     }
 
