@@ -16,6 +16,7 @@ from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, number
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.yaml_tree import parse_yaml
+from tests.test_outcome import cart
 
 SPEC = """\
 name: Mass that meets a spring
@@ -340,3 +341,13 @@ def test_any_value_in_any_place_is_read_or_refused_in_our_own_words(
         for problem in error.problems:
             text = problem.message
             assert not re.search(r"Input|should (be|have)|valid (tuple|list|dict|string|integer)", text), text
+
+
+def test_a_key_of_another_kind_is_said_to_be_that(tmp_path: Path) -> None:
+    path = cart(tmp_path, duration=2)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("start: 0.1,", "start: 0.1, lower: -1,"), encoding="utf-8")
+    code, _, error = call("check", path)
+    assert code == 2
+    assert "lower: unknown key; 'lower' is for kind: " in error
+    assert "did you mean 'lower'" not in error

@@ -1,5 +1,6 @@
 """The function block, read by a grammar of IEC 61131-3 and run, is the controller in every bit."""
 
+import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -60,6 +61,23 @@ def test_no_bit_differs_from_the_controller(name: str) -> None:
             pairs = list(both(subject, single=single, given=given))
             assert len(pairs) == 300
             assert all(one == other for one, other in pairs)
+
+
+def test_what_compilers_get_wrong_is_not_in_it(tmp_path: Path) -> None:
+    """The largest number as a literal, which matiec refuses; loops from a number to itself, which some leave out."""
+    subject = of_spec(load_spec(cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)), steps=20)
+    for single in (False, True):
+        source = Source(file=subject.file, name="loop", single=single, given=False, unproved=subject.unproved)
+        text = function_block(source)
+        assert not re.search(r"FOR \w+ := (\d+) TO \1 DO", text)
+        assert "E308" not in text
+        assert "3.402823" not in text
+        limit = np.finfo(source.real).max
+        for y, status in ((limit, 0), (np.inf, -1), (np.nan, -1), (-np.inf, -1)):
+            run = Block(text)
+            run(y=np.array([0.0], dtype=source.real), reset=False)
+            found = run(y=np.array([y], dtype=source.real), reset=False)
+            assert (found["status"], bool(np.isfinite(found["u"][0]))) == (status, True)
 
 
 def test_delays_limits_steps_and_pieces_are_in_the_block(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ class Language:
     Attributes:
         assign: From target and value.
         loop: From index, first and last number, and body; bodies are indented.
+        once: A loop of one pass, from index, number and body, which is not indented; "" where that is a loop, too.
         branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
         within: What stands in an `else` that must end an `elif`; "" where none must.
         truth: A flag as a condition.
@@ -45,6 +46,7 @@ class Language:
     between: str = ", "
     from_one: bool
     comment: str
+    once: str = ""
 
 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -133,6 +135,8 @@ class _Printer:
                 iter=ast.Call(args=[ast.Constant(value=int(first)), ast.Constant(value=int(stop))]),
                 orelse=[],
             ):
+                if language.once and stop - first == 1:
+                    return language.once.format(language.name(index), first, "\n".join(self.statements(node.body)))
                 return language.loop.format(language.name(index), first, stop - 1, self.block(node.body))
             case ast.If():
                 return (self.branches(node, language.branch) + language.end).rstrip()

@@ -24,7 +24,9 @@ ST = Language(
     element="{}[{}]",
     from_one=False,
     comment="(* {} *)",
+    once="{0} := {1};\n{2}",  # there are compilers that run a loop from 0 to 0 no time
 )
+_LARGEST = "largest"
 _OUT = ("wanted", "cell", "cell_d", "status")  # of what it remembers, what is put out
 
 _BLOCK = """\
@@ -48,6 +50,7 @@ VAR
 {variables}
 END_VAR
 
+{largest}
 IF reset OR (NOT ready) THEN
 {begin}
     ready := TRUE;
@@ -75,6 +78,7 @@ def function_block(source: Source) -> str:
     outputs = [Variable("u", "real", of["m"], "to be put out now"), *(v for v in found.kept if v.name in _OUT)]
     own = [*(v for v in found.kept if v.name not in _OUT), Variable("ready", "flag", what="whether it was started")]
     own += [variable for variable in found.own if variable.name in used]
+    own.append(Variable(_LARGEST, "real", what="number"))
     cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cells))
     return _BLOCK.format(
         name=f"FB_{source.name}",
@@ -82,11 +86,21 @@ def function_block(source: Source) -> str:
         real=floats,
         inputs="\n".join(map(declared, inputs)),
         outputs="\n".join(map(declared, outputs)),
-        constants="\n".join(_constant(name, types[kind], values) for name, (kind, values) in found.constants.items()),
+        constants="\n".join(
+            _constant(name, types[kind], values) for name, (kind, values) in found.constants.items() if name != _LARGEST
+        ),
         variables="\n".join(map(declared, own)),
+        largest=_largest(source),
         begin=indent(printed(found.begin, ST), "    "),
         body=printed(found.body, ST),
     )
+
+
+def _largest(source: Source) -> str:
+    """Return what sets the largest number: as a product, since there are compilers that refuse it as it is written."""
+    finfo = np.finfo(source.real)
+    factors = source.real(2.0 - finfo.eps), source.real(2.0) ** (finfo.maxexp - 1)
+    return f"{_LARGEST} := {' * '.join(map(_number, factors))};"
 
 
 def _constant(name: str, kind: str, values: NDArray[Any]) -> str:

@@ -150,14 +150,18 @@ def known_keys() -> list[str]:
 def _unknown_key(subject: Subject) -> str:
     """Say where an unknown key belongs, or which one may be meant: one of its section first."""
     *section, key = (str(part) for part in subject)
-    siblings, places = set[str](), list[str]()
+    siblings, places, kinds = set[str](), list[str](), list[str]()
     for path, model in _sections():
         here = len(path) == len(section) and all(p in ("*", q) for p, q in zip(path, section, strict=True))
         if here:
             siblings |= set(model.written_keys())
+            if key in model.written_keys() and "kind" in model.model_fields:
+                kinds += get_args(model.model_fields["kind"].annotation)
         elif key in model.written_keys() and "*" not in path:
             below = path[: len(section)] == tuple(section)
             places.append(".".join(str(p) for p in (path[len(section) :] if below else path)) or "the top of the file")
+    if kinds:
+        return f"; '{key}' is for kind: {' or '.join(map(str, kinds))}"
     if places and key not in siblings:
         return f"; '{key}' belongs under {' or '.join(places[:3])}"
     return guess(key, sorted(siblings)) or guess(
