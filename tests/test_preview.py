@@ -433,7 +433,7 @@ def test_a_simulation_shows_what_is_left_by_what_is_played_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Polynomials that are a millionth off: the loop follows the true plant, and what is said is above."""
-    monkeypatch.setattr(preview_module, "_FITTED", 1e-6)
+    monkeypatch.setattr(preview_module, "FITTED", 1e-6)
     path = tmp_path / "plant.yaml"
     path.write_text(PRESSED, encoding="utf-8")
     found = followed(path)
