@@ -17,8 +17,8 @@ from pwatrack.arrays import EPS, Array, IntArray
 from pwatrack.errors import Problem, Undecided
 from pwatrack.simulation.enclosure import bernstein
 
-MOST_TURN = 1.0  # |rate| times length of a stretch: then the Taylor polynomial below is exact to 1e-16
-_DEGREE = 20
+MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
+_DEGREE = 20  # of the Taylor polynomials: 1 / 21! is 2e-20, and 2^10.5 / 21! for what is damped as fast as it turns
 _UNIT = (_DEGREE + 4) * EPS  # of the sum of the sizes of all terms: what a coefficient may be off by
 _GRAZING = 4.0  # times what a guard may be off by: if it is nowhere larger it may be halved for ever
 _SHARP, _DEEP = 1.25, 6  # a residual that is said is at most so many times one attained, after so many halvings

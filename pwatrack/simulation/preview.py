@@ -34,7 +34,7 @@ _SETTLED = 40.0  # time constants of the slowest mode after which nothing is lef
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
 _MOST_STEPS = 30  # of Newton's method, from one guess
 _FINEST = 2.0**-10  # part of the way from a linear system to what is asked, in which that must settle
-_FITTED, _NOISE = 1e-14, 1e-13  # of the largest value: how near they are, and what may be rounding
+FITTED, _NOISE = 1e-14, 1e-13  # of the largest value: how near they are, and what may be rounding
 _LEFT = 1e-3  # of the way that an η goes: by more than that it has left its rest
 _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a polynomial is exact but for rounding
 _SHORT = 2.0**-6  # of that time: over so short a one a Taylor polynomial is exact
@@ -357,7 +357,7 @@ class _Solution:
             c, off = FIT(np.concatenate([stable, other], axis=2)[:, :-1] @ modes.V.T, np.full(len(start), length))
             missed = off / size if size else np.zeros(len(start))  # nothing drives it: it is 0
             noise = (missed < _NOISE) & (missed > before / 8)  # halving would take it to 1/1000
-            open_ = (missed > _FITTED) & ~noise & (length > resolved)
+            open_ = (missed > FITTED) & ~noise & (length > resolved)
             done = ~open_
             found.append(
                 Pieces(start=start[done], length=np.full(done.sum(), length), c=c[done], of=np.full(done.sum(), k))
