@@ -214,7 +214,7 @@ def test_any_name_of_a_state_will_do(tmp_path: Path, names: str) -> None:
         re.sub(r"\bz\b", "names", path.read_text(encoding="utf-8")).replace("plant: [0, 0]", names), encoding="utf-8"
     )
     x0 = load_spec(path).scenario.initial.plant
-    assert x0 is not None
+    assert isinstance(x0, np.ndarray)
     assert x0.tolist() == [0.1, 2.0]
 
 

@@ -464,7 +464,7 @@ def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
 
 def test_a_constant_reference_is_played_back_as_a_constant() -> None:
     arrays = plant(A=[[0, 1], [-1, 1]], B=[[1], [0]], C=[[1, 0]])
-    spec = problem(arrays, reference=0.7, simulation={"duration": 1000, "sample_time": 1})
+    spec = problem(arrays, reference="0.7", simulation={"duration": 1000, "sample_time": 1})
     trajectory, _ = desired_trajectory(spec, True)
     system = trajectory.exosystem
     np.testing.assert_allclose(system.states(np.array([0.0, 1000.0]))[:, -10:] @ system.Q[-1, -10:], 0.7, rtol=1e-12)

@@ -92,7 +92,7 @@ def test_a_spec_is_read_with_its_expressions(write: Write) -> None:
     assert spec.problem.plant.B.tolist() == [[0], [0.5]]
     assert (spec.objectives.controller, spec.objectives.observer) == (DEFAULT, DEFAULT)
     initial = spec.scenario.initial
-    assert initial.plant is not None
+    assert isinstance(initial.plant, np.ndarray)
     assert initial.plant.tolist() == [0.1, 0]
     assert (initial.observer, initial.generator) == (None, None)
     assert (spec.scenario.duration, spec.scenario.sample_time, spec.expected_exit) == (2.0, 0.01, 0)

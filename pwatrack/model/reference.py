@@ -166,7 +166,7 @@ class Exosystem:
             for where, resets in found.items()
         ]
 
-    def states(self, times: Array) -> Array:
+    def states(self, times: NDArray[np.floating]) -> Array:
         """Return w at some times in s, (T, p), after any reset at that time; as precisely as the times are."""
         since, w = np.tile(times[:, None], len(self.w0)), np.tile(self.w0, (len(times), 1))
         for where, t, values in self.pieces():

@@ -237,7 +237,7 @@ class Measuring:
             self._input = np.maximum(self._input, np.maximum(inputs.high, -inputs.low))
             self._largest, self._final = max(self._largest, float(error.high[0])), max(self._final, float(late.high[0]))
             sizes = [np.maximum(r.high, -r.low) for r in (within.range() for within in self._signals)]
-            self._each = np.maximum(self._each, sizes or [[self._final], [self._largest]])
+            self._each = np.maximum(self._each, sizes or np.array([[self._final], [self._largest]]))
         return Figures(
             final_error=self._final,
             largest_error=self._largest,

@@ -270,7 +270,7 @@ class _Solution:
     @property
     def rest(self) -> Array:
         """η at the start, (p,)."""
-        return self.eta(0, np.array([self.stays[0].start]))[0] * self.problem.d
+        return np.asarray(self.eta(0, np.array([self.stays[0].start]))[0] * self.problem.d)
 
     @cached_property
     def _looked(self) -> tuple[Pieces, Looked]:
@@ -317,8 +317,8 @@ class _Solution:
         """Return polynomials in units given, from t = 0 on and so many that they reach a time in s."""
         pieces = self._fitted(until)
         kept = pieces.start >= 0.0
-        values = pieces.start[kept], pieces.length[kept], pieces.c[kept] * self.problem.d[:, None], pieces.of[kept]
-        return Pieces(**dict(zip(Pieces.__annotations__, values, strict=True)))
+        c = pieces.c[kept] * self.problem.d[:, None]
+        return Pieces(start=pieces.start[kept], length=pieces.length[kept], c=c, of=pieces.of[kept])
 
     def _fitted(self, until: float) -> Pieces:
         """Return polynomials of the time since they start, in balanced units, up to a time in s."""
