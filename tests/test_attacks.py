@@ -231,12 +231,16 @@ def test_verify_in_another_place_says_that_it_was_not_compared_with_a_spec(
     code, said = call("verify", "near")
     assert (code, "it belongs to mass.yaml: same plant, gains and goals" in said) == (0, True)
     monkeypatch.chdir(tmp_path)
-    code, said = call("verify", proved / "near")
+    near = (proved / "near").rename(tmp_path / "near")
+    code, said = call("verify", near)  # the folder keeps its spec
+    assert (code, "same plant, gains and goals" in said) == (0, True)
+    (near / "spec.txt").unlink()
+    code, said = call("verify", near)
     assert (code, "not compared with a spec: none is at hand; name it with --spec" in said) == (0, True)
-    code, said = call("verify", proved / "near", "--spec", proved / "mass.yaml")
+    code, said = call("verify", near, "--spec", proved / "mass.yaml")
     assert (code, "same plant, gains and goals" in said) == (0, True)
     written(tmp_path, STATES + LINEAR)  # another one of the name
-    code, said = call("verify", proved / "near")
+    code, said = call("verify", near)
     assert (code, "has other bytes than the spec it was made for" in said) == (6, True)
 
 

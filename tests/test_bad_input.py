@@ -122,7 +122,7 @@ INVALID = [
     ("sample_time: 0.01", "sample_time: 1e-9", 23, "at most 10,000,000 are taken"),
     ("{plant: [gap, 0]}", "{plant: {q: 0.1}}", 24, "'q' is no state; states: z, v"),
     ("{plant: [gap, 0]}", "{plant: {z: 2t}}", 24, "write 2*t"),
-    ("{plant: [gap, 0]}", "{plant: gap}", 24, "a list is expected"),
+    ("{plant: [gap, 0]}", "{plant: gap}", 24, "'gap' is neither 'steady' nor a list or mapping"),
     ("{plant: [gap, 0]}", "{observer: {w: 1}}", 24, "'w' is no state"),
     ("{plant: {z: [0, 0.1]}}", "{plant: {z: [0.1, 0]}}", 25, "low 0.1 is above high 0"),
     ("{plant: {z: [0, 0.1]}}", "{plant: {z: 3}}", 25, "a list is expected"),

@@ -129,9 +129,9 @@ def test_states_of_a_generator_have_names(specs: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("initial", "reference", "said"),
     [
-        ("generator: stedy", "", "'stedy' is not 'steady'"),
-        ("observer: steady", "", "'steady' is not 'measured'"),
-        ("plant: measured", "", "'measured' is not 'steady'"),
+        ("generator: stedy", "", "'stedy' is neither 'steady' nor a list or mapping"),
+        ("observer: steady", "", "'steady' is neither 'measured' nor a list or mapping"),
+        ("plant: measured", "", "'measured' is neither 'steady' nor a list or mapping"),
     ],
 )
 def test_a_start_that_there_is_not_is_refused(

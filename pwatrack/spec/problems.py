@@ -205,7 +205,9 @@ def _fault(item: Any, subject: Subject, *, guessed: bool) -> str:
     if kind in _EXPECTED:
         return f": {_EXPECTED[kind]} is expected"
     if kind == "literal_error":
-        return f": {_found(item['input'])} is not {context['expected']}"
+        found, word = _found(item["input"]), context["expected"]
+        either = "a word" in item["loc"]  # or numbers
+        return f": {found} is neither {word} nor a list or mapping" if either else f": {found} is not {word}"
     if kind == "union_tag_invalid":
         return f": kind {shown(str(context['tag']))} is none of {context['expected_tags']}"
     if kind == "union_tag_not_found":
