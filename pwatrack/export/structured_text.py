@@ -136,7 +136,7 @@ def program_text(source: Source) -> str:
     variables = [
         *_signals((*called.inputs, *put_out), floats),
         _declared("reset", "BOOL", "start anew"),
-        _declared(called.fault, "BOOL", "an input is not finite, or the memory was overwritten"),
+        _declared(called.fault, "BOOL", "a number is not finite, or the memory was overwritten"),
     ]
     milliseconds = Decimal(repr(source.program.sampling.sample_time)).scaleb(3).normalize()
     return _PROGRAM.format(
