@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
+from operator import itemgetter
 from textwrap import indent
 from typing import Any
 
@@ -22,6 +23,7 @@ RANGES = {"SINT": (-(2**7), 2**7), "DINT": (-(2**31), 2**31), "UDINT": (0, 2**32
 FLOATS = {"REAL": np.float32, "LREAL": float}
 
 
+NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 TABLE = re.compile(r"(\w+) : (ARRAY.*) := \[([^\]]*)\];")
 COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 
@@ -40,6 +42,7 @@ class Block:
 
     Attributes:
         types: Of each variable, or of its entries.
+        inputs, outputs: Their names, in order.
         memory: All variables; an array by the indices of its entries.
     """
 
@@ -51,6 +54,7 @@ class Block:
         self.types: dict[str, str] = {}
         self.constants: set[str] = set()
         self.inputs: list[str] = []
+        self.outputs: list[str] = []
         self.memory: dict[str, Any] = {}
         for part in block.declarations:
             for item in part.items:
@@ -66,11 +70,7 @@ class Block:
         """Run once and return all variables, arrays of one index as lists."""
         assert sorted(inputs) == sorted(self.inputs)
         for name, value in inputs.items():
-            if not isinstance(self.memory[name], dict):
-                self.memory[name] = bool(value)
-                continue
-            assert len(value) == len(self.memory[name])
-            self.memory[name] = {k: FLOATS[self.float](entry) for k, entry in enumerate(value)}
+            self.memory[name] = bool(value) if self.types[name] == "BOOL" else FLOATS[self.float](value)
         with np.errstate(all="ignore"):
             self.memory |= self._run(**self.memory)
         return {name: [*value.values()] if isinstance(value, dict) else value for name, value in self.memory.items()}
@@ -78,6 +78,7 @@ class Block:
     def _declare(self, item: Any, part: Any) -> None:
         (variable,) = item.variables
         name, shape = str(variable.variable.name), list[int]()
+        assert NAME.fullmatch(name), name
         array = isinstance(item.init, tree.ArrayTypeInitialization)
         for limits in item.init.spec.subranges if array else ():
             assert int(limits.start.value) == 0
@@ -91,6 +92,8 @@ class Block:
         self.types[name] = kind
         if isinstance(part, tree.InputDeclarations):
             self.inputs.append(name)
+        if isinstance(part, tree.OutputDeclarations):
+            self.outputs.append(name)
         if getattr(part, "attrs", None) is not None:
             assert part.attrs == tree.VariableAttributes.constant
             self.constants.add(name)
@@ -169,6 +172,53 @@ class Block:
         places = [self._typed(place) for place in subscripts.subscripts]
         assert all(kind in ("DINT", "whole") for _, kind in places)
         return f"{name}[{', '.join(text for text, _ in places)}]", self.types[name]
+
+
+class Program:
+    """A program that calls one block once, and reads what that puts out.
+
+    Attributes:
+        types: Of each variable; that of `instance` is the block.
+        instance: What the block is called.
+    """
+
+    def __init__(self, text: str, block: Block) -> None:
+        found = parse_source_code(text)
+        assert found.exception is None, found.exception
+        (program,) = found.transform().items
+        assert isinstance(program, tree.Program)
+        items = [item for part in program.declarations for item in part.items]
+        variables = [(str(item.variables[0].variable.name), item.init) for item in items]
+        self.types = {name: str(getattr(init, "spec", init)) for name, init in variables}
+        assert len({name.upper() for name in self.types}) == len(self.types)
+        assert all(NAME.fullmatch(name) for name in self.types)
+        call, *reads = program.body.statements
+        assert isinstance(call, tree.FunctionCallStatement)
+        self.instance, self._block = str(call.name.name), block
+        self._inputs = {str(one.name.name): str(one.value.name) for one in call.parameters}
+        self._reads = [(str(one.variables[0].name), one.expression) for one in reads]
+        for name, value in self._inputs.items():
+            assert self.types[value] == block.types[name]
+
+    def __call__(self, **inputs: Any) -> dict[str, Any]:
+        """Run once and return what is assigned to its variables."""
+        found = self._block(**{name: inputs[value] for name, value in self._inputs.items()})
+        return {target: self._value(target, node, found) for target, node in self._reads}
+
+    def _value(self, target: str, node: Any, found: dict[str, Any]) -> Any:
+        if isinstance(node, tree.BinaryOperation):
+            assert (str(node.op), self.types[target]) == ("<", "BOOL")
+            return self._field(node.left)[0](found) < int(node.right.value)
+        value, kind = self._field(node)
+        assert self.types[target] == kind
+        return value(found)
+
+    def _field(self, node: Any) -> tuple[Any, str]:
+        (field,) = node.elements
+        name = str(field.field.name)
+        assert str(node.name.name) == self.instance
+        assert name in self._block.outputs
+        return itemgetter(name), self._block.types[name]
 
 
 def whole(value: int, limits: tuple[int, int]) -> int:

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pytest
@@ -14,7 +14,9 @@ import pytest
 from pwatrack import load_spec
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.c_project import FLAGS, write_c
-from pwatrack.export.c_source import CSource, header
+from pwatrack.export.c_source import CSource, header, prefix
+from pwatrack.export.fmu import packed
+from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.report.export import CONTROLLER, Subject, of_spec
 from pwatrack.report.verify import CERTIFICATE
 from tests.conftest import SPECS
@@ -394,3 +396,26 @@ def test_a_title_cannot_leave_its_comment(machine: Subject, tmp_path: Path) -> N
     folder = tmp_path / "c"
     write_c(CSource(file=bad, name="loop", single=False, given=False, unproved=("*/ #error",)), machine.vector, folder)
     assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
+
+
+@pytest.mark.parametrize("title", ["Model", "main", "Vector", "math", "string", "test", "replay", "int", "C 11"])
+def test_no_title_gives_a_name_that_is_taken(machine: Subject, tmp_path: Path, title: str) -> None:
+    """By another file of the folder, by a header of C, or by a target of the build."""
+    code = CSource(file=machine.file, name=prefix(title), single=False, given=False, unproved=())
+    vector = replace(machine.vector, y=machine.vector.y[:50], w=machine.vector.w[:50])
+    names = write_c(code, vector, tmp_path)
+    assert len({name.lower() for name in names}) == len(names) == len([*tmp_path.iterdir()])
+    assert "50 steps, 0 wrong" in built(tmp_path, COMPILERS[0], f"-O1 -I{tmp_path}")  # as CMake has it
+    for target in ("check", "clean"):
+        found = subprocess.run(["make", "-s", target], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert found.returncode == 0, found.stderr
+
+
+def test_no_title_gives_the_name_of_a_source_of_its_fmu(machine: Subject) -> None:
+    for version in (2, 3):
+        code = CSource(file=machine.file, name="loop", single=False, given=False, unproved=())
+        found = packed(controller_parts(code, 1.0, {}), version, None)
+        taken = {PurePosixPath(file).stem.lower() for file in found if file.endswith((".c", ".h"))} - {"loop"}
+        assert {"model", f"fmi{version}"} <= taken
+        for name in taken:
+            assert prefix(name) == prefix(name.title()) == f"{name}_1"

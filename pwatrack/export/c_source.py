@@ -12,6 +12,13 @@ from pwatrack.export.source import Source
 from pwatrack.export.step import Kind, Step, Variable, step
 
 _PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
+_FILES = "main vector model instance fmi2 fmi3"  # that an export has besides
+_HEADERS = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic
+stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+"""
+_TARGETS = "all check clean help install package replay test"  # of make and CMake
+_TAKEN = frozenset(f"{_FILES} {_HEADERS} {_TARGETS}".split())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,19 +75,20 @@ class CSource(Source):
 
 
 def prefix(title: str) -> str:
-    """Return a title as the prefix of C names.
+    """Return a title as the prefix of C names, and the name of files: one that is taken has a 1 behind it.
 
     Example:
         >>> prefix("Two masses, 2 µm"), prefix("3 tanks"), prefix("Δ")
         ('two_masses_2_m', 'c_3_tanks', 'controller')
-        >>> prefix("Two masses with backlash, on a machine")
-        'two_masses_with'
+        >>> prefix("Two masses with backlash, on a machine"), prefix("Model")
+        ('two_masses_with', 'model_1')
     """
     words = re.findall(r"[a-z0-9]+", title.lower()) or ["controller"]
     words = words if words[0][0].isalpha() else ["c", *words]
     while len("_".join(words)) > _PREFIX and len(words) > 1:
         words.pop()
-    return "_".join(words)[:_PREFIX]
+    found = "_".join(words)[:_PREFIX]
+    return f"{found}_1" if found in _TAKEN else found
 
 
 def initialiser(values: Any, *, single: bool = False) -> str:

@@ -6,6 +6,7 @@ from pwatrack.export.c_source import CSource, header
 from pwatrack.export.c_step import source
 from pwatrack.export.fmu import Parts, template
 from pwatrack.export.fmu_description import Model, Variable
+from pwatrack.export.source import reference_unit
 
 _ORDER = (
     "At each step: set the inputs, step it, hand its outputs over, then step the plant. To step both at once, give the "
@@ -79,7 +80,7 @@ def _variables(c: CSource) -> tuple[Variable, ...]:
         Variable(name="simulation.time", causality="independent", description="time", unit="s"),
         *(of_kind("input", name, "measured now", unit(name), 0.0) for name in plant.outputs),
         *(
-            of_kind("input", _reference(name), f"reference: {name}", _reference_unit(name, plant.units), 0.0)
+            of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
             for name in (c.program.reference if c.given else ())
         ),
         *(of_kind("output", name, "put out from the start of the step", unit(name)) for name in plant.inputs),
@@ -125,17 +126,3 @@ def _reference(name: str) -> str:
         'reference.d2y_dt2'
     """
     return "reference." + re.sub(r"\W", "_", name)
-
-
-def _reference_unit(name: str, units: dict[str, str]) -> str:
-    """Return the unit of a signal, of what is desired of one, or of a derivative.
-
-    Example:
-        >>> units = {"y": "m", "z": "N m"}
-        >>> _reference_unit("d2y/dt2", units), _reference_unit("dz_d/dt", units), _reference_unit("u_ff", units)
-        ('m/s^2', 'N m/s', '')
-    """
-    found = re.fullmatch(r"d(\d*)(.+)/dt\1", name)
-    signal, order = (name, None) if found is None else (found[2], found[1])
-    unit = units.get(signal) or units.get(re.sub(r"_(d|ff)$", "", signal), "")
-    return unit if order is None or not unit else f"{unit}/s{'^' * bool(order)}{order}"

@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -153,6 +153,20 @@ class Source:
         """Return names of signals with their units."""
         units = self.file.plant.units
         return [f"{name} ({units[name]})" if name in units else name for name in names]
+
+
+def reference_unit(name: str, units: Mapping[str, str]) -> str:
+    """Return the unit of a signal, of what is desired of one, or of a derivative.
+
+    Example:
+        >>> units = {"y": "m", "z": "N m"}
+        >>> reference_unit("d2y/dt2", units), reference_unit("dz_d/dt", units), reference_unit("u_ff", units)
+        ('m/s^2', 'N m/s', '')
+    """
+    found = re.fullmatch(r"d(\d*)(.+)/dt\1", name)
+    signal, order = (name, None) if found is None else (found[2], found[1])
+    unit = units.get(signal) or units.get(re.sub(r"_(d|ff)$", "", signal), "")
+    return unit if order is None or not unit else f"{unit}/s{'^' * bool(order)}{order}"
 
 
 def said(text: str) -> str:

@@ -1,5 +1,8 @@
 """A controller as a function block in Structured Text of IEC 61131-3: no pointer, no function, nothing of a vendor."""
 
+from collections.abc import Iterable
+from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from textwrap import indent, wrap
 from typing import Any
@@ -7,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pwatrack.export.iec_names import FIXED, Names, Signal, block_names
 from pwatrack.export.notation import Language, names, printed
 from pwatrack.export.source import Source, said
-from pwatrack.export.step import Kind, Variable, step
+from pwatrack.export.step import Kind, Step, Variable, step
 
 ST = Language(
     assign="{} := {};",
@@ -26,15 +30,14 @@ ST = Language(
     comment="(* {} *)",
     once="{0} := {1};\n{2}",  # there are compilers that run a loop from 0 to 0 no time
 )
-_LARGEST = "largest"
-_OUT = ("wanted", "cell", "cell_d", "status")  # of what it remembers, what is put out
+_LARGEST, _READY = "largest", "ready"
 
 _BLOCK = """\
 (*
 {about}
 
-Call {name} once in that time. u is what is to be put out now. While `reset` is TRUE it starts anew in every call; the
-first call starts it in any case. Each product and each sum is rounded by itself, to nearest, in {real}.
+Call {name} once in that time. While `reset` is TRUE it starts anew in every call; the first call starts it in any case.
+Each product and each sum is rounded by itself, to nearest, in {real}.
 *)
 FUNCTION_BLOCK {name}
 VAR_INPUT
@@ -50,57 +53,136 @@ VAR
 {variables}
 END_VAR
 
+{read}
 {largest}
-IF reset OR (NOT ready) THEN
+IF reset OR (NOT {ready}) THEN
 {begin}
-    ready := TRUE;
+    {ready} := TRUE;
 END_IF;
 {body}
+{put_out}
 END_FUNCTION_BLOCK
+"""
+
+_PROGRAM = """\
+(* A program that calls {block}: tie its variables to inputs and outputs, and call it once every {time}. *)
+PROGRAM {program}
+VAR
+    {instance} : {block};
+{variables}
+END_VAR
+
+{instance}({inputs});
+{outputs}
+END_PROGRAM
+
+(*
+The task, where it is not set in a menu but pasted: take it out of this comment.
+
+CONFIGURATION CONF_{name}
+    RESOURCE RES_{name} ON PLC
+        TASK TASK_{name}(INTERVAL := T#{time}, PRIORITY := 0);
+        PROGRAM RUN_{name} WITH TASK_{name} : {program};
+    END_RESOURCE
+END_CONFIGURATION
+*)
 """
 
 
 def function_block(source: Source) -> str:
     """Return a controller as a function block."""
     found, of = step(source), source.program.sizes
-    used, floats = names(found.body), "REAL" if source.single else "LREAL"
+    called, used, floats = _called(source, found), names(found.body), _floats(source)
     types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
 
     def declared(variable: Variable) -> str:
         kind = types[variable.kind]
         kind = f"ARRAY[0..{variable.length - 1}] OF {kind}" if variable.length else kind
-        return f"    {variable.name} : {kind};" + f" (* {variable.what} *)" * bool(variable.what)
+        return _declared(called.own.get(variable.name, variable.name), kind, variable.what)
 
-    plant, lines = source.file.plant, source.about()
-    inputs = [Variable("y", "real", of["q"], "measured"), Variable("reset", "flag", what="start anew")]
-    if source.given:
-        inputs.insert(1, Variable("given", "real", of["s"], "reference: ref above"))
-    outputs = [Variable("u", "real", of["m"], "to be put out now"), *(v for v in found.kept if v.name in _OUT)]
-    own = [*(v for v in found.kept if v.name not in _OUT), Variable("ready", "flag", what="whether it was started")]
+    own = [Variable("y", "real", of["q"], "inputs"), Variable("u", "real", of["m"], "outputs")]
+    own += [Variable("given", "real", of["s"], "inputs")] if source.given else []
+    own += [*(v for v in found.kept if v.name not in FIXED), Variable(_READY, "flag", what="whether it was started")]
     own += [variable for variable in found.own if variable.name in used]
     own.append(Variable(_LARGEST, "real", what="number"))
-    cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cells))
+    language = replace(ST, name=called.own.__getitem__)
     return _BLOCK.format(
-        name=f"FB_{source.name}",
-        about="\n".join([*lines, *wrap(said(f"cells        {cells}"), 118, subsequent_indent=" " * 13)]),
+        name=called.block,
+        about="\n".join([*source.about(), *wrap(said(_cells(source)), 118, subsequent_indent=" " * 13)]),
         real=floats,
-        inputs="\n".join(map(declared, inputs)),
-        outputs="\n".join(map(declared, outputs)),
+        inputs="\n".join([*_signals(called.inputs, floats), declared(Variable("reset", "flag", what="start anew"))]),
+        outputs="\n".join([*_signals(called.outputs, floats), *(declared(v) for v in found.kept if v.name in FIXED)]),
         constants="\n".join(
-            _constant(name, types[kind], values) for name, (kind, values) in found.constants.items() if name != _LARGEST
+            _constant(called.own[name], types[kind], values)
+            for name, (kind, values) in found.constants.items()
+            if name != _LARGEST
         ),
         variables="\n".join(map(declared, own)),
-        largest=_largest(source),
-        begin=indent(printed(found.begin, ST), "    "),
-        body=printed(found.body, ST),
+        read="\n".join(f"{_entry(called, signal)} := {signal.called};" for signal in called.inputs),
+        largest=f"{called.own[_LARGEST]} := {_largest(source)};",
+        ready=called.own[_READY],
+        begin=indent(printed(found.begin, language), "    "),
+        body=printed(found.body, language),
+        put_out="\n".join(f"{signal.called} := {_entry(called, signal)};" for signal in called.outputs),
     )
 
 
+def program_text(source: Source) -> str:
+    """Return a program with an instance of the block, and a task of its sample time in a comment."""
+    called, floats = _called(source, step(source)), _floats(source)
+    put_out = [signal for signal in called.outputs if signal.entry[0] == "u"]
+    assigned = [*(signal.called for signal in called.inputs), "reset"]
+    read = [*((signal.called, signal.called) for signal in put_out), (called.fault, "status < 0")]
+    variables = [
+        *_signals((*called.inputs, *put_out), floats),
+        _declared("reset", "BOOL", "start anew"),
+        _declared(called.fault, "BOOL", "a number is not finite, or the memory was overwritten"),
+    ]
+    milliseconds = Decimal(repr(source.program.sampling.sample_time)).scaleb(3).normalize()
+    return _PROGRAM.format(
+        name=source.name,
+        block=called.block,
+        program=called.program,
+        instance=called.instance,
+        variables="\n".join(variables),
+        inputs=", ".join(f"{name} := {name}" for name in assigned),
+        outputs="\n".join(f"{name} := {called.instance}.{value};" for name, value in read),
+        time=f"{milliseconds:f}ms",
+    )
+
+
+def _called(source: Source, found: Step) -> Names:
+    variables = (*found.kept, *found.own)
+    own = ["y", "u", "given", _READY, _LARGEST, *found.constants, *(variable.name for variable in variables)]
+    return block_names(source, dict.fromkeys(own))
+
+
+def _floats(source: Source) -> str:
+    return "REAL" if source.single else "LREAL"
+
+
+def _cells(source: Source) -> str:
+    return "cells        " + ", ".join(f"{k} {name}" for k, name in enumerate(source.file.plant.cells))
+
+
+def _signals(signals: Iterable[Signal], floats: str) -> list[str]:
+    return [_declared(signal.called, floats, signal.what) for signal in signals]
+
+
+def _declared(name: str, kind: str, what: str) -> str:
+    return f"    {name} : {kind};" + f" (* {what} *)" * bool(what)
+
+
+def _entry(called: Names, signal: Signal) -> str:
+    array, place = signal.entry
+    return f"{called.own[array]}[{place}]"
+
+
 def _largest(source: Source) -> str:
-    """Return what sets the largest number: as a product, since there are compilers that refuse it as it is written."""
+    """Return the largest number: as a product, since there are compilers that refuse it as it is written."""
     finfo = np.finfo(source.real)
     factors = source.real(2.0 - finfo.eps), source.real(2.0) ** (finfo.maxexp - 1)
-    return f"{_LARGEST} := {' * '.join(map(_number, factors))};"
+    return " * ".join(map(_number, factors))
 
 
 def _constant(name: str, kind: str, values: NDArray[Any]) -> str:
@@ -123,8 +205,9 @@ def _number(value: Any) -> str:
 
 
 def write_structured_text(source: Source, out: Path) -> list[str]:
-    """Write the function block to a folder and return the name of the file."""
-    text, name = function_block(source), f"{source.name}.st"
+    """Write the function block, and a program that calls it, to a folder and return the names of the files."""
+    texts = {f"{source.name}.st": function_block(source), f"{source.name}_program.st": program_text(source)}
     out.mkdir(parents=True, exist_ok=True)
-    (out / name).write_text(text, encoding="ascii")
-    return [name]
+    for name, text in texts.items():
+        (out / name).write_text(text, encoding="ascii")
+    return [*texts]
