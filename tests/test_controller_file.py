@@ -3,6 +3,7 @@
 import csv
 import json
 import random
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,38 @@ def test_a_noisy_run_is_replayed_from_its_trace(tmp_path: Path) -> None:
     controller = Controller.load(run / "controller.json")
     assert len(rows) > 100
     assert [controller.step(np.array([row["y_measured"]]))[0] for row in rows] == [row["u"] for row in rows]
+
+
+NOT_TO_BE_WRITTEN = {
+    "name": ("name", "machine\n#error"),
+    "a state": ("plant.states.0", "z1; */ x"),
+    "an input": ("plant.inputs.0", "u\r"),
+    "an output": ("plant.outputs.0", "y\n"),
+    "a cell": ("plant.cells.1", "gap\u2028*/"),
+    "a unit": ("plant.units.y", "m\x1b[31m"),
+    "a claim": ("claims.0", "all is proved\nall of it"),
+    "a remark": ("open", ["\x00"]),
+    "an entry of the reference": ("program.outside.reference.0", "y\ud800"),
+}
+
+
+@pytest.mark.parametrize(("place", "text"), NOT_TO_BE_WRITTEN.values(), ids=NOT_TO_BE_WRITTEN)
+def test_names_that_would_write_lines_of_their_own_are_refused(
+    run: tuple[Path, Result], tmp_path: Path, place: str, text: Any
+) -> None:
+    forged = content(run)
+    *steps, last = [int(step) if step.isdigit() else step for step in place.split(".")]
+    part: Any = forged
+    for step in steps:
+        part = part[step]
+    part[last] = text
+    forged["sha256"] = digest(forged)
+    path = tmp_path / "controller.json"
+    path.write_text(json.dumps(forged), encoding="utf-8")
+    with pytest.raises(InvalidSpec, match=re.escape(place)) as error:
+        Controller.load(path)
+    (problem,) = error.value.problems
+    assert problem.message.isprintable()
 
 
 def test_the_schema_in_the_docs_is_that_of_the_file() -> None:

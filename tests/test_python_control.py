@@ -66,6 +66,11 @@ def test_no_bit_of_the_sampled_controller_differs(given: bool, single: bool) -> 
     found = control.input_output_response(system, t, inputs.T, system.params["start"])
     ours = np.array([controller.step(y[k], w[k] if given else None) for k in range(len(y))], dtype=np.float64)
     assert found.outputs.reshape(-1).tobytes() == ours.reshape(-1).tobytes()
+    unsaid = control.input_output_response(system, t, inputs.T)
+    assert unsaid.outputs.tobytes() == found.outputs.tobytes()
+    assert np.ptp(found.outputs) > 0
+    with pytest.raises(ValueError, match="last entry of a state is 1"):
+        control.input_output_response(system, t, inputs.T, [0.1, *[0.0] * (system.nstates - 1)])
     assert system.dt == controller.sample_time
     assert system.input_labels == ["y", *(["y_ref", "dy/dt_ref", "d2y/dt2_ref"] if given else [])]
     assert system.params["units"]["u"] == "N"

@@ -479,6 +479,16 @@ def test_a_certificate_that_was_changed_is_found_out(
         verify(folder)
 
 
+def test_a_corner_that_is_listed_twice_is_one_corner(tmp_path: Path) -> None:
+    spec = load_spec(spring(tmp_path, box="m: 5%, k: 5%"))
+    content = design_certificate(spec, design(spec))
+    claims, faults = audit(json.dumps(content))
+    assert not faults
+    content["uncertain"]["corners"].append(content["uncertain"]["corners"][0])
+    assert audit(json.dumps(content)) == (claims, [])
+    assert any(claim.endswith("for 4 corners") for claim in claims)
+
+
 CHAIN = """
 name: chain
 parameters: {p: 2, q: 3}

@@ -135,8 +135,8 @@ class Controller:
     def to_control(self, *, given: bool = False) -> Any:
         """Return it as a system of python-control in discrete time, from what is measured to u.
 
-        Its step is this one, in every bit. `params["start"]` is its state at the start, and `params["units"]` the units
-        of its signals: `control.input_output_response(system, T, y, system.params["start"])`.
+        Its step is this one, in every bit. `params["start"]` is its state at the start, from which it also runs where
+        none is given, and `params["units"]` the units of its signals: `control.input_output_response(system, T, y)`.
 
         Args:
             given: Whether the reference comes from outside: then its entries are inputs behind what is measured,

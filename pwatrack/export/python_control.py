@@ -116,6 +116,9 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
 def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, labels: Mapping[str, Any]) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
+    Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no
+    program is in that state, and the system starts as `params["start"]` says.
+
     Args:
         program: What runs, with its reference inside, or given: then that is its input too.
         x_hat, eta_hat: Where it starts.
@@ -128,17 +131,20 @@ def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, la
     table, q, at = routine(program, real), program.sizes["q"], program.places
     size = at["x_d"].stop
 
+    start = np.array([*memory(program, x_hat, eta_hat, real).tolist(), *[0.0] * COUNTS, 1.0])
+
     def ticked(z: Array, v: Array) -> tuple[Array, IntArray]:
         from pwatrack.simulation.kernel import tick
 
-        numbers, counts = z[:size].astype(real), z[size:].astype(np.int64)
+        z = z if z.any() else start
+        if z[-1] != 1:
+            raise ValueError("the last entry of a state is 1, as in params['start']: change what is before it")
+        numbers, counts = z[:size].astype(real), z[size:-1].astype(np.int64)
         tick(table, numbers, counts, room(program, real), v[:q].astype(real), v[q:].astype(real))
         return numbers, counts
 
-    start = [*memory(program, x_hat, eta_hat, real).tolist(), *[0.0] * COUNTS]
-
     def after(_: float, z: Array, v: Array, __: Any) -> Array:
-        return np.concatenate(ticked(z, v), dtype=np.float64)
+        return np.concatenate([*ticked(z, v), [1.0]], dtype=np.float64)
 
     def output(_: float, z: Array, v: Array, __: Any) -> Array:
         return np.asarray(ticked(z, v)[0][at["u"]], dtype=np.float64)
@@ -151,7 +157,7 @@ def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, la
         outputs=labels["outputs"],
         states=len(start),
         dt=program.sampling.sample_time,
-        params=_known(labels["units"], start),
+        params=_known(labels["units"], start.tolist()),
     )
 
 

@@ -2,16 +2,27 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 FORMAT = "pwatrack controller 3"
+
+
+def _visible(text: str) -> str:
+    """Return a text that stands in what is written from the file: there it may begin no line of its own."""
+    if not text.isprintable():
+        raise ValueError(f"{ascii(text)[:80]} is not one line of visible text")
+    return text
+
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = list[Finite]
 Matrix = list[Vector]
 Stack = list[Matrix]
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Names = list[str]
+Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_]*$")]
+Names = list[Name]
+Text = Annotated[str, AfterValidator(_visible)]
+Texts = list[Text]
 Count = Annotated[int, Field(ge=0)]
 
 
@@ -43,8 +54,8 @@ class Plant(Part):
     inputs: Names
     outputs: Names
     tracked: Names
-    units: dict[str, str]
-    cells: Names
+    units: dict[Name, Text]
+    cells: Texts
     H: Matrix
     h: Vector
     signs: list[list[Annotated[int, Field(ge=-1, le=1)]]]
@@ -81,7 +92,7 @@ class Trajectory(Part):
     It is the cell i where signs_ij guards_j s >= 0 for all j.
     """
 
-    eta: Names
+    eta: Texts
     rate: list[Matrix]
     x_d: Stack
     u_ff: Stack
@@ -127,7 +138,7 @@ class Inside(Followed):
 class Outside(Followed):
     """One whose reference is given at each tick: the names of its entries."""
 
-    reference: Names
+    reference: Texts
 
 
 class Sampled(Part):
@@ -148,9 +159,9 @@ class Sampled(Part):
 class FinalBound(Part):
     """Below what the tracking error of a signal ends, from every start."""
 
-    signal: str
+    signal: Name
     below: Annotated[Finite, Field(ge=0)]
-    unit: str
+    unit: Text
 
 
 class ControllerFile(Part):
@@ -164,14 +175,14 @@ class ControllerFile(Part):
 
     format: Literal["pwatrack controller 3"]
     sha256: Digest
-    name: str
+    name: Text
     spec_sha256: Digest
-    set: dict[str, str]
+    set: dict[Name, Text]
     tracking: Literal["output", "state"]
     proof: Digest
-    claims: Names
+    claims: Texts
     practical: list[FinalBound] | None
-    open: Names
+    open: Texts
     plant: Plant
     K: Matrix
     L: Matrix

@@ -7,11 +7,11 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.errors import InvalidSpec
 from pwatrack.real import Real
-from pwatrack.spec.entries import Exact, Name, Whole
+from pwatrack.spec.entries import Exact, Name, Whole, increasing, whole
 from pwatrack.spec.section import Section
 
 _TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
@@ -82,9 +82,11 @@ def axis(text: str) -> Axis:
 class RangeSection(Section):
     """From where to where a parameter varies in a sweep, and at how many points of a grid."""
 
+    model_config = ConfigDict(json_schema_extra=increasing("from", "to"))
+
     start: Annotated[Exact, Field(alias="from")]
     to: Exact
-    points: Annotated[Whole, Field(ge=2, le=MOST)] = _POINTS
+    points: Annotated[Whole, Field(ge=2, le=MOST), whole(2, MOST)] = _POINTS
 
 
 def _increasing(values: list[Real]) -> list[Real]:

@@ -339,19 +339,48 @@ class Or:
 
 _TEXT = {"type": "string"}
 _VALUE = {"type": ["number", "string"]}  # an expression is text
+_ABOVE_0 = _VALUE | {"exclusiveMinimum": 0}
 _PAIR = {"type": "array", "items": _VALUE, "minItems": 2, "maxItems": 2}
+_NAME = {"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$", "maxLength": _LONGEST_NAME}
 TEXT_OR_VALUE = Or(_VALUE)
+
+
+def _reversed(low: str, high: str) -> JsonSchemaValue:
+    """Return the schema of a pair that is reversed about 0: more than this no schema can say of two numbers."""
+    return {"prefixItems": [{"type": "number", low: 0}, {"type": "number", high: 0}]}
+
+
+def increasing(low: str, high: str) -> JsonSchemaValue:
+    """Return the schema of what has two entries that are in increasing order, as far as `_reversed` goes."""
+    wrong = {low: {"type": "number", "minimum": 0}, high: {"type": "number", "maximum": 0}}
+    return {"not": {"properties": wrong, "required": [low, high]}}
+
+
+def whole(low: int, high: int | None = None) -> WithJsonSchema:
+    """Return the schema of a whole number from `low` to `high`, for `pwatrack schema`."""
+    return WithJsonSchema({"type": ["integer", "string"], "minimum": low} | ({} if high is None else {"maximum": high}))
+
+
+_UPWARD = _PAIR | {"not": _reversed("minimum", "maximum")}
+_NOT_DOWNWARD = _PAIR | {
+    "not": {"anyOf": [_reversed("minimum", "exclusiveMaximum"), _reversed("exclusiveMinimum", "maximum")]}
+}
 
 Number = Annotated[float, BeforeValidator(_number), WithJsonSchema(_VALUE)]
 Exact = Annotated[Real, PlainValidator(_real), WithJsonSchema(_VALUE)]
-ExactPositive = Annotated[Real, PlainValidator(_positive_real), WithJsonSchema(_VALUE)]
-Positive = Annotated[Number, AfterValidator(_positive)]
-NotNegative = Annotated[Number, AfterValidator(_not_negative)]
+ExactPositive = Annotated[Real, PlainValidator(_positive_real), WithJsonSchema(_ABOVE_0)]
+Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_ABOVE_0)]
+NotNegative = Annotated[Number, AfterValidator(_not_negative), WithJsonSchema(_VALUE | {"minimum": 0})]
 Name = Annotated[str, AfterValidator(_name)]
 Label = Annotated[str, AfterValidator(_label)]
 Whole = Annotated[int, BeforeValidator(_whole), WithJsonSchema({"type": ["integer", "string"]})]
 Time = Annotated[ExponentialPolynomial, PlainValidator(_time), WithJsonSchema(_VALUE)]
-Names = Annotated[tuple[Name, ...], AfterValidator(_names)]
+Names = Annotated[
+    tuple[Name, ...],
+    AfterValidator(_names),
+    WithJsonSchema({"type": "array", "items": _NAME, "minItems": 1, "uniqueItems": True}),
+]
+Point = Annotated[list[Number], WithJsonSchema(_PAIR)]
 Vector = list[Number]
 Rows = list[list[Number]]
 ExactVector = list[Exact]
@@ -365,32 +394,36 @@ StartOrSteady = Annotated[
     Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
 ]
 ShareOrInterval = Annotated[
-    Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _PAIR]})
+    Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _UPWARD]})
 ]
-Interval = Annotated[list[Number], AfterValidator(_interval)]
+Interval = Annotated[list[Number], AfterValidator(_interval), WithJsonSchema(_NOT_DOWNWARD)]
 PositiveOrLargest = Annotated[
-    float | Literal["largest"], PlainValidator(_positive_or("largest")), WithJsonSchema(_VALUE)
+    float | Literal["largest"], PlainValidator(_positive_or("largest")), WithJsonSchema(_ABOVE_0)
 ]
 PositiveOrSmallest = Annotated[
-    float | Literal["smallest"], PlainValidator(_positive_or("smallest")), WithJsonSchema(_VALUE)
+    float | Literal["smallest"], PlainValidator(_positive_or("smallest")), WithJsonSchema(_ABOVE_0)
 ]
 PeriodicOrVector = Annotated[
     list[float],
     PlainValidator(_start),
     WithJsonSchema({"anyOf": [{"const": "periodic"}, {"type": "array", "items": _VALUE}]}),
 ]
-Limits = Annotated[list[float], PlainValidator(_limits), WithJsonSchema(_PAIR)]
+Limits = Annotated[list[float], PlainValidator(_limits), WithJsonSchema(_UPWARD)]
 Scale = Annotated[
     float | dict[str, float],
     PlainValidator(_scale),
     WithJsonSchema({"anyOf": [_VALUE, {"type": "object", "additionalProperties": _VALUE}]}),
 ]
-Rounding = Annotated[Positive, AfterValidator(_rounding)]
+Rounding = Annotated[Positive, AfterValidator(_rounding), WithJsonSchema(_ABOVE_0 | {"maximum": _COARSEST})]
 ExitNumber = Annotated[
     Whole, Field(ge=0, le=6), AfterValidator(_no_crash), WithJsonSchema({"enum": [0, 2, 3, 4, 5, 6]})
 ]
 Form = Annotated[LinearForm, PlainValidator(_form), WithJsonSchema(_TEXT)]
-FormPair = Annotated[list[Form], AfterValidator(_pair)]
+FormPair = Annotated[
+    list[Form],
+    AfterValidator(_pair),
+    WithJsonSchema({"type": "array", "items": _TEXT, "minItems": 2, "maxItems": 2, "uniqueItems": True}),
+]
 Tracked = Annotated[
     Annotated[dict[Name, Form], Field(min_length=1), Tag("by name")] | Annotated[Names, Tag("in order")],
     Discriminator(_start_kind),

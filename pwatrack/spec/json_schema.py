@@ -7,7 +7,8 @@ from pwatrack.spec.requirement import QUANTITIES
 from pwatrack.spec.schema import SpecFile
 
 _VALUE = {"type": ["number", "string"]}
-_LIMIT = {"anyOf": [_VALUE, {"type": "object"}]}
+_NUMBER = _VALUE | {"minimum": 0}
+_LIMIT = {"anyOf": [_NUMBER, {"type": "object", "additionalProperties": _NUMBER, "minProperties": 1}]}
 
 
 def json_schema() -> dict[str, Any]:
@@ -20,17 +21,26 @@ def json_schema() -> dict[str, Any]:
     schema = SpecFile.model_json_schema()
     figures = {name: {"description": quantity.best, **_LIMIT} for name, quantity in QUANTITIES.items()}
     of_members = {name: figures[name] for name, quantity in QUANTITIES.items() if quantity.of == "member"}
-    members = {"members": {"description": "All of them, or a share.", **_VALUE}}
+    members = {"members": {"description": "All of them, or a share.", **_VALUE, "exclusiveMinimum": 0, "maximum": 1}}
     schema["properties"]["require"] = _closed(
         "Figures that a run must keep, with their limits.",
         figures | {"ensemble": _closed("What members of an ensemble must keep.", members | of_members)},
     )
+    schema["allOf"] = [_needs("state", {"not": {"required": ["output"]}}), _needs("output", {"required": ["output"]})]
     about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}
     return about | {key: _plain(value) for key, value in schema.items() if key != "title"}
 
 
 def _closed(description: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "additionalProperties": False, "description": description, "properties": properties}
+
+
+def _needs(tracking: str, reference: dict[str, Any]) -> dict[str, Any]:
+    """Return that one way of tracking needs such a reference; nothing said is output tracking."""
+    named = {"required": ["design"], "properties": {"design": {"required": ["tracking"]}}}
+    asked = {"properties": {"design": {"properties": {"tracking": {"const": tracking}}}}}
+    asked = asked if tracking == "output" else {"allOf": [named, asked]}
+    return {"if": asked, "then": {"properties": {"reference": reference}}}
 
 
 def schema_text() -> str:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from pwatrack.model.nonlinearity import (
     PiecewiseLinear,
@@ -24,12 +24,15 @@ from pwatrack.spec.entries import (
     Normal,
     Positive,
     Tracked,
+    increasing,
 )
 from pwatrack.spec.section import Section
 
 
 class CellSection(Section):
     """One cell: where it is, and A, b there. A cell has no B of its own in class (1)."""
+
+    model_config = ConfigDict(json_schema_extra={"not": {"required": ["where", "signs"]}})
 
     name: Label
     where: list[Inequalities] | None = None
@@ -57,6 +60,8 @@ class ElementSection(Section):
 class DeadZoneSection(ElementSection):
     """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
+    model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
+
     kind: Literal["dead_zone", "stop"]
     lower: Exact
     upper: Exact
@@ -73,6 +78,8 @@ class DeadZoneSection(ElementSection):
 
 class SaturationSection(ElementSection):
     """φ(s) = slope · clip(s, lower, upper)."""
+
+    model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
 
     kind: Literal["saturation"]
     lower: Exact
@@ -128,6 +135,13 @@ Element = Annotated[
 
 class SystemSection(Section):
     """The plant (1), with cells, or with one A and b and scalar nonlinearities."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": ["cells"]}, {"required": ["A"]}],
+            "dependentRequired": {"hyperplanes": ["cells"], "b": ["A"], "nonlinearities": ["A"]},
+        }
+    )
 
     states: Names
     inputs: Names

@@ -13,6 +13,7 @@ from pwatrack.spec.entries import (
     Number,
     Or,
     PeriodicOrVector,
+    Point,
     Positive,
     Scale,
     Time,
@@ -61,7 +62,7 @@ class TrapezoidSection(Section):
 class PolylineSection(Section):
     """Straight lines through points (t in s, y), corners rounded over `smooth`; constant before and after."""
 
-    points: Annotated[list[list[Number]], Field(min_length=1)]
+    points: Annotated[list[Point], Field(min_length=1)]
     smooth: Positive | None = None
 
 
@@ -88,6 +89,8 @@ class TableSection(Section):
 
 class CourseSection(Section):
     """A signal of time: the sum of everything that is given."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     constant: Number = 0.0
     sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
@@ -117,7 +120,7 @@ class _OneOrByName:
 
 
 Signals = Annotated[
-    Annotated[Signal, Tag("one")] | Annotated[dict[Name, Signal], Tag("by name")],
+    Annotated[Signal, Tag("one")] | Annotated[dict[Name, Signal], Field(min_length=1), Tag("by name")],
     Discriminator(_signal_kind),
     _OneOrByName(),
 ]
@@ -125,6 +128,13 @@ Signals = Annotated[
 
 class ReferenceSection(Section):
     """What to track: outputs, or for state tracking one of state, input, setpoint."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": [kind]} for kind in ("output", "state", "input", "setpoint")],
+            "dependentRequired": {"input": ["start"], "start": ["input"]},
+        }
+    )
 
     output: Signals | None = None
     """Of one tracked output, or of each by its name."""

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.model.conditions import Method
 from pwatrack.spec.entries import (
@@ -17,6 +17,7 @@ from pwatrack.spec.entries import (
     StartOrSteady,
     Whole,
     region_kind,
+    whole,
 )
 from pwatrack.spec.section import Section
 from pwatrack.spec.signal_section import Signal
@@ -53,7 +54,7 @@ class NoiseSection(Section):
 
     std: Annotated[dict[str, NotNegative], Field(min_length=1)]
     sample_time: Positive
-    seed: Annotated[Whole, Field(ge=0)] = 1
+    seed: Annotated[Whole, Field(ge=0), whole(0)] = 1
 
 
 class SampledSection(Section):
@@ -61,7 +62,7 @@ class SampledSection(Section):
 
     sample_time: Positive
     method: Method = "exponential"
-    delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE)] = 0
+    delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE), whole(0, _MOST_LATE)] = 0
 
 
 class RadiiSection(Section):
@@ -100,6 +101,10 @@ class EnsembleSection(Section):
 
 class SimulationSection(Section):
     """How long, how finely, from where, and what is not as the theorems assume."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"dependentRequired": {"quantum": ["controller"], "rate_limit": ["controller"]}}
+    )
 
     duration: Positive
     sample_time: Positive

@@ -37,6 +37,11 @@ class Box(Loop):
             if row != other[0][k]
         }
 
+    def count(self) -> int:
+        """Return how many corners there are, one that is listed twice once: ends of parameters may give one plant."""
+        tables = [(*corner.A, *corner.b, corner.B) for corner in self.corners]
+        return len({tuple(tuple(map(tuple, X)) for ball in table for X in ball) for table in tables})
+
     def matrices(self, name: str) -> list[Ball]:
         """Return the matrices of (e, Delta) for all corners and pairs of cells."""
         if name != "joint":
@@ -64,4 +69,4 @@ def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str]
     distinct([name for name, _, _ in content["parameters"]], "a parameter")
     names = ", ".join(name for name, _, _ in content["parameters"])
     count = len(box.matrices("joint"))
-    return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {len(box.corners)} corners"
+    return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {box.count()} corners"
