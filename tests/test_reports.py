@@ -16,6 +16,7 @@ from pwatrack.batch.command import WRITERS
 from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.job import Fault
 from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.page import write_page
 from pwatrack.cli import app
 from pwatrack.errors import Place
 
@@ -210,3 +211,9 @@ def test_on_a_runner_or_where_it_is_asked_for_the_command_line_says_all_of_it(
     )
     assert "1 failed" in (tmp_path / "summary.md").read_text()
     assert all((tmp_path / f"report{ending}").stat().st_size for ending in WRITERS)
+
+
+def test_the_page_has_what_failed_first(tmp_path: Path) -> None:
+    write_page(OUTCOMES, tmp_path / "page.html")
+    kinds = re.findall(r'<tr data-kind="(\w+)"', (tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert kinds == ["fail"] * 3 + ["pass", "cached", "skipped"]

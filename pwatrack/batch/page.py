@@ -105,7 +105,7 @@ filter();
 
 
 def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write the page; the small pictures are in it, the large ones are links.
+    """Write the page, what failed first; the small pictures are in it, the large ones are links.
 
     Raises:
         InvalidSpec: If the file cannot be written.
@@ -118,11 +118,15 @@ def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
         width=_WIDTH,
         kinds="".join(f"<option>{kind}</option>" for kind in kinds),
         head="".join(map(_head, names)) + '<th class="pictures">pictures</th>',
-        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in outcomes),
+        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in sorted(outcomes, key=_passed)),
         version=__version__,
     )
     with written_at_once(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
+
+
+def _passed(outcome: Outcome) -> bool:
+    return not outcome.failed
 
 
 def _row(outcome: Outcome, here: Path, *, required: bool) -> str:

@@ -177,7 +177,7 @@ class ControllerFile(Part):
     sha256: Digest
     name: Text
     spec_sha256: Digest
-    set: dict[Name, Text]
+    set: dict[Name, str]
     tracking: Literal["output", "state"]
     proof: Digest
     claims: Texts
