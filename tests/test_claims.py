@@ -38,6 +38,26 @@ EXTRA = {
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
+WHOLE = {  # plants of one cell whose feedforward takes a limit whole
+    "single": """
+system: {states: [z, v], inputs: [u], outputs: [y], A: [[0, 1], [-1, -1]], B: [[0], [1]], C: [[1, 0]]}
+design: {tracking: state, observer: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}
+reference: {setpoint: {y: 0.05}}
+simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {u: [-9, 0.05]}}}
+""",
+    "pair": """
+system:
+  states: [a, v, b, w]
+  inputs: [f, g]
+  outputs: [y, z]
+  A: [[0, 1, 0, 0], [-1, -1, 0, 0], [0, 0, 0, 1], [0, 0, -1, -1]]
+  B: [[0, 0], [1, 0], [0, 0], [0, 1]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+reference: {output: {y: 0.1, z: 0.2}}
+simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {f: [-9, 0.1], g: [-9, 0.2]}}}
+""",
+}
+
 
 @pytest.fixture(scope="module")
 def entries(specs: Path) -> list[tuple[bool, str, re.Pattern[str]]]:
@@ -105,6 +125,10 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
     (tmp_path / "rod.yaml").write_text(ROD)
     yield tmp_path / "rod.yaml"
     yield cart(tmp_path, RUNAWAY["other parameters"], reference="0.08*cos(t)")
+    for name, text in WHOLE.items():
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(f"name: {name}\n{text}")
+        yield path
     for name, wishes in EXTRA.items():
         slope = "1.001" if name == "rounded" else "1"
         push = "1/m" if name == "uncertain" else "1"

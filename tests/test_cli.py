@@ -184,7 +184,7 @@ def test_what_is_proved_infeasible_ends_with_4_and_its_place(
 ) -> None:
     message = refused(call(command, specs / "refused" / name, "--out", tmp_path / "out"), 4)
     assert re.match(rf"error: .*{name}:\d+:\d+: ", message)
-    assert contents(tmp_path / "out").keys() == {"refusal.json", "run.json"}
+    assert contents(tmp_path / "out").keys() == {"refusal.json", "run.json", "spec.txt"}
     assert (index_of(tmp_path / "out")["verdict"], index_of(tmp_path / "out")["exit"]) == ("infeasible", 4)
     assert call("verify", tmp_path / "out").exit_code == 0
 

@@ -27,7 +27,7 @@ def json_schema() -> dict[str, Any]:
         figures | {"ensemble": _closed("What members of an ensemble must keep.", members | of_members)},
     )
     schema["allOf"] = [_needs("state", {"not": {"required": ["output"]}}), _needs("output", {"required": ["output"]})]
-    about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}
+    about: dict[str, Any] = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}
     return about | {key: _plain(value) for key, value in schema.items() if key != "title"}
 
 
