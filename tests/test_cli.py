@@ -294,7 +294,15 @@ def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
     (out / "notes.txt").write_text("mine")
     assert (out / "trace.csv").exists()
     assert call("design", simulated[0], "--out", out).exit_code == 0
-    made = {"gains.json", "certificate.json", "bounds.json", "generator.json", "controller.json", "run.json"}
+    made = {
+        "gains.json",
+        "certificate.json",
+        "bounds.json",
+        "generator.json",
+        "controller.json",
+        "run.json",
+        "spec.txt",
+    }
     assert set(contents(out)) == {*made, "notes.txt"}
 
 

@@ -27,7 +27,7 @@ def json_schema() -> dict[str, Any]:
         figures | {"ensemble": _closed("What members of an ensemble must keep.", members | of_members)},
     )
     schema["allOf"] = [_needs("state", {"not": {"required": ["output"]}}), _needs("output", {"required": ["output"]})]
-    about: dict[str, Any] = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}
+    about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}
     return about | {key: _plain(value) for key, value in schema.items() if key != "title"}
 
 
@@ -38,7 +38,7 @@ def _closed(description: str, properties: dict[str, Any]) -> dict[str, Any]:
 def _needs(tracking: str, reference: dict[str, Any]) -> dict[str, Any]:
     """Return that one way of tracking needs such a reference; nothing said is output tracking."""
     named = {"required": ["design"], "properties": {"design": {"required": ["tracking"]}}}
-    asked = {"properties": {"design": {"properties": {"tracking": {"const": tracking}}}}}
+    asked: dict[str, Any] = {"properties": {"design": {"properties": {"tracking": {"const": tracking}}}}}
     asked = asked if tracking == "output" else {"allOf": [named, asked]}
     return {"if": asked, "then": {"properties": {"reference": reference}}}
 
