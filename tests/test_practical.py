@@ -14,6 +14,7 @@ from rich.console import Console
 
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import up
+from pwatrack.ball_matrix import text
 from pwatrack.control.bounds import Form
 from pwatrack.control.practical import least_merges
 from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
@@ -293,7 +294,7 @@ def by_ellipsoids(content: Any) -> Any:
     del entry["peaks"]
     sizes = {(kind, k): size for part in entry["parts"] for kind, k, size in part["signals"]}
     entry["signals"] = [[kind, k, sizes[kind, k]] for kind, k, _ in entry["signals"]]
-    total = {signal: str(Fraction(merge["largest"]) * Fraction(size)) for signal, size in sizes.items()}
+    total = {signal: text(Fraction(merge["largest"]) * Fraction(size)) for signal, size in sizes.items()}
     practical["ends_below"] = [[kind, k, total[kind, k]] for kind, k, _ in practical["ends_below"]]
     return found
 

@@ -437,7 +437,7 @@ def test_a_simulation_shows_what_is_left_by_what_is_played_back(
     path = tmp_path / "plant.yaml"
     path.write_text(PRESSED, encoding="utf-8")
     found = followed(path)
-    assert found.left > 1e-8
+    assert found.left > 1e-9
     assert found.near == pytest.approx(found.left, rel=0.1)
     assert max(found.near, found.left) <= found.bound
 
@@ -457,7 +457,7 @@ def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
     rho = s[:, :-1] @ system.S.T - np.einsum("tij,tj->ti", trajectory.turns[cell], s)[:, :-1]
     eta = system.Q[-1] != 0
     assert np.abs(rho[:, eta]).max() <= preview.residual[0]
-    assert np.abs(rho[:, eta]).max() >= preview.residual[0] / 4
+    assert np.abs(rho[:, eta]).max() >= preview.residual[0] / 10  # the largest of so many times, and at most
     left = preview.left.states(t) @ preview.left.Q.T
     np.testing.assert_allclose(left[:, 0], rho[:, eta][:, 0], atol=0.1 * preview.residual[0])
 

@@ -101,7 +101,8 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     assert "would do" not in error
     index = index_of(tmp_path / "out")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "broken off")
-    assert {*index["files"]} == {"gains.json", "certificate.json", "generator.json", "bounds.json", "controller.json"}
+    made = {"gains.json", "certificate.json", "generator.json", "bounds.json", "controller.json", "spec.txt"}
+    assert {*index["files"]} == made
     good = cart(tmp_path, SLOW.replace("0.5", found[3]), reference="0.08*cos(t)")
     result = simulate(load_spec(good))
     assert result.outcome.code == 0
