@@ -222,7 +222,7 @@ def test_the_auditor_proves_two_steps_again_and_finds_a_smaller_bound(tmp_path: 
     assert audit(json.dumps(content))[1] == []
     steps = [part for part in content["bounds"][0]["parts"] if part["loop"] == "observer"]
     place = next(k for k, signal in enumerate(steps[0]["signals"]) if signal[0] == "coupling")
-    steps[0]["signals"][place][2] = "1e-6"
+    steps[0]["signals"][place][2] = "1e-06"
     assert any("coupling" in fault for fault in audit(json.dumps(content))[1])
 
 

@@ -8,7 +8,7 @@ from .between import between
 from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
-from .matrices import Fault, begin, transposed
+from .matrices import Fault, counted, transposed
 from .merged import Deviations, merged
 from .plant import Plant
 from .polynomials import polynomial
@@ -40,13 +40,13 @@ _MOST_BYTES = 2**28  # of the file
 def audit(text: str) -> tuple[list[str], list[str]]:
     """Return what a certificate proves, and what is wrong with it, both in sentences."""
     try:
-        begin(len(text))
-        content = parsed(text)
-        if content["format"] != FORMAT:
-            return [], [f"the format is '{ascii(content['format'])[1:-1][:80]}', this program reads '{FORMAT}'"]
-        fit(content["proofs"], REFUSAL["proofs"], "proofs")
-        fit(content, REFUSAL if refuses(content) else DESIGN, "the certificate")
-        return judged(content)
+        with counted(len(text)):
+            content = parsed(text)
+            if content["format"] != FORMAT:
+                return [], [f"the format is '{ascii(content['format'])[1:-1][:80]}', this program reads '{FORMAT}'"]
+            fit(content["proofs"], REFUSAL["proofs"], "proofs")
+            fit(content, REFUSAL if refuses(content) else DESIGN, "the certificate")
+            return judged(content)
     except Fault as fault:
         return [], [str(fault)]
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:

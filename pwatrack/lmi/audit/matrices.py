@@ -1,6 +1,7 @@
 """Matrices of fractions."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from math import inf, lcm
 from typing import Any
@@ -16,9 +17,14 @@ class Fault(Exception):
     """Something in the file is wrong, or does not hold."""
 
 
-def begin(size: int) -> None:
-    """Begin to count what is done for a file of so many bytes."""
+@contextmanager
+def counted(size: int) -> Iterator[None]:
+    """Count what is done for a file of so many bytes."""
     _work.update(most=_MOST * max(1.0, size / _SMALL) ** 4, done=0.0)
+    try:
+        yield
+    finally:
+        _work.update(most=inf, done=0.0)
 
 
 def spend(steps: float, bits: int = 0) -> None:
