@@ -239,7 +239,7 @@ def test_the_junit_report_parses_whatever_a_failing_run_said(stand: Stand, tmp_p
     (folder / os.fsdecode(b"exit0 \x1b\xff \xef\xbf\xbe.yaml")).touch()
     write_junit(run_batch(folder, tmp_path / "out", Options(timeout=1), work=work), tmp_path / "junit.xml")
     (suite,) = JUnitXml.fromfile(str(tmp_path / "junit.xml"))
-    assert (suite.tests, suite.failures) == (4, 2)
+    assert (suite.tests, suite.failures, suite.errors) == (4, 1, 1)  # one crashed
     noisy = next(case.result[0] for case in suite if "noisy" in case.name)
     assert "red" in noisy.text
     assert "<&>]]>" in noisy.text
