@@ -456,7 +456,7 @@ def test_state_tracking_takes_loads_where_inputs_act_and_no_others(tmp_path: Pat
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        ("{estimate: output}", "estimate: 'output' is not 'input'"),
+        ("{estimate: output}", "estimate: 'output' is neither 'input' nor a list or mapping"),
         ("{estimate: {}}", "at least 1 entry is expected"),
         ("{estimate: {wind: {into: {v3: 1}}}}", "load 'wind': 'v3' is no state"),
         ("{estimate: {wind: {into: {v1: 0}}}}", "load 'wind': all factors are 0"),
