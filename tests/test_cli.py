@@ -229,7 +229,7 @@ def test_a_parameter_that_cannot_be_set_ends_with_2(spec: Path, text: str) -> No
 def test_an_unknown_solver_ends_with_2(spec: Path, tmp_path: Path) -> None:
     run = call("design", spec, "--solver", "mosek", "--out", tmp_path / "out")
     assert (run.exit_code, run.stdout) == (2, "")
-    assert all(name in run.stderr for name in ("mosek", "clarabel", "cvxopt"))
+    assert all(name in run.stderr for name in ("mosek", "structured", "clarabel", "cvxopt"))
     assert not (tmp_path / "out").exists()
 
 
@@ -241,12 +241,15 @@ def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: P
     assert (index["parameters"]["k2"], index["parameters"]["k3"], index["solver"]) == (0.3, 0.3, "cvxopt")
 
 
-def test_both_solvers_prove_the_example(specs: Path, tmp_path: Path) -> None:
-    for solver in ("clarabel", "cvxopt"):
-        run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path / solver)
-        assert run.exit_code == 0, run.output
-        index = json.loads((tmp_path / solver / "run.json").read_text(encoding="utf-8"))
-        assert index["figures"]["controller_rate"] > 0
+@pytest.mark.parametrize("solver", ["structured", "clarabel", "cvxopt"])
+def test_the_solver_that_is_named_is_the_one_that_answers(specs: Path, tmp_path: Path, solver: str) -> None:
+    run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path)
+    assert run.exit_code == 0, run.output
+    index = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
+    assert index["figures"]["controller_rate"] > 0
+    assert index["solver"] == solver
+    assert index["answered"].keys() - {"nobody"} == {solver}
+    assert index["answered"][solver] > 20, "those of the bounds, too"
 
 
 def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import picos
@@ -23,7 +23,7 @@ from pwatrack.lmi.certificate import prove
 from pwatrack.lmi.clarabel_plugin import ClarabelSolver
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.dense_map import DenseMap
-from pwatrack.lmi.inequality import Inequality, lyapunov, quadratic_cost, state_feedback, weighted
+from pwatrack.lmi.inequality import Inequality, Solver, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.multipliers import refutes
@@ -41,7 +41,7 @@ from pwatrack.lmi.program import (
     smaller_gain,
     smallest_gain,
 )
-from pwatrack.lmi.solve import solve
+from pwatrack.lmi.solve import asking, solve
 from pwatrack.rational import decimals
 
 seeds = st.integers(0, 10_000)
@@ -522,7 +522,7 @@ def test_a_wrong_P_is_no_proof(P: Array) -> None:
     assert prove(-np.eye(2)[None], P) is None
 
 
-@pytest.mark.parametrize("solver", ["clarabel", "cvxopt"])
+@pytest.mark.parametrize("solver", get_args(Solver))
 @pytest.mark.parametrize(
     "A",
     [
@@ -531,9 +531,9 @@ def test_a_wrong_P_is_no_proof(P: Array) -> None:
         np.array([[[-1.0, 0.0], [0.0, 0.0]], [[-1.0, 0.0], [0.0, -1.0]]]),  # zero mode in one cell
     ],
 )
-def test_a_marginal_case_is_not_feasible(A: Array, solver: str) -> None:
-    with pytest.raises((Undecided, Infeasible)):
-        convergence.prove_convergence(A, claim="(7)", cells=CELLS[: len(A)], solver=solver)  # type: ignore[arg-type]
+def test_a_marginal_case_is_not_feasible(A: Array, solver: Solver) -> None:
+    with asking(solver), pytest.raises((Undecided, Infeasible)):
+        convergence.prove_convergence(A, claim="(7)", cells=CELLS[: len(A)])
 
 
 @pytest.mark.parametrize("n", [3, 12])

@@ -18,6 +18,8 @@ from pwatrack.control.robust import Robust
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.solve import asking
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -41,6 +43,7 @@ class Controller:
         robust: What is proved for uncertain parameters, where some are.
         limited: What is known of inputs that have limits, where some have.
         practical: What is proved of the loop with the true plant, where cells of it are merged.
+        solver: Who is asked for what is still to be proved.
     """
 
     plant: PWASystem
@@ -53,6 +56,7 @@ class Controller:
     robust: Robust | None = None
     limited: Limited | None = None
     practical: Practical | None = None
+    solver: Solver = "structured"
 
     @property
     def tracking(self) -> Literal["output", "state"]:
@@ -144,9 +148,11 @@ class Controller:
     @cached_property
     def bounds(self) -> tuple[Bounds, ...]:
         """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
-        return signal_bounds(self._loops)
+        with asking(self.solver):
+            return signal_bounds(self._loops)
 
     @cached_property
     def starts(self) -> tuple[Bounds, ...]:
         """What each entry of the start, of x − x_d, of x̂ − x and of the estimates of loads, can do to each signal."""
-        return start_bounds(self._loops)
+        with asking(self.solver):
+            return start_bounds(self._loops)

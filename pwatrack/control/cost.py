@@ -64,7 +64,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))
     inside = at.driven(weight + slack)
     size = float(np.linalg.norm(inside, 2))
-    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)), task.solver)
+    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)))
     if candidate is not None:
         X = at.matrix(candidate.P) * size / at.speed
         for room in _ROOM:

@@ -31,7 +31,6 @@ from pwatrack.control.synthesis import Design
 from pwatrack.errors import OutsideTheory, Problem, Undecided
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.lmi.inequality import Solver
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity
 
@@ -114,7 +113,6 @@ def prove_box(
     corners: Sequence[Matrices],
     *,
     output: bool,
-    solver: Solver = "clarabel",
 ) -> Robust:
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
@@ -124,7 +122,6 @@ def prove_box(
         proofs: What `prove_design` returned for them.
         corners: The matrices at the corners, with the same cells.
         output: Whether outputs are tracked, else states.
-        solver: Which interior-point solver to ask for a common P.
 
     Raises:
         OutsideTheory: If loads are estimated too.
@@ -146,7 +143,7 @@ def prove_box(
         )
     matrices = np.array([X.floats for X in M])
     worst = float(np.linalg.eigvals(matrices).real.max())
-    found = best_certificate(matrices, solver=solver) if worst < 0 else None
+    found = best_certificate(matrices) if worst < 0 else None
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
     n = len(plant.B)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, symmetric_part
 
-Solver = Literal["clarabel", "cvxopt"]
+Solver = Literal["structured", "clarabel", "cvxopt"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,27 @@ from pwatrack.version import versions
 _ROWS = 10_000  # that are turned to text at a time
 
 
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What a run took.
+
+    Attributes:
+        seconds: Time spent, by step.
+        answered: How many programs each solver answered; what is proved while files are written is counted too.
+    """
+
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    answered: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What the index says of it, when it is written."""
+        return {"seconds": self.seconds, "answered": self.answered}
+
+
+NONE = Effort()
+
+
 def write_design(
     spec: Spec,
     controller: Controller,
@@ -61,7 +83,7 @@ def write_design(
     fronts: Sequence[Front] = (),
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
 
@@ -71,7 +93,7 @@ def write_design(
         folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
         fronts: What `pareto` returned for controller and observer.
         broken: Why a simulation of it broke off, if it did.
-        seconds: Time spent, by step, for run.json.
+        effort: What it took, for run.json.
 
     Returns:
         The folder.
@@ -90,7 +112,7 @@ def write_design(
         _design_files(run, spec, controller, known_start(spec, controller))
         if fronts:
             _fronts(run, spec, fronts)
-        index = _index(spec, seconds) | proved_content(spec, controller) | preview_content(controller)
+        index = _index(spec, effort) | proved_content(spec, controller) | preview_content(controller)
         index["remarks"] = [
             *controller.plant.remarks,
             *reference_remarks(spec, controller.form),
@@ -111,7 +133,7 @@ def write_result(
     folder: str | Path,
     *,
     many: EnsembleResult | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
@@ -121,7 +143,7 @@ def write_result(
         result: What `simulate(spec)` returned.
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
-        seconds: As for `write_design`.
+        effort: As for `write_design`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         executor: Who draws them, but for ensemble.png, in other processes while tables are written.
 
@@ -135,7 +157,7 @@ def write_result(
         True
     """
     code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
-    index = _index(result.spec, seconds) | {"exit": int(code)} | _result_content(result)
+    index = _index(result.spec, effort) | {"exit": int(code)} | _result_content(result)
     if many:
         index["ensemble"] = ensemble_measures(many)
     index |= _requirements(required(result.spec, result.controller, result, many))
@@ -242,7 +264,7 @@ def write_refusal(
     path: Path,
     parameters: Mapping[str, float | str],
     spec: Spec | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
     far: HowFar | None = None,
 ) -> bool:
     """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
@@ -253,7 +275,7 @@ def write_refusal(
         path: The spec file.
         parameters: What was set from outside the file.
         spec: Its content, if it could be read.
-        seconds: As for `write_design`.
+        effort: As for `write_design`.
         far: How far away it is, if that was looked for.
 
     Returns:
@@ -264,9 +286,9 @@ def write_refusal(
     """
     proof = None
     if spec is None:
-        index = _unread(path, parameters, seconds)
+        index = _unread(path, parameters, effort)
     else:
-        index = _index(spec, seconds) | {"remarks": list(spec.problem.plant.remarks)}
+        index = _index(spec, effort) | {"remarks": list(spec.problem.plant.remarks)}
         if isinstance(refusal.evidence, Impossibility):
             proof = refusal_certificate(spec, refusal.evidence)
     reasons = [
@@ -286,14 +308,14 @@ def write_refusal(
     return proof is not None
 
 
-def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[str, float] | None) -> dict[str, Any]:
+def _unread(path: Path, parameters: Mapping[str, float | str], effort: Effort) -> dict[str, Any]:
     """Return what run.json says of a spec that could not be read."""
     return {
         "name": path.stem,
         "spec": str(path),
         "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest(),
         "parameters": dict(parameters),
-        "seconds": dict(seconds or {}),
+        **effort.content,
         "versions": versions(),
     }
 
@@ -404,7 +426,7 @@ def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> None:
         run.place("ensemble.png").write_bytes(png(fan(many)))
 
 
-def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
+def _index(spec: Spec, effort: Effort) -> dict[str, Any]:
     """Return what the index says of any run that was proved."""
     return {
         "name": spec.name,
@@ -415,6 +437,6 @@ def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
         "simulation": None,
         "exit": int(ExitCode.DONE),
         "solver": spec.objectives.solver,
-        "seconds": dict(seconds or {}),
+        **effort.content,
         "versions": versions(),
     }

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,9 @@ from pwatrack.export.stored import read
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.solve import answers, asking
 from pwatrack.report import files, summary
+from pwatrack.report.files import Effort
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
@@ -94,7 +96,7 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
-    with console(stderr=True).status("Reading the spec") as status:
+    with answers() as made.answered, console(stderr=True).status("Reading the spec") as status:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = None
@@ -115,9 +117,9 @@ def run(
             raise
         status.update("Writing the files")
         if result is not None:
-            files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots, executor=drawing)
+            files.write_result(result, folder, many=many, effort=made.effort, plots=plots, executor=drawing)
         else:
-            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
+            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, effort=made.effort)
     made.tell(folder, result, many, checked, shown)
     _check(spec, result, many, checked)
 
@@ -135,6 +137,12 @@ class _Made:
     controller: Controller | None = None
     runs: Program | None = None
     largest: LargestBox | None = None
+    answered: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def effort(self) -> Effort:
+        """What it took so far."""
+        return Effort(seconds=self.seconds, answered=self.answered)
 
     def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
         with self.timed("load"):
@@ -201,14 +209,14 @@ class _Made:
 
     def keep(self, refusal: PwatrackError, folder: Path, status: Status, *, printed: bool) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
-        spec, controller, seconds = self.spec, self.controller, self.seconds
+        spec, controller = self.spec, self.controller
         if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
             if read_index(folder) is not None:
                 refusal.add_note(f"  the earlier results in {folder!s} are as they were")
             return
         try:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-                files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
+                files.write_design(spec, controller, folder, broken=refusal, effort=self.effort)
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
@@ -216,7 +224,7 @@ class _Made:
             for text in () if found is None else texts(found):
                 refusal.add_note(f"  how far: {text}")
             if files.write_refusal(
-                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, seconds=seconds, far=found
+                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, effort=self.effort, far=found
             ):
                 refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
         except InvalidSpec as unwritable:
@@ -226,7 +234,7 @@ class _Made:
         """Return how far away an inequality is that is proved to have no solution, where that can be looked for."""
         if self.spec is None or not isinstance(refusal.evidence, Impossibility):
             return None
-        with self.timed("how far"), suppress(PwatrackError):
+        with self.timed("how far"), asking(self.spec.objectives.solver), suppress(PwatrackError):
             return how_far(
                 self.spec, refusal.evidence, lambda what: status.update(f"Looking how far away it is: {what}")
             )
@@ -263,9 +271,9 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
     gains, plant = controller.design, controller.plant
-    solver, sizes = spec.objectives.solver, controller.sizes
-    with spec.located():
+    sizes = controller.sizes
+    with spec.located(), asking(spec.objectives.solver):
         return [
-            pareto(Task.of(plant, CONTROLLER, solver, sizes=sizes), gains.K, gains.controller.rate),
-            pareto(Task.of(plant, OBSERVER, solver, sizes=sizes), gains.L.T, gains.observer.rate),
+            pareto(Task.of(plant, CONTROLLER, sizes=sizes), gains.K, gains.controller.rate),
+            pareto(Task.of(plant, OBSERVER, sizes=sizes), gains.L.T, gains.observer.rate),
         ]

@@ -26,7 +26,19 @@ from pwatrack.study.sizing import spec_sizes
 
 CERTIFICATE = "certificate.json"
 _ALONE = (  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
-    *("format", "spec", "simulation", "exit", "seconds", "versions", "remarks", "requirements", "conditions", "files"),
+    *(
+        "format",
+        "spec",
+        "simulation",
+        "exit",
+        "seconds",
+        "answered",
+        "versions",
+        "remarks",
+        "requirements",
+        "conditions",
+        "files",
+    ),
     *("estimates", "tracked", "preview", "ensemble", "largest_box"),
 )
 _PARTLY = {"figures": (), "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys; () any

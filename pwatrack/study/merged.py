@@ -153,7 +153,7 @@ def _solve(spec: Spec) -> None:
         message = "the merged plant has the form (11) but for rounding"
         raise OutsideTheory(Problem(message=message))
     goals = spec.objectives
-    synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec), solver=goals.solver)
+    synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec))
 
 
 def _bounded(

@@ -16,6 +16,7 @@ from pwatrack.control.task import Task
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.solve import asking
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
@@ -61,6 +62,12 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         >>> controller.generator.shift.round(12).tolist()
         [[1.0, 0.0], [0.0, 0.0]]
     """
+    with asking(spec.objectives.solver):
+        return _exact_or_practical(spec, growing)
+
+
+def _exact_or_practical(spec: Spec, growing: bool) -> Controller:
+    """Design for exact tracking, or with cells merged where that is refused."""
     try:
         return _designed(spec, growing)
     except PwatrackError as refusal:
@@ -85,7 +92,7 @@ def _designed(spec: Spec, growing: bool) -> Controller:
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
-        goals, solver = spec.objectives, spec.objectives.solver
+        goals = spec.objectives
         sizes = spec_sizes(spec)
         limited = room_within_limits(spec, trajectory, generator, sizes)
         gains = synthesize(  # (8), (9)
@@ -94,10 +101,9 @@ def _designed(spec: Spec, growing: bool) -> Controller:
             observer=goals.observer,
             sizes=sizes,
             within=None if limited is None else limited.within(sizes.state),
-            solver=solver,
         )
         check_breaks(spec, trajectory, generator, gains)
-        proofs = prove_design(plant, gains, generator, sizes=sizes, solver=solver)
+        proofs = prove_design(plant, gains, generator, sizes=sizes)
         controller = Controller(  # (18), (19)
             plant=plant,
             design=gains,
@@ -106,6 +112,7 @@ def _designed(spec: Spec, growing: bool) -> Controller:
             proofs=proofs,
             sizes=sizes,
             costs=_costs(spec, gains, sizes),
+            solver=goals.solver,
         )
         if limited is not None:
             promising = limited.promising(plant, gains, proofs, controller.compensation)
@@ -233,7 +240,7 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
 def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:
     """Prove a design for all plants of a box: see `corners` and `prove_box`, which say what they refuse."""
     problem, proofs = spec.problem, controller.proofs
-    with spec.located():
+    with spec.located(), asking(spec.objectives.solver):
         found = corners(problem.parametric, controller.plant, box)
         return prove_box(
             controller.plant,
@@ -241,7 +248,6 @@ def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:
             proofs,
             found,
             output=problem.tracking == "output",
-            solver=spec.objectives.solver,
         )
 
 
@@ -250,7 +256,7 @@ def _costs(spec: Spec, gains: Design, sizes: Sizes) -> dict[str, Array]:
     plant, goals = spec.problem.plant, spec.objectives
     parts = ((CONTROLLER, goals.controller, gains.K), (OBSERVER, goals.observer, gains.L))
     return {
-        role.name: cost_bound(Task.of(plant, role, goals.solver, sizes=sizes), role.oriented(gain), goal.Q, goal.R)
+        role.name: cost_bound(Task.of(plant, role, sizes=sizes), role.oriented(gain), goal.Q, goal.R)
         for role, goal, gain in parts
         if isinstance(goal, LeastCost)
     }
