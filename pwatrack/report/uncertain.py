@@ -91,6 +91,9 @@ def run_rows(result: Result) -> Iterator[str]:
     robust = result.controller.robust
     if robust is None:
         return
+    if result.w is None:
+        yield "how large w is along the x_d of this run took too long to enclose: of this run nothing is said"
+        return
     found = box_figures(result, robust)
     units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
