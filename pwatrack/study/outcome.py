@@ -192,7 +192,8 @@ class Watch:
         most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self.w.max(axis=0))
         for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
             signal: Form = (self._tracked, k)
-            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]
+            left = self._loop.controller.left_by_signal.get(signal, 0.0)
+            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal] + left
             if len(above := np.flatnonzero(error > bound + rounding)):
                 return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
         return ""
