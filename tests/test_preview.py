@@ -30,8 +30,10 @@ from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
+from pwatrack.report.bounds import bound_rows
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.preview import preview_rows
+from pwatrack.report.uncertain import box_figures, box_rows
 from pwatrack.simulation import preview as preview_module
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
@@ -442,6 +444,47 @@ def test_a_simulation_shows_what_is_left_by_what_is_played_back(
     assert max(found.near, found.left) <= found.bound
 
 
+def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over a run so long that nothing else is left of the start."""
+    monkeypatch.setattr(preview_module, "FITTED", 1e-6)
+    path = tmp_path / "plant.yaml"
+    path.write_text(PRESSED.replace("duration: 7", "duration: 200"), encoding="utf-8")
+    result = simulate(load_spec(path))
+    r, left = result.response, result.controller.left_by_signal
+    assert result.outcome.kind == "tracks"  # and not above its own bound
+    seen = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
+    for signal, values in seen.items():
+        late = np.abs(values[-2000:]).max()
+        assert 1e-8 < late <= left[signal]
+        assert (np.abs(values) <= result.bands[signal]).all()
+    assert [left["estimate", k] for k in range(2)] == [0.0, 0.0]
+    said = "each signal is in the end at most the sum of these, beside what is played back, in proportion to what acts"
+    assert said in next(bound_rows(result.spec, result.controller))
+
+
+def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The box is so small that w makes less of the error than the residual does."""
+    monkeypatch.setattr(preview_module, "FITTED", 1e-6)
+    box = "parameters: {k: 100}\ndesign: {uncertain: {k: [99.9999999, 100.0000001]}}\nsystem:"
+    text = PRESSED.replace("slope: 100", "slope: k").replace("system:", box).replace("duration: 7", "duration: 60")
+    path = tmp_path / "plant.yaml"
+    path.write_text(text, encoding="utf-8")
+    result = simulate(load_spec(path))
+    controller, robust = result.controller, result.controller.robust
+    assert robust is not None
+    assert result.w is not None
+    r, alone = result.response, robust.reached(result.w.max(axis=0))
+    late, (found, _) = np.abs(r.tracking_error[-600:, 0]).max(), box_figures(result, robust).values()
+    assert alone["output", 0] < late <= found["bound"]
+    assert found["seen"] <= found["bound"]
+    assert (np.abs(r.tracking_error[:, 0]) <= result.bands["output", 0]).all()
+    assert f"beside what is played back: |y − y_d| ≤ {up(controller.left_by_signal['output', 0])}, " in " ".join(
+        box_rows(result.spec, controller)
+    )
+
+
 def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
     """At 2,000 times of a run of more than a period, with more digits."""
     path = tmp_path / "plant.yaml"
@@ -528,7 +571,8 @@ def test_jumps_of_what_is_played_back_count_one_after_the_other() -> None:
     jump, late = np.array([0.0, 1.0]), 1e3 / controller.guarantees.rate
 
     def left(*times: float) -> float:
-        return promised.left(columns, nothing, np.array(times), np.tile(jump, (len(times), 1)))
+        jumps = np.tile(jump, (len(times), 1))
+        return promised.left(columns, replace(preview, residual=nothing, times=np.array(times), jumps=jumps))
 
     alone = left(1.0)
     assert left() == 0.0

@@ -244,6 +244,21 @@ simulation:
 """
 
 
+def test_of_a_w_that_took_too_long_to_enclose_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "short.yaml"
+    changes = {"box": "d: 10%", "reference": '"0.15*cos(2*pi*t)"', "duration": 20.25, "step": 0.5, "start": 0.15}
+    path.write_text(SHORT.format(**changes, other="d: 8.8"))
+    monkeypatch.setattr("pwatrack.simulation.enclosure._MOST_PIECES", 3)
+    result = simulate(load_spec(path))
+    assert result.w is None
+    assert list(run_rows(result)) == [
+        "how large w is along the x_d of this run took too long to enclose: of this run nothing is said"
+    ]
+    assert not result.bands
+    write_result(result, tmp_path / "out")
+    assert "along_x_d" not in json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))["uncertain"]
+
+
 def test_w_is_enclosed_where_every_sample_misses_it(tmp_path: Path) -> None:
     """A sinusoid of 1 Hz whose velocity is 0 at each sample, twice a second: |w| ≤ 0.8/2 |v_d| everywhere else."""
     path = tmp_path / "short.yaml"

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.bounds import Bounds, Loops, signal_bounds, start_bounds
+from pwatrack.control.bounds import Bounds, Form, Loops, signal_bounds, start_bounds
 from pwatrack.control.compensation import Compensation, compensation
+from pwatrack.control.envelope import from_preview
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.limits import Limited, Promise
@@ -102,9 +103,10 @@ class Controller:
     def tracking_bound(self, t: Array, start: Array, observer_start: Array) -> Array:
         """Return what is proved of |x − x_d|, in sizes where there are several, or of |y − y_d|: see `guarantees`.
 
-        With merged cells what these leave in the end comes on top of it.
+        With merged cells what these leave in the end comes on top of it, and so does what is played back.
         """
         bound = self.guarantees.tracking_error(t, start, observer_start, output=self.tracking == "output")
+        bound += self.left_by_preview
         if self.practical is None:
             return bound
         return bound + self.practical.norm(self.tracking, self.error_sizes.tolist())
@@ -122,18 +124,27 @@ class Controller:
         sizes = self.sizes.state if self.tracking == "state" else self.sizes.tracked
         return np.ones(1) if len(sizes) == 1 else sizes
 
-    @property
+    @cached_property
     def left_by_preview(self) -> float:
-        """What residual and jumps of an η that was worked out beforehand leave of |y − y_d| in the end, 0 without one.
+        """What residual and jumps of an η that was worked out beforehand leave of ‖y − y_d‖ in the end, 0 without one.
 
         With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps
         by J so does e, by −T⁻¹ [0; J], or by a mean of these where x_d changes its cell.
         """
-        preview, form = self.trajectory.preview, self.form
-        if preview is None or form is None:
-            return 0.0
-        columns = np.array([inverse[:, form.r :] for inverse in form.T_inverse])
-        return self.guarantees.left(columns, preview.residual, preview.times, preview.jumps)
+        preview = self.trajectory.preview
+        return 0.0 if preview is None else self.guarantees.left(self._of_eta, preview)
+
+    @cached_property
+    def left_by_signal(self) -> dict[Form, float]:
+        """The same of each signal; of uncertain parameters for every plant of their box. Nothing without one."""
+        preview, bounds = self.trajectory.preview, self.bounds if self.robust is None else self.robust.bounds
+        return {} if preview is None else from_preview(bounds, self._of_eta, preview)
+
+    @property
+    def _of_eta(self) -> Array:
+        """T⁻¹ [0; I] in each cell, (l, n, p)."""
+        assert self.form is not None
+        return np.array([inverse[:, self.form.r :] for inverse in self.form.T_inverse])
 
     @property
     def promises(self) -> tuple[Promise, ...]:

@@ -48,9 +48,10 @@ def from_sizes(controller: Controller) -> dict[Form, float]:
     for bounds in found:
         for signal in total:
             total[signal] += bounds.sizes[signal] * within[bounds.channel[1]] * OVER_SUMS
-    if controller.practical is None:
+    if controller.practical is None and controller.trajectory.preview is None:
         return total
-    left = controller.practical.final  # what merged cells leave comes on top
+    practical = controller.practical  # what merged cells leave, or what is played back, comes on top
+    left = controller.left_by_signal if practical is None else practical.final
     return {signal: (size + left[signal]) * OVER_SUMS for signal, size in total.items() if signal in left}
 
 
@@ -76,9 +77,10 @@ def cause(spec: Spec, channel: Channel, *, uncertain: bool = False) -> tuple[Kin
 def bound_rows(spec: Spec, controller: Controller) -> Iterator[str]:
     """Yield what acts and what it does to what is tracked, the inputs and what has a size; declared ones come first."""
     found = sorted(controller.bounds, key=lambda bounds: not declared(spec, bounds.channel))
-    merged = ", beside what is merged" * (controller.practical is not None)
+    beside = ", beside what is merged" if controller.practical else ""
+    beside = ", beside what is played back" if controller.trajectory.preview else beside
     yield (
-        f"in the loop as designed, for any switching, each signal is in the end at most the sum of these{merged}, in "
+        f"in the loop as designed, for any switching, each signal is in the end at most the sum of these{beside}, in "
         "proportion to what acts; from error 0 at all times"
     )
     for bounds in found[:_CAUSES]:

@@ -17,11 +17,12 @@ from pwatrack.study.variation import EnsembleResult
 
 def measures(result: Result) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
-    steady_state = result.steady_state
+    steady_state, figures = result.steady_state, asdict(result.figures)
+    del figures["sampled"]
     if steady_state is None:
-        return asdict(result.figures)
+        return figures
     largest = float(np.abs(steady_state.multipliers).max())
-    return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
+    return figures | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
 
 
 def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,6 +55,7 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
                 ("mode_changes", kept.mode_changes),
             )
         },
+        "sampled": sorted({name for figures in many.figures for name in figures.sampled}),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
         "outcomes": dict(Counter(outcome.kind for outcome in many.outcomes)),
         "failed": [number + 1 for number in many.failed],

@@ -179,14 +179,15 @@ def _result_content(result: Result) -> dict[str, Any]:
     proved = proved_content(result.spec, result.controller)
     content: dict[str, Any] = proved | {
         "figures": proved["figures"] | figure_content(measures(result)),
-        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
+        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text}
+        | {"sampled": list(result.figures.sampled)},
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         "tracked": _tracked_content(result),
         **preview_content(result.controller),
     }
-    if (robust := result.controller.robust) is not None:
+    if (robust := result.controller.robust) is not None and result.w is not None:
         content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
     return content
 

@@ -227,8 +227,9 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
     off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
-    inputs = figures["largest_input"].items()
-    table.add_row("largest input", ", ".join(f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in inputs))
+    inputs = [f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in figures["largest_input"].items()]
+    seen = " at the samples" * ("largest_input" in result.figures.sampled)
+    table.add_row("largest input", ", ".join(inputs) + seen)
     for name in plant.tracked_names[:_SIGNALS]:
         table.add_row("step" if name in figures["overshoot"] else "settling", _step_text(figures, name, result))
     if (steady := result.steady_state) is not None:
@@ -312,6 +313,7 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     ):
         values = figures[name]
         shown = (values[key] for key in ("median", "95 %", "worst"))
+        label += ", at the samples" * any(name.startswith(each) for each in figures["sampled"])
         spread.add_row(label, *("never" if v is None else format(v, form) for v in shown), str(values["member"]))
     console.print(spread)
     if figures["unresolved"]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import up
+from pwatrack.arrays import OVER_SUMS, up
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Controller
 from pwatrack.control.robust import Robust
@@ -42,7 +42,7 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
 
     Returns:
         For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
-        time of `since` on, and `seen`, its largest size at the samples of the last tenth of the run.
+        time of `since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
     """
     assert result.w is not None
     seen, late = dict[Form, float](), 0.9 * result.end
@@ -53,7 +53,9 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
             size = float(np.abs(errors[kind][last, k]).max(initial=0.0))
             seen[kind, k] = max(size, seen.get((kind, k), 0.0))
     reached = robust.reached(result.w[since(result)[0] :].max(axis=0))
-    return {signal_text(result.spec, s)[0]: {"bound": size, "seen": seen[s]} for s, size in reached.items()}
+    left = result.controller.left_by_signal
+    bound = {s: (size + left.get(s, 0.0)) * OVER_SUMS for s, size in reached.items()}
+    return {signal_text(result.spec, s)[0]: {"bound": bound[s], "seen": seen[s]} for s in reached}
 
 
 def largest_content(largest: LargestBox) -> dict[str, Any]:
@@ -80,7 +82,13 @@ def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
         f"for every plant with {box}, also where they change with time: {robust.count} inequalities of order {order} "
         f"proved; errors go to their bounds at least as fast as e^(−{down(robust.rate)} t)"
     )
-    yield "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end adds up"
+    said = (
+        "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end adds up"
+    )
+    if controller.trajectory.preview is not None:
+        left = limit_texts(spec, ((s, controller.left_by_signal[s]) for s in robust.bounds[0].sizes))
+        said += f", beside what is played back: {', '.join(left)} for all of them"
+    yield said
     for bounds in robust.bounds:
         _, on, unit = cause(spec, bounds.channel, uncertain=True)
         yield f"{', '.join(limit_texts(spec, bounds.sizes.items()))} per {unit or '1'} of {on}"
@@ -90,6 +98,9 @@ def run_rows(result: Result) -> Iterator[str]:
     """Yield what a box can do along the x_d of a run, and what was seen of it where the run is one of the box."""
     robust = result.controller.robust
     if robust is None:
+        return
+    if result.w is None:
+        yield "how large w is along the x_d of this run took too long to enclose: of this run nothing is said"
         return
     found = box_figures(result, robust)
     units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)

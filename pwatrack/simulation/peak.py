@@ -57,7 +57,9 @@ def feedforward_peak(
         found = enclosed(segments, lambda mode: trajectory.u_ff[mode[0]])
     except (CheckFailed, Undecided):
         return None
-    return Peak(low=found.low, high=found.high, times=found.times) if found.complete else None
+    return (
+        Peak(low=found.low, high=found.high, times=found.times) if np.isfinite([found.low, found.high]).all() else None
+    )
 
 
 def _of_w(trajectory: DesiredTrajectory, duration: float) -> Segments:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.controller import Controller
 from pwatrack.control.envelope import from_start, with_acting
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.actuator import Actuator
@@ -39,7 +40,7 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     if with_noise.nominal:
         most = from_start(controller.bounds, controller.starts, start, response.t, states=n)
         _with_norms(most, loop, response, start)
-        found = with_acting(most, controller.bounds, _acting(loop, response))
+        found = _played_back(controller, with_acting(most, controller.bounds, _acting(loop, response)))
         if controller.practical is None:
             return found
         left = controller.practical.final  # what merged cells leave comes on top
@@ -49,7 +50,15 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
         return {}
     most = from_start(robust.bounds, (), start, response.t, states=n)
     acting: dict[Channel, Array] = {bounds.channel: w[:, bounds.channel[1]] for bounds in robust.bounds}
-    return with_acting(most, robust.bounds, acting)
+    return _played_back(controller, with_acting(most, robust.bounds, acting))
+
+
+def _played_back(controller: Controller, found: dict[Form, Array]) -> dict[Form, Array]:
+    """Return bounds with what is added by an η that is played back."""
+    left = controller.left_by_signal
+    return (
+        {form: v + left[form] for form, v in found.items() if form in left} if controller.trajectory.preview else found
+    )
 
 
 def _with_norms(most: dict[Form, Array], loop: ClosedLoop, response: Response, start: Array) -> None:

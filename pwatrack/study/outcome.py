@@ -148,8 +148,11 @@ class Watch:
 
     @property
     def w(self) -> Array | None:
-        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n)."""
-        return None if self._along is None else self._along.w
+        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n).
+
+        None where it could not be enclosed.
+        """
+        return None if self._along is None or not np.isfinite(self._along.w).all() else self._along.w
 
     def outcome(self, figures: Figures) -> Outcome:
         """Say how the run went, the worst first.
@@ -182,14 +185,15 @@ class Watch:
 
     def _above_that_of_the_box(self, robust: Robust, block: Response) -> str:
         """Likewise of what is proved of all plants of a box, of which this is one."""
-        assert self._first is not None
-        assert self.w is not None
+        if self._first is None or self.w is None:
+            return ""
         first, n = self._first, block.x.shape[1]
         start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]])
         most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self.w.max(axis=0))
         for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
             signal: Form = (self._tracked, k)
-            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]
+            left = self._loop.controller.left_by_signal.get(signal, 0.0)
+            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal] + left
             if len(above := np.flatnonzero(error > bound + rounding)):
                 return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
         return ""
@@ -245,7 +249,7 @@ class Watch:
             return None
         final, worst = self._norms(figures)
         text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "
-        text += f"{self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
+        text += f"{self._norm_name} at most {final}{_seen(figures)} in the last tenth of the time ({worst} at worst)"
         return Outcome(kind="within its bound", text=text)
 
     def _settled(self, figures: Figures) -> Outcome:
@@ -253,13 +257,15 @@ class Watch:
         error = self._error.largest
         last, largest, seen = error[9], error.max(axis=0), " at the samples"
         if len(self._names) == 1:
-            last, largest, seen = np.array([figures.final_error]), np.array([figures.largest_error]), ""
+            last, largest = np.array([figures.final_error]), np.array([figures.largest_error])
+            seen = _seen(figures)
         size = np.where(self._expected > 0, self._expected, largest)
         allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
             final, worst = self._norms(figures)
-            return Outcome(kind="tracks", text=f"tracks: {self._norm_name} at most {final} {when} ({worst} at worst)")
+            text = f"tracks: {self._norm_name} at most {final}{_seen(figures)} {when} ({worst} at worst)"
+            return Outcome(kind="tracks", text=text)
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]
         late, worst, usual = (self._with_unit(v, name) for v in (last[k], largest[k], expected))
@@ -315,6 +321,11 @@ def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     )
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
+
+
+def _seen(figures: Figures) -> str:
+    """Say that an error was looked at at the samples only, where it was."""
+    return " at the samples" if {"final_error", "largest_error"} & set(figures.sampled) else ""
 
 
 def _share(ratio: float) -> str:
