@@ -31,6 +31,7 @@ SOME = {
 }
 
 
+STEPS = 60  # each is run by an interpreter
 FROM_OUTSIDE = ("two_mass_machine", "gallery/payload_without_sensor")
 
 
@@ -71,11 +72,11 @@ def both(subject: Subject, *, single: bool = False, given: bool = False) -> Iter
 
 @pytest.mark.parametrize("name", SOME)
 def test_no_bit_differs_from_the_controller(name: str) -> None:
-    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=300)
+    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=STEPS)
     for single in (False, True):
         for given in (False, True) if name in FROM_OUTSIDE else (False,):
             pairs = list(both(subject, single=single, given=given))
-            assert len(pairs) == 300
+            assert len(pairs) == STEPS
             assert all(one == other for one, other in pairs)
 
 
