@@ -21,8 +21,12 @@ from pwatrack.report.run_folder import read_index
 PUSHED = ("--set", "d1=-0.5")  # the load is driven on: zero dynamics that are unstable in every cell
 
 
-def call(*arguments: object) -> Run:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+def call(*arguments: object, pictures: bool = False) -> Run:
+    """Run a command; a simulation draws pictures only where a test looks at them, since they take most of its time."""
+    asked = [str(a) for a in arguments]
+    if asked[0] == "simulate" and not pictures and "--plots" not in asked:
+        asked += ["--plots", "none"]
+    return CliRunner().invoke(app, asked)
 
 
 def refused(run: Run, code: int) -> str:
@@ -63,7 +67,7 @@ def simulated(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     """A spec, its run folder and how the run went."""
     folder = tmp_path_factory.mktemp("simulated")
     path = shortened(specs / "two_mass_paper_gains.yaml", folder / "plant.yaml")
-    return path, folder / "out", call("simulate", path, "--out", folder / "out")
+    return path, folder / "out", call("simulate", path, "--out", folder / "out", pictures=True)
 
 
 def test_check_says_what_the_plant_is(spec: Path) -> None:

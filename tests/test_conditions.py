@@ -236,7 +236,7 @@ def test_a_limited_input_stays_at_its_limit_and_events_say_when(
     assert ((u[names == "linear"] > -2.0) & (u[names == "linear"] < 1.5)).all()
     assert isinstance(part, Actuator)
     assert (part.input, part.levels) == (0, (-2.0, None, 1.5) * 3)  # in each cell of x_d
-    write_result(result, tmp_path)
+    write_result(result, tmp_path, plots="none")
     with (tmp_path / "events.csv").open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["part"] == part.name]
     said = {(row["from_cell"], row["to_cell"], row["guard"]) for row in rows}

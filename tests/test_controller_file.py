@@ -32,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     text = (SPECS / "two_mass_machine.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("duration: 60\n  sample_time: 0.01", "duration: 4\n  sample_time: 0.002"))
     result = simulate(load_spec(path))
-    return write_result(result, path.parent / "run"), result
+    return write_result(result, path.parent / "run", plots="none"), result
 
 
 def content(run: tuple[Path, Result]) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
     conditions = replace(spec.scenario.conditions, sampling=Sampling(sample_time=h))
     scenario = replace(spec.scenario, conditions=conditions, duration=300 * h, sample_time=h)
     result = simulate(replace(spec, scenario=scenario), design(spec))
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     controller = Controller.load(folder / "controller.json")
     assert_the_same_bits(controller, result, h)
     (of_x_hat, of_x_d), names = controller.cells, controller.file.plant.cells

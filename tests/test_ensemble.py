@@ -288,7 +288,9 @@ def regions(path: Path, text: str) -> Path:
 def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_path: Path) -> None:
     text = "plant: {z1: [-0.3, 0.3], v1: [-1, 1]}, observer: {ellipsoid: {radii: {z2: 0.1}, center: {v1: 2}}}"
     path = regions(tmp_path / "plant.yaml", text + ", generator: [[0, 0.2], [0, 0]]")
-    run = call("simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out")
+    run = call(
+        "simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out", pictures=True
+    )
     assert run.exit_code == 0, run.output
     assert "12 members from other initial states, seed 3" in run.stdout
     assert "-0.3 ≤ z1 ≤ 0.3" in run.stdout

@@ -154,7 +154,7 @@ def test_kinked_tanks_are_followed_to_rounding_through_every_kink(tmp_path: Path
     assert together == 4 * periods
     jump = np.abs(np.diff(result.response.u_ff[:, 0])).max()
     assert jump > 0.005
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     assert "Theorem 3, output tracking: none of its inequalities is absent" in verify(folder)
     content = json.loads((folder / "certificate.json").read_text())
     generator = content["generator"]
@@ -183,7 +183,7 @@ def test_loads_where_the_input_enters_are_made_up_for_through_kinks(tmp_path: Pa
     result = simulate(load_spec(estimating(tmp_path, "input", "{h1: -0.002/a}")))
     assert np.abs(result.response.tracking_error[-200:]).max() < 1e-7
     assert result.response.estimates[-1, 0] == pytest.approx(-0.002, abs=1e-6)
-    assert verify(write_result(result, tmp_path / "run"))
+    assert verify(write_result(result, tmp_path / "run", plots="none"))
 
 
 def test_loads_that_move_a_kinked_derivative_are_refused_by_name(tmp_path: Path) -> None:

@@ -282,4 +282,4 @@ def test_given_gains_are_proved_by_polynomials_and_kept_to_what_these_promise(tm
         assert (error <= bound * (1 + 1e-9)).all()
         assert error[0] > 0.1 * bound[0]
     assert all(not size for bounds in result.controller.bounds for size in bounds.sizes.values())
-    verify(write_result(result, tmp_path / "run"), tmp_path / "given.yaml")
+    verify(write_result(result, tmp_path / "run", plots="none"), tmp_path / "given.yaml")

@@ -178,7 +178,7 @@ def test_a_gantry_is_followed_by_both_axes_and_its_certificate_holds(tmp_path: P
     assert np.abs(result.response.tracking_error[-100:]).max() < 1e-8
     ff = result.response.u_ff
     np.testing.assert_allclose(ff[2000:, 0], ff[2000:, 1], rtol=1e-6)  # both ends alike: the least that does it
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     assert "Theorem 3, output tracking: none of its inequalities is absent" in verify(folder)
     content = json.loads((folder / "certificate.json").read_text())
     for name, value in (("directions", [["1", "0"], ["0", "0"], ["0", "1"]]), ("relative_degrees", [2, 1])):
@@ -210,7 +210,7 @@ def test_loads_are_made_up_for_with_several_outputs(tmp_path: Path) -> None:
     result = simulate(load_spec(path))
     assert np.abs(result.response.tracking_error[-100:]).max() < 1e-7
     np.testing.assert_allclose(result.response.estimates[-1], [-20, 0, 30], atol=1e-4)
-    assert verify(write_result(result, tmp_path / "run"))
+    assert verify(write_result(result, tmp_path / "run", plots="none"))
 
 
 def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> None:
@@ -219,7 +219,9 @@ def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> N
     path.write_text(as_designed(text) + "design: {uncertain: {w: 10%}}")
     result = simulate(load_spec(path))
     assert result.controller.robust is not None
-    assert any("uncertain parameters: w" in line for line in verify(write_result(result, tmp_path / "run")))
+    assert any(
+        "uncertain parameters: w" in line for line in verify(write_result(result, tmp_path / "run", plots="none"))
+    )
 
 
 def test_a_sampled_controller_is_off_by_its_sample_time_with_several_outputs(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_a_long_run_is_written_in_full_and_kept_in_part(
         assert in_part[name] == pytest.approx(figure, rel=1e-12), name
     monkeypatch.delattr("pwatrack.study.pipeline.trace_blocks")  # writing does not simulate
     for one, other in ((paper, "whole"), (result, "part")):
-        write_result(one, tmp_path / other)
+        write_result(one, tmp_path / other, plots="none")
     assert (tmp_path / "whole/events.csv").read_bytes() == (tmp_path / "part/events.csv").read_bytes()
     whole, part = (np.loadtxt(tmp_path / name / "trace.csv", delimiter=",", skiprows=1) for name in ("whole", "part"))
     np.testing.assert_allclose(part, whole, rtol=1e-14, atol=1e-15)  # products of matrices of other shapes

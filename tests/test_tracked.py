@@ -160,7 +160,7 @@ def test_the_certificate_holds_what_is_tracked_and_the_auditor_reads_it(tmp_path
     halved = json.loads(json.dumps(content))
     halved["plant"]["tracked_rows"] = [["0", "0", "2", "0"]]
     assert audit(json.dumps(halved))[1]
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     header = (folder / "trace.csv").read_text(encoding="utf-8").split("\n", 1)[0].split(",")
     assert {"y_v1", "y_v1_d", "payload", "payload_d"} <= set(header)
     signals = json.loads((folder / "bounds.json").read_text(encoding="utf-8"))["table"][0]["signals"]

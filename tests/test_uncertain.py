@@ -482,7 +482,7 @@ def test_a_certificate_that_was_changed_is_found_out(
     tmp_path: Path, change: Callable[[Any], None], alone: bool
 ) -> None:
     path = spring(tmp_path, box="m: 5%, k: 5%")
-    folder = write_result(simulate(load_spec(path)), tmp_path / "run")
+    folder = write_result(simulate(load_spec(path)), tmp_path / "run", plots="none")
     assert any("uncertain parameters: m, k" in sentence for sentence in verify(folder))
     file = folder / "certificate.json"
     content = json.loads(file.read_text())
