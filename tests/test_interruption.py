@@ -15,15 +15,24 @@ from pwatrack.interruption import as_ended, in_order, uninterrupted
 
 
 def wait_for_ever(futures: list[Future[None]], delay: float) -> None:
-    """Wait again and again, one of the futures being done, and be interrupted."""
+    """Wait again and again, one of the futures being done, and be interrupted.
+
+    Once more after a second, if need be: an interruption in the moment in which a generator is thrown away is lost.
+    """
+    ended = threading.Event()
 
     def interrupt() -> None:
         time.sleep(delay)
         os.kill(os.getpid(), signal.SIGINT)
+        while not ended.wait(1.0):
+            os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=interrupt).start()
-    while True:
-        assert next(as_ended(futures)) is futures[0]
+    try:
+        while True:
+            assert next(as_ended(futures)) is futures[0]
+    finally:
+        ended.set()
 
 
 def test_no_future_stays_locked_wherever_the_wait_is_interrupted() -> None:
