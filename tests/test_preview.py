@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.integrate import solve_bvp
 from scipy.linalg import expm
 
@@ -33,6 +35,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.bounds import bound_rows
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.preview import preview_rows
+from pwatrack.report.summary import print_design
 from pwatrack.report.uncertain import box_figures, box_rows
 from pwatrack.simulation import preview as preview_module
 from pwatrack.simulation.preview import bounded_solution, played_back
@@ -462,6 +465,10 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     assert [left["estimate", k] for k in range(2)] == [0.0, 0.0]
     said = "each signal is in the end at most the sum of these, beside what is played back, in proportion to what acts"
     assert said in next(bound_rows(result.spec, result.controller))
+    console = Console(file=StringIO(), width=300)
+    print_design(console, result.spec, result.controller)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "from every start y − y_d and x − x_d go to what is played back leaves of it at least as fast" in printed
 
 
 def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
