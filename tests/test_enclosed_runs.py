@@ -1,6 +1,7 @@
 """What is said of a run between its samples, with limits, noise and ticks: against the same machine written by hand."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,7 +85,7 @@ def held(figures: Figures, t: Array, x: Array, u: Array, start: float) -> None:
         assert size * (1 - 1e-8) <= said <= size * (1 + 1e-4), (figure, name)
 
 
-def walked(rhs: object, z: Array, first: float, last: float) -> tuple[Array, Array]:
+def walked(rhs: Any, z: Array, first: float, last: float) -> tuple[Array, Array]:
     t = np.linspace(first, last, BETWEEN)
     found = solve_ivp(rhs, (first, last), z, t_eval=t, method="DOP853", rtol=1e-11, atol=1e-12, max_step=0.01)
     return t, found.y.T

@@ -17,6 +17,7 @@ from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control import generator as generator_module
+from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
@@ -457,7 +458,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     result = simulate(load_spec(path))
     r, left = result.response, result.controller.left_by_signal
     assert result.outcome.kind == "tracks"  # and not above its own bound
-    seen = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
+    seen: dict[Form, Array] = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
     for signal, values in seen.items():
         late = np.abs(values[-2000:]).max()
         assert 1e-8 < late <= left[signal]
