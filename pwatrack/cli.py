@@ -86,6 +86,7 @@ def check(
             from pwatrack.control.applicability import applicability  # which a spec in error does not need
             from pwatrack.lmi.solve import asking
             from pwatrack.study.merged import checked
+            from pwatrack.study.pipeline import sampling_known
             from pwatrack.study.sizing import spec_sizes
             from pwatrack.study.tracking import reference_remarks
 
@@ -103,10 +104,7 @@ def check(
                     ),
                 )
                 reference, sizes = checked(spec, report)
-            remarks = reference_remarks(spec, report.form)
-            if (sampling := spec.scenario.conditions.sampling) is not None:
-                said = "depends on its gains: `design` looks at it in each cell"
-                remarks = (*remarks, f"what sampling every {sampling.sample_time:g} s makes of the loop {said}")
+            remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

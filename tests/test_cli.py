@@ -351,7 +351,7 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     before = contents(out)
     monkeypatch.setattr("pwatrack.report.plots.pictures.pictures", fail)
     monkeypatch.setattr("pwatrack.cores.cores", lambda: 1)  # where no other process draws
-    message = refused(call("simulate", spec, "--out", out), code)
+    message = refused(call("simulate", spec, "--out", out, pictures=True), code)
     assert str(error.args[-1]) in message
     assert contents(out) == before
 

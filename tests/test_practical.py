@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction
 from io import StringIO
@@ -389,3 +390,55 @@ def test_beside_an_estimated_load_it_is_within_its_bound_and_no_error_is_said_to
     said = printed.getvalue()
     assert "drag (constant): estimated and compensated; errors end below the bounds said here" in said
     assert "go to 0" not in said
+
+
+SLACK = """
+name: two carts, the second on a slack rope
+parameters: {{gap: {gap}}}
+system:
+  states: [z1, v1, z2, v2]
+  inputs: [u]
+  outputs: [y1, y2]
+  A: [[0, 1, 0, 0], [-4, -1, 0, 0], [0, 0, 0, 1], [0, 0, 0, -0.5]]
+  B: [[0], [1], [0], [0]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+  nonlinearities:
+    - {{name: rope, kind: dead_zone, of: z1 - z2, lower: -gap, upper: gap, slope: 20, into: {{v1: -1, v2: 1}}}}
+design: {{tracking: state}}
+reference: {{input: ["{u}"], start: {start}}}
+simulation: {{duration: 40, sample_time: 0.02}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("gap", "u", "start", "worth"),
+    [
+        (0.001, "6*sin(0.5*t)", "periodic", True),
+        (0.001, "6", "periodic", True),  # speeds of a response that rests are rounding, and no size
+        (0.5, "0.2*sin(0.5*t)", "periodic", False),
+        (0.5, "0.2*sin(0.5*t)", "[0, 0, 0, 0]", False),
+    ],
+)
+def test_a_bound_beside_the_response_to_given_inputs_must_be_worth_having(
+    tmp_path: Path, gap: float, u: str, start: str, worth: bool
+) -> None:
+    path = tmp_path / "slack.yaml"
+    path.write_text(SLACK.format(gap=gap, u=u, start=start), encoding="utf-8")
+    if worth:
+        practical = design(load_spec(path)).practical
+        assert practical is not None
+        assert not practical.beyond
+        return
+    with pytest.raises(Infeasible, match="practical tracking is proved, and not worth having") as refusal:
+        design(load_spec(path))
+    said = re.search(r"\|z1 − z1_d\| ends below (\S+), and the reference is of size (\S+),", str(refusal.value))
+    assert said is not None
+    amplitude = _amplitude(0.5) * 0.2  # of z1 with the rope as a spring
+    assert float(said[2]) == pytest.approx(amplitude, rel=0.1 if "[" in start else 5e-3)
+    assert float(said[1]) > amplitude
+
+
+def _amplitude(frequency: float) -> float:
+    """Of z1 per amplitude of u, with the rope as a spring of 20."""
+    A = np.array([[0, 1, 0, 0], [-24, -1, 20, 0], [0, 0, 0, 1], [20, 0, -20, -0.5]])
+    return float(np.abs(np.linalg.solve(1j * frequency * np.eye(4) - A, np.eye(4)[:, 1]))[0])

@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.integrate import solve_bvp
 from scipy.linalg import expm
 
@@ -15,6 +17,7 @@ from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control import generator as generator_module
+from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
@@ -33,6 +36,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.bounds import bound_rows
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.preview import preview_rows
+from pwatrack.report.summary import print_design
 from pwatrack.report.uncertain import box_figures, box_rows
 from pwatrack.simulation import preview as preview_module
 from pwatrack.simulation.preview import bounded_solution, played_back
@@ -454,7 +458,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     result = simulate(load_spec(path))
     r, left = result.response, result.controller.left_by_signal
     assert result.outcome.kind == "tracks"  # and not above its own bound
-    seen = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
+    seen: dict[Form, Array] = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
     for signal, values in seen.items():
         late = np.abs(values[-2000:]).max()
         assert 1e-8 < late <= left[signal]
@@ -462,6 +466,10 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     assert [left["estimate", k] for k in range(2)] == [0.0, 0.0]
     said = "each signal is in the end at most the sum of these, beside what is played back, in proportion to what acts"
     assert said in next(bound_rows(result.spec, result.controller))
+    console = Console(file=StringIO(), width=300)
+    print_design(console, result.spec, result.controller)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "from every start y − y_d and x − x_d go to what is played back leaves of it at least as fast" in printed
 
 
 def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

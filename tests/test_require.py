@@ -443,7 +443,7 @@ def test_what_took_too_long_to_enclose_is_said_of_the_samples_and_keeps_no_limit
     enclosed = simulate(load_spec(path)).figures
     assert call("simulate", path, "--ensemble", 3, "--out", tmp_path / "out").exit_code == 0
     assert index_of(tmp_path / "out")["simulation"]["sampled"] == []
-    monkeypatch.setattr("pwatrack.simulation.enclosure._MOST_PIECES", 1)
+    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_PIECES", 1)
     result = simulate(load_spec(path))
     u, error = np.abs(result.response.u).max(), result.response.error_norm
     assert result.figures.sampled == tuple(name for name in QUANTITIES if name in SIZES)

@@ -1,5 +1,6 @@
 """Sample times at which a cell is unstable are refused before anything is simulated; what is offered dies out."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -301,3 +302,17 @@ def test_the_files_of_a_run_with_steps_and_rates_are_written(tmp_path: Path) -> 
     assert run.exit_code == 0, run.output
     header = (tmp_path / "out" / "trace.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.endswith("cell_rate_u")
+
+
+def test_check_says_what_design_says_of_a_sample_time_where_the_gains_are_given(tmp_path: Path) -> None:
+    said = "sampled every 0.5 s, the loop is unstable in cell 'stop "
+    path = cart(tmp_path, SLOW, reference="0.08*cos(t)")
+    remarks = json.loads(call("check", path, "--json").stdout)["remarks"]
+    assert [remark[: len(said)] for remark in remarks] == [said]
+    assert remarks[0] in " ".join(call("design", path, "--out", tmp_path / "out").output.split())
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("  observer: {L: [[-10], [-30]]}\n", ""), encoding="utf-8")
+    (remark,) = json.loads(call("check", path, "--json").stdout)["remarks"]
+    assert remark.startswith("what sampling every 0.5 s makes of the loop depends on its gains")
+    fast = cart(tmp_path, SLOW.replace("0.5", "0.01"), reference="0.08*cos(t)")
+    assert json.loads(call("check", fast, "--json").stdout)["remarks"] == []

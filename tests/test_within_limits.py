@@ -629,3 +629,49 @@ def test_what_is_required_of_an_input_is_held_against_it_between_samples(tmp_pat
     result = call("simulate", path, "--out", tmp_path / "out")
     assert result.exit_code == 6
     assert "largest_input of u: 8.526, at most 8 required" in " ".join(result.stdout.split())
+
+
+TANKS = """
+name: two tanks and a float, on which the pump hangs
+system:
+  states: [h1, h2, h3]
+  inputs: [q]
+  outputs: [y]
+  A: [[-0.5, 0, 0.1], [0.2, -0.24, 0], [0, 1, -1]]
+  B: [[1], [0], [0]]
+  C: [[0, 1, 0]]
+  nonlinearities:
+    - {name: side, kind: spring, of: h1, into: {h1: -1, h2: 0.4}, start: 0.6, slope: 1}
+reference: {output: {constant: HEIGHT}}
+simulation: {duration: 8, sample_time: 0.1, initial: {generator: [START]}, actuator: {limits: {q: [-9, 9]}}}
+"""
+
+
+@pytest.mark.parametrize(("start", "ever"), [("0.8", True), ("0.7", False)])
+def test_where_u_ff_jumps_between_cells_it_goes_on_for_ever_from_a_rest_inside_of_one(
+    tmp_path: Path, start: str, ever: bool
+) -> None:
+    rest = "initial: {generator: steady}" if ever else f"initial: {{generator: [{start}]}}"
+    text = TANKS.replace("HEIGHT", "0.8").replace("initial: {generator: [START]}", rest)
+    found, _ = limited(load_spec(written(tmp_path, text)))
+    assert found.ever == ever
+
+
+@pytest.mark.parametrize(
+    ("u", "low", "high", "ever"),
+    [
+        ("1 + 2*sin(0.5*t)", -1.0, 3.0, True),  # of which the run sees less than half a period
+        ("3", 3.0, 3.0, True),
+        ("sin(0.5*t) + sin(0.3*sqrt(2)*t)", -1.0, 2.0, False),  # it never repeats
+    ],
+)
+def test_inputs_that_are_given_go_on_as_they_are_written(
+    tmp_path: Path, u: str, low: float, high: float, ever: bool
+) -> None:
+    asked = f'design: {{tracking: state}}\nreference: {{input: ["{u}"], start: [0, 0]}}'
+    text = STAGE.replace("reference: {output: REFERENCE}", asked).replace("[0, -d/m]", "[-4, -d/m]")
+    path = written(tmp_path, text, DURATION="3", LIMITS="[-20, 20]")
+    found, peak = limited(load_spec(path))
+    assert found.ever == ever
+    assert peak.low[0] == pytest.approx(low, abs=1.01 if not ever else 1e-5)
+    assert peak.high[0] == pytest.approx(high, abs=1.01 if not ever else 1e-5)

@@ -177,7 +177,8 @@ def _promise_rows(table: Table, controller: Controller) -> None:
         return
     errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
     error = f"{errors} and x − x_d go" if controller.tracking == "output" else "x − x_d goes"
-    text = f"from every start {error} to 0 at least as fast as e^(−{down(promised.rate)} t), for any switching"
+    ends = "0" if controller.trajectory.preview is None else "what is played back leaves of it"
+    text = f"from every start {error} to {ends} at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))
         text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"

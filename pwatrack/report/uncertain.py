@@ -113,7 +113,8 @@ def run_rows(result: Result) -> Iterator[str]:
         for name, unit, f in shown:
             late = ", not yet" if f["seen"] > f["bound"] else ""
             texts.append(f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}{late}")
-        yield f"the plant of this run is one of them; {while_small}, and in the last tenth here: {'; '.join(texts)}"
+        here = f"and at the samples of the last tenth here: {'; '.join(texts)}"
+        yield f"the plant of this run is one of them; {while_small}, {here}"
     else:
         texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}" for name, unit, f in shown]
         yield f"this run is not one of them; {while_small}: {', '.join(texts)}"

@@ -31,7 +31,7 @@ _SHORT = 0.5  # ‖F s‖ for the length s from which on there is doubling
 _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the length than it gains
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
-_MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
+MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
@@ -220,7 +220,7 @@ class Enclosing:
     """
 
     def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Turns] | None = None) -> None:
-        self._rows, self._norm, self._left = rows, norm, _MOST_PIECES
+        self._rows, self._norm, self._left = rows, norm, MOST_PIECES
         self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
         self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows

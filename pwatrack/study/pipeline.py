@@ -1,5 +1,6 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
-from pwatrack.control.goal import LeastCost
+from pwatrack.control.goal import Given, LeastCost
 from pwatrack.control.program import Program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.robust import Robust, prove_box
@@ -22,6 +23,7 @@ from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
+from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.sampled_runs import check_sample_time
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start
@@ -119,6 +121,21 @@ def _designed(spec: Spec, growing: bool) -> Controller:
             controller = replace(controller, limited=promising)
     box = goals.uncertain
     return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
+
+
+def sampling_known(spec: Spec) -> tuple[str, ...]:
+    """Say what sampling makes of the loop in each cell, as far as that is known before gains are sought.
+
+    With K and L given it is what `sampling_remarks` says of the design; else that it depends on them.
+    """
+    sampling, goals = spec.scenario.conditions.sampling, spec.objectives
+    if sampling is None:
+        return ()
+    if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
+        with suppress(PwatrackError):  # `design` says what
+            return sampling_remarks(design(spec, growing=True), spec.scenario.conditions)
+    said = "depends on its gains: `design` looks at it in each cell"
+    return (f"what sampling every {sampling.sample_time:g} s makes of the loop {said}",)
 
 
 def simulate(spec: Spec, controller: Controller | None = None, runs: Program | None = None) -> Result:
