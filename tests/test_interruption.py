@@ -27,8 +27,8 @@ def wait_for_ever(futures: list[Future[None]], delay: float) -> None:
         while not ended.wait(1.0):
             os.kill(os.getpid(), signal.SIGINT)
 
-    threading.Thread(target=interrupt).start()
     try:
+        threading.Thread(target=interrupt).start()
         while True:
             assert next(as_ended(futures)) is futures[0]
     finally:
