@@ -253,6 +253,8 @@ def test_another_format_is_refused_by_the_names_of_both_and_what_to_do(stops: Pa
     (tmp_path / "run" / "certificate.json").write_text(text)
     shown = repr(name) if isinstance(name, str) else "none that is known"
     (fault,) = audit(text)[1]
-    assert fault.startswith(f"the format is {shown}, this program reads '{FORMAT}': write it anew with 'pwatrack design'")
+    assert fault.startswith(
+        f"the format is {shown}, this program reads '{FORMAT}': write it anew with 'pwatrack design'"
+    )
     (line,) = refused(call("verify", tmp_path / "run"), 6).splitlines()
     assert fault in line

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -24,8 +23,9 @@ from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
+from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.required import required
-from pwatrack.report.run_folder import SPEC, json_text, named_spec, read_index
+from pwatrack.report.run_folder import json_text, read_index
 from pwatrack.report.verify import CERTIFICATE, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -261,10 +261,7 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
 
 
 def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
-    """Return the spec that the run in a folder was made from: the file if it is as it was, else the copy of it."""
-    for path in (named_spec(read_index(folder) or {}, folder), folder / SPEC):
-        missing = (OSError, InvalidSpec) if path.name == SPEC else (OSError,)  # tables that it refers to do not move
-        with suppress(*missing):
-            if hashlib.sha256(path.read_bytes()).hexdigest() == file.spec_sha256:
-                return load_spec(path, file.set)
-    return None
+    """Return the spec that the run in a folder was made from, as it was then; None where that is not at hand."""
+    path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
+    spec = None if path is None else load(path, file.set)
+    return spec if spec is not None and spec.sha256 == file.spec_sha256 else None

@@ -4,7 +4,6 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,12 @@ from pwatrack.report.figures import (
     member_figures,
 )
 from pwatrack.report.how_far import content as how_far_content
+from pwatrack.report.kept_spec import keep
 from pwatrack.report.limits import limit_content
 from pwatrack.report.practical import practical_content
 from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, SPEC, Plots, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
@@ -42,7 +42,6 @@ from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
-from pwatrack.spec.values import WRITTEN
 from pwatrack.study.how_far import HowFar
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
@@ -190,7 +189,7 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
 
 
 def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
-    _keep_spec(run, spec)
+    keep(run, spec)
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
     made = written(spec, controller, start)
     run.text("certificate.json", made.certificate)
@@ -223,16 +222,6 @@ def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     if controller.robust is not None:
         index["uncertain"] = robust_content(spec, controller.robust)
     return index | _practical(spec, controller)
-
-
-def _keep_spec(run: RunFolder, spec: Spec) -> None:
-    """Put what was read of the spec beside its run: the file may change, and the folder may be moved."""
-    if spec.text is not None:
-        run.text(WRITTEN, spec.text)
-        return
-    with suppress(PwatrackError):  # it has gone, or was changed since
-        if hashlib.sha256(content := spec_bytes(spec.path)).hexdigest() == spec.sha256:
-            run.place(SPEC).write_bytes(content)
 
 
 def write_refusal(
@@ -281,7 +270,7 @@ def write_refusal(
         if proof is not None:
             run.json(REFUSAL, proof)
         if spec is not None:
-            _keep_spec(run, spec)
+            keep(run, spec)
         run.commit(index | ending)
     return proof is not None
 

@@ -18,9 +18,9 @@ from pwatrack.report.bounds import BOUNDS, bound_content
 from pwatrack.report.certificate import CLAIM, decimals, subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.files import gain_content, proved_content
-from pwatrack.report.run_folder import INDEX, REFUSAL, json_text, named_spec
+from pwatrack.report.kept_spec import load, spec_of
+from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.report.told import CLOSE, merged_as_told, told_design, told_gains
-from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import spec_sizes
 
@@ -41,7 +41,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 
     Args:
         path: certificate.json, or the folder it is in.
-        spec: The spec it should belong to; without it, the one that run.json names, if that is still there.
+        spec: The spec it should belong to; without it, that of `spec_of`.
 
     Returns:
         What was checked, in sentences.
@@ -58,17 +58,17 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         faults += _misnamed(content, file)
     if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
-        named = spec or _named_spec(_json(folder / INDEX), folder)
+        named, other = (spec, "") if spec else spec_of(_json(folder / INDEX) or {}, folder, content["spec_sha256"])
         try:
             if named is None:
                 said.append("not compared with a spec: none is at hand; name it with --spec")
                 if file.name != REFUSAL:
                     _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults)
             else:
-                described = load_spec(named, content["set"])
+                described = load(named, content["set"])
                 faults += _against_spec(content, described)
                 changed = " with " * bool(content["set"]) + ", ".join(f"{k} = {v}" for k, v in content["set"].items())
-                said.append(f"it belongs to {named}{changed}: same plant, gains and goals")
+                said += [f"it belongs to {named}{changed}: same plant, gains and goals", *filter(None, [other])]
                 if not faults and not refuses(content):
                     _against_folder(content, folder, described, said, faults)
         except (Fault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -220,11 +220,6 @@ def _largest(values: Any) -> float:
     if isinstance(values, list):
         return max(map(_largest, values), default=0.0)
     return abs(values) if isinstance(values, float) else 0.0
-
-
-def _named_spec(index: Any, folder: Path) -> Path | None:
-    named = named_spec(index, folder) if isinstance(index, dict) else Path()
-    return named if named.is_file() else None
 
 
 def _json(path: Path) -> Any:
