@@ -79,7 +79,8 @@ def test_a_run_of_tables_is_moved_with_them(tmp_path: Path, name: str) -> None:
     run = made(home, output, "--allow-outside", acts="disturbance: {v: {table: {file: other.csv}}}, ")
     kept = [(run / f"table_{k}.csv").read_text(encoding="utf-8") for k in (1, 2)]
     assert kept == [(home / file).read_text(encoding="utf-8") for file in (name, "other.csv")]
-    moved = shutil.move(run, tmp_path / "moved")
+    moved = tmp_path / "moved"
+    shutil.move(run, moved)
     for folder in ("home", "elsewhere"):
         shutil.rmtree(tmp_path / folder)
     assert belongs(moved) == [f"it belongs to {moved / 'spec.txt'}: same plant, gains and goals"]

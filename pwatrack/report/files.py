@@ -85,8 +85,11 @@ def write_design(
         >>> sorted(path.name for path in write_design(spec, design(spec), mkdtemp()).iterdir())[:3]
         ['bounds.json', 'certificate.json', 'controller.json']
     """
+    checked = required(spec, controller)
+    said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
+    why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        _design_files(run, spec, controller, known_start(spec, controller))
+        _design_files(run, spec, controller, known_start(spec, controller), [*missed(checked), *why])
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, seconds) | proved_content(spec, controller) | preview_content(controller)
@@ -95,11 +98,10 @@ def write_design(
             *reference_remarks(spec, controller.form),
             *sampling_remarks(controller, spec.scenario.conditions),
         ]
-        index |= _requirements(required(spec, controller))
+        index |= _requirements(checked)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
-            said = "; ".join(problem.message for problem in broken.problems)
             index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
         run.commit(index)
     return Path(folder)
@@ -137,9 +139,10 @@ def write_result(
     index = _index(result.spec, seconds) | {"exit": int(code)} | _result_content(result)
     if many:
         index["ensemble"] = ensemble_measures(many)
-    index |= _requirements(required(result.spec, result.controller, result, many))
+    checked = required(result.spec, result.controller, result, many)
+    index |= _requirements(checked)
     with run_folder(folder) as run:
-        _design_files(run, result.spec, result.controller, starts(result))
+        _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
         pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
@@ -188,10 +191,19 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
-def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
+def missed(checked: Sequence[Checked], result: Result | None = None, many: EnsembleResult | None = None) -> list[str]:
+    """Return what a run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
+    found = [each.text for each in checked if not each.met]
+    found += [result.outcome.text] if result is not None and result.outcome.code else []
+    return found + ([many.failure] if many is not None and many.failed else [])
+
+
+def _design_files(
+    run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None, failed: Sequence[str]
+) -> None:
     keep(run, spec)
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
-    made = written(spec, controller, start)
+    made = written(spec, controller, start, failed)
     run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
     if made.generator is not None:

@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -25,7 +25,7 @@ from pwatrack.report import files, summary
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
-from pwatrack.report.terminal import console
+from pwatrack.report.terminal import compiling, console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
@@ -94,7 +94,9 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
-    with console(stderr=True).status("Reading the spec") as status:
+    screen = console(stderr=True)
+    said = compiling(screen) if shown in ("summary", "more") else nullcontext()
+    with screen.status("Reading the spec") as status, said:
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = None

@@ -24,7 +24,7 @@ from pwatrack.report.told import CLOSE, merged_as_told, told_design, told_gains
 from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import spec_sizes
 
-CERTIFICATE = "certificate.json"
+CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
 _ALONE = (  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
     *("format", "spec", "simulation", "exit", "seconds", "versions", "remarks", "requirements", "conditions", "files"),
     *("estimates", "tracked", "preview", "ensemble", "largest_box"),
@@ -56,6 +56,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     if not faults:
         content, folder = parsed(text), file.parent
         faults += _misnamed(content, file)
+        _tell_failed(file, said, faults)
     if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
         named, other = (spec, "") if spec else spec_of(_json(folder / INDEX) or {}, folder, content["spec_sha256"])
@@ -86,6 +87,15 @@ def _certificate_in(folder: Path) -> Path:
     """Return the certificate of a run folder, or the refusal where there is only that."""
     refusal, certificate = folder / REFUSAL, folder / CERTIFICATE
     return refusal if refusal.is_file() and not certificate.is_file() else certificate
+
+
+def _tell_failed(file: Path, said: list[str], faults: list[str]) -> None:
+    """Add what a controller beside a certificate, in a run or an export, says that its run did not achieve."""
+    told = (_json(file.parent / CONTROLLER) or {}).get("failed", []) if file.name == CERTIFICATE else []
+    if isinstance(told, list) and all(isinstance(line, str) and line.isprintable() for line in told):
+        said += [f"its run failed: {line}" for line in told]
+    else:
+        faults.append(f"'failed' in {CONTROLLER} is no list of texts on one line")
 
 
 def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
@@ -157,10 +167,10 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults, exactly=True)
     _compare(BOUNDS, folder, bound_content(spec, controller), said, faults)
     _compare("generator.json", folder, made.generator, said, faults)
-    if made.controller is not None and (told := _json(folder / "controller.json")) is not None:
-        again = made.controller | {"sha256": digest(told)}
+    if made.controller is not None and (told := _json(folder / CONTROLLER)) is not None:
+        again = made.controller | {"sha256": digest(told), "failed": told.get("failed")}
         other = spec.scenario.conditions.sampling is None and told.get("program") is not None  # that of another file
-        _compare("controller.json", folder, again, said, faults, ["program"] * other)
+        _compare(CONTROLLER, folder, again, said, faults, ["program"] * other)
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
