@@ -98,7 +98,8 @@ def test_the_command_line_says_it_on_stderr_to_people_only(
     simulated = pipeline.simulate
     monkeypatch.setattr(pipeline, "simulate", slow)
     (tmp_path / "cart.yaml").write_text(cart(SINE), encoding="utf-8")
-    done = call("simulate", tmp_path / "cart.yaml", "--out", tmp_path / "run", "--plots", "none", *options)
+    before, after = (options, ()) if "--format" in options else ((), options)
+    done = call(*before, "simulate", tmp_path / "cart.yaml", "--out", tmp_path / "run", "--plots", "none", *after)
     assert done.exit_code == 0, done.output
     assert done.stderr.count("Compiling the simulation, ") == (not options or options == ("--verbose",))
     assert "Compiling" not in done.stdout
