@@ -31,7 +31,7 @@ def listen() -> None:
 
     waiting: list[threading.Timer] = []  # one for each function that is compiled just now, by those that call it
 
-    class Compiler(event.Listener):  # type: ignore[misc]  # it has no types
+    class Compiler(event.Listener):
         def on_start(self, found: Any) -> None:
             kept = getattr(found.data["dispatcher"]._cache, "cache_path", None) is not None
             waiting.append(threading.Timer(_SLOW, _tell, (kept,)))
@@ -42,7 +42,8 @@ def listen() -> None:
         def on_end(self, _: Any) -> None:
             waiting.pop().cancel()
 
-    event.register(_COMPILED, Compiler())
+    register: Any = event.register  # it has no types
+    register(_COMPILED, Compiler())
 
 
 def _tell(kept: bool) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from pwatrack import compilation
 from pwatrack.compilation import while_compiling
 from pwatrack.study import pipeline
 from tests.test_cli import call
@@ -31,10 +30,10 @@ class AtOnce:
     """A timer that does not wait."""
 
     def __init__(self, _: float, function: Callable[..., object], arguments: tuple[object, ...]) -> None:
-        self.do = lambda: function(*arguments)
+        self.function, self.arguments = function, arguments
 
     def start(self) -> None:
-        self.do()
+        self.function(*self.arguments)
 
     def cancel(self) -> None:
         pass
@@ -43,7 +42,7 @@ class AtOnce:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     importlib.import_module("pwatrack.simulation.kernel")  # it listens from then on
-    monkeypatch.setattr(compilation.threading, "Timer", AtOnce)
+    monkeypatch.setattr("threading.Timer", AtOnce)
 
 
 def fresh(folder: Path, *, cache: bool = False) -> Any:

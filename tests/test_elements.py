@@ -57,7 +57,7 @@ def certificate(folder: Path) -> dict[str, Any]:
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_every_cell_is_a_mean_of_the_corners_of_the_box_of_slopes_and_is_read_as_it_is(seed: int) -> None:
     """The weights are the products of how far each slope is from its least one; b_i is no mean, and need not be."""
     random = np.random.default_rng(seed)

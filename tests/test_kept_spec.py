@@ -9,20 +9,10 @@ import pytest
 import pwatrack
 from pwatrack.errors import CheckFailed
 from pwatrack.report.verify import verify
+from tests.scenarios import mass
 from tests.test_cli import call
 from tests.test_courses import rows
 
-CART = """name: cart
-system:
-  states: [z, v]
-  inputs: [u]
-  outputs: [y]
-  A: [[0, 1], [-1, -1]]
-  B: [[0], [1]]
-  C: [[1, 0]]
-reference: {output: OUTPUT}
-simulation: {ACTSduration: 1, sample_time: 0.1, controller: {sample_time: 0.01}}
-"""
 SINE = '"0.1*sin(t)"'
 T = np.linspace(0, 2, 21)
 
@@ -33,7 +23,8 @@ def belongs(run: Path) -> list[str]:
 
 
 def cart(output: str, acts: str = "") -> str:
-    return CART.replace("OUTPUT", output).replace("ACTS", acts)
+    simulation = f"{{{acts}duration: 1, sample_time: 0.1, controller: {{sample_time: 0.01}}}}"
+    return mass(reference=f"{{output: {output}}}", simulation=simulation)
 
 
 def made(folder: Path, output: str = SINE, *options: str, acts: str = "") -> Path:
