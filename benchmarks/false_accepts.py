@@ -348,7 +348,7 @@ def forged_ones(count: int) -> tuple[int, int]:
         forgery, right = forged(content, random)
         if not audit(forgery)[1]:
             accepted += 1
-            false += not right
+            false += not right and forgery != json.dumps(content)  # a change of an entry may round to none
     return accepted, false
 
 

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from pwatrack.interruption import ended_by
+
 _SLOW = 2.0  # s: what takes less needs no word
 _COMPILED = "numba:compile"  # what Numba calls it; what it finds on disk is not compiled
 _told: list[Callable[[bool], object]] = []  # who is told, the innermost last
@@ -41,6 +43,8 @@ def listen() -> None:
 
         def on_end(self, _: Any) -> None:
             waiting.pop().cancel()
+            if (code := ended_by()) is not None:  # what that raised was lost in a callback of the compiler
+                raise SystemExit(code)
 
     register: Any = event.register  # it has no types
     register(_COMPILED, Compiler())

@@ -86,6 +86,16 @@ def test_a_compiler_that_is_quick_needs_no_word(tmp_path: Path, monkeypatch: pyt
     assert said == []
 
 
+def test_a_signal_that_the_compiler_lost_ends_the_program_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a handler raises in the middle of a callback is lost; what came is remembered."""
+    monkeypatch.setattr("pwatrack.compilation.ended_by", lambda: 143)
+    with pytest.raises(SystemExit) as ended:
+        fresh(tmp_path)(1)
+    assert ended.value.code == 143
+
+
 @pytest.mark.parametrize("options", [(), ("--verbose",), ("--quiet",), ("--json",), ("--format", "json")])
 def test_the_command_line_says_it_on_stderr_to_people_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...]

@@ -175,6 +175,13 @@ def test_names_are_printed_on_one_line_or_not_at_all(box: Path, name: str) -> No
     assert all(map(str.isprintable, changed(content, lambda c: c.update({name: 1}))))
 
 
+def test_a_box_is_one_of_parameters(box: Path) -> None:
+    content = json.loads((box / "certificate.json").read_text())
+    assert changed(content, lambda c: c["uncertain"]["parameters"].clear()) == [
+        "uncertain parameters: none is named, and there are bounds for them"
+    ]
+
+
 @pytest.mark.parametrize("key", ["rate", "P", "format", "proofs"])
 def test_a_key_that_is_there_twice_is_a_fault(cost: dict[str, Any], key: str) -> None:
     """The last of two counts for JSON's readers, the first for some others."""

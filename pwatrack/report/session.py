@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -95,8 +95,7 @@ def run(
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
     screen = console(stderr=True)
-    said = compiling(screen) if shown in ("summary", "more") else nullcontext()
-    with screen.status("Reading the spec") as status, said:
+    with screen.status("Reading the spec") as status, compiling(screen, meant=shown in ("summary", "more")):
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = None

@@ -32,9 +32,9 @@ _LONGEST = 2_000  # characters of one message
 
 
 @contextmanager
-def compiling(screen: Console) -> Iterator[None]:
+def compiling(screen: Console, *, meant: bool = True) -> Iterator[None]:
     """Say on a console that the simulation is compiled, if that takes a while; not where refusals are for machines."""
-    with while_compiling(partial(_say, screen)) if STYLE.get() == "text" else nullcontext():
+    with while_compiling(partial(_say, screen)) if meant and STYLE.get() == "text" else nullcontext():
         yield
 
 
