@@ -193,9 +193,9 @@ def test_a_file_that_was_changed_in_200_ways_is_refused(run: tuple[Path, Result]
 def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
     old = tmp_path / "controller.json"
     old.write_text(json.dumps({**content(run), "format": "pwatrack controller 1"}))
-    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 3'"):
+    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 4'"):
         Controller.load(old)
-    for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 3"}'):
+    for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 4"}'):
         old.write_text(text)
         with pytest.raises(InvalidSpec):
             Controller.load(old)

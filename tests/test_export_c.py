@@ -17,8 +17,9 @@ from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource, header, prefix
 from pwatrack.export.fmu import packed
 from pwatrack.export.fmu_controller import controller_parts
-from pwatrack.report.export import CONTROLLER, Subject, of_spec
-from pwatrack.report.verify import CERTIFICATE
+from pwatrack.export.source import said as in_comment
+from pwatrack.report.export import Subject, of_spec
+from pwatrack.report.verify import CERTIFICATE, CONTROLLER, verify
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
 from tests.misra import checked, listed
@@ -355,7 +356,7 @@ def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
         assert "is from the exact simulation of its spec" in " ".join(Path("code/README.md").read_text().split())
 
     exported("../one/runs/cart")
-    assert f"it belongs to {tmp_path / 'one/cart.yaml'}" in call("verify", "../one/runs/cart").output
+    assert "it belongs to ../one/runs/cart/spec.txt: same plant" in call("verify", "../one/runs/cart").output
     shutil.move(tmp_path / "one/runs/cart", tmp_path / "two")
     shutil.rmtree(tmp_path / "one")
     exported("../two/cart")
@@ -381,6 +382,29 @@ def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp
     assert (title.removeprefix(" * "), empty) == (load_spec(path).name, " *")
     assert said.startswith(" * FAILED: final_error: ")
     assert "Its run FAILED: final_error: " in (out / "README.md").read_text(encoding="utf-8")
+    (line,) = json.loads((out / CONTROLLER).read_text(encoding="utf-8"))["failed"]
+    assert said == f" * FAILED: {in_comment(line)}"
+    assert f"its run failed: {line}" in verify(out)
+    again = tmp_path / "again"
+    for target in (out, out / CONTROLLER, *((run, run / CONTROLLER) if stored else ())):
+        for language in ("c", "st", "mat", "fmu"):
+            assert f"its run failed: {line}" in refused(call("export", language, target, "--out", again), 6)
+    assert not again.exists()
+    assert call("export", "st", out, "--out", again, "--failed").exit_code == 0
+    assert "FAILED: final_error: " in (again / "cart.st").read_text(encoding="utf-8")
+    assert (again / CONTROLLER).read_bytes() == (out / CONTROLLER).read_bytes()
+
+
+def test_a_controller_whose_run_broke_off_says_so_and_one_that_ran_well_does_not(tmp_path: Path) -> None:
+    path, run = cart(tmp_path, "controller: {sample_time: 100}", duration=200), tmp_path / "run"
+    assert call("simulate", path, "--out", run, "--plots", "none").exit_code == 6
+    (line,) = json.loads((run / CONTROLLER).read_text(encoding="utf-8"))["failed"]
+    assert "the loop is unstable" in line
+    assert f"its run failed: {line}" in verify(run)
+    cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
+    assert call("simulate", path, "--out", run, "--plots", "none").exit_code == 0
+    assert json.loads((run / CONTROLLER).read_text(encoding="utf-8"))["failed"] == []
+    assert not [said for said in verify(run) if "failed" in said]
 
 
 def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:

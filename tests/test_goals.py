@@ -164,7 +164,7 @@ def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_for
     rate=st.floats(-3, 3),
     bound=st.one_of(st.floats(-2, 4), st.just(60.0)),
 )
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_every_search_of_a_small_plant_ends_after_few_programs(
     seed: int, n: int, cells: int, goal: str, rate: float, bound: float
 ) -> None:
@@ -300,7 +300,7 @@ def test_as_many_digits_of_a_gain_are_printed_as_its_proof_needs() -> None:
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: int, m: int) -> None:
     random = np.random.default_rng(seed)
     A, B = random.normal(size=(n, n)), random.normal(size=(n, m))
@@ -399,7 +399,7 @@ def balanced_cost(task: Task, K: Array) -> float:
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_with_one_cell_the_default_gain_is_lqr_in_sizes(seed: int, n: int, m: int) -> None:
     random = np.random.default_rng(seed)
     d = 2.0 ** random.integers(-5, 6, size=n)
@@ -425,7 +425,7 @@ def test_no_smaller_gain_costs_less_than_the_default_one(seed: int) -> None:
 
 
 @given(seed=seeds, n=st.integers(1, 4), slow=st.floats(-9, -1), cells=st.integers(1, 3))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_a_slow_mode_that_no_gain_moves_makes_no_gain_zero(seed: int, n: int, slow: float, cells: int) -> None:
     """Such a mode limits the rate, so that a gain of 0 is as fast as any; the other modes still want one."""
     random = np.random.default_rng(seed)
@@ -526,7 +526,7 @@ def test_a_goal_that_makes_no_sense_is_refused(specs: Path, tmp_path: Path, cont
 
 
 @given(seed=seeds, n=st.integers(2, 5), cells=st.integers(2, 4), m=st.integers(0, 2))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     seed: int, n: int, cells: int, m: int
 ) -> None:

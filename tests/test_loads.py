@@ -229,7 +229,7 @@ def test_the_auditor_proves_two_steps_again_and_finds_a_smaller_bound(tmp_path: 
 small = st.integers(-2, 2)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(*(st.lists(small, min_size=size, max_size=size) for size in (9, 6, 6)))
 def test_what_is_hidden_is_what_the_rank_of_the_pencil_says(a: list[int], e: list[int], c: list[int]) -> None:
     A, E, C = np.array(a).reshape(3, 3), np.array(e).reshape(3, 2), np.array(c).reshape(2, 3)

@@ -284,7 +284,7 @@ CHANGES = ["cells", "states", "affine", "state scales", "time"]
 
 @pytest.mark.parametrize("change", CHANGES)
 @given(seed=st.integers(0, 10_000))
-@settings(deadline=None, max_examples=8, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 def test_neither_verdict_nor_output_depends_on_how_the_plant_is_written(change: str, seed: int) -> None:
     random = np.random.default_rng(seed)
     n, r = 4, 1 + seed % 3

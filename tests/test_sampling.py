@@ -39,7 +39,7 @@ def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array
 
 
 @given(st.integers(0, 60), methods, st.integers(0, 3), st.floats(0.01, 0.5))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Method, delay: int, h: float) -> None:
     """A plant with one cell, at rest: the loop is linear, and z(k + 1) = M z(k)."""
     plant = random_plant(seed, n=3, k=0, r=2)
@@ -61,7 +61,7 @@ def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Meth
 
 
 @given(st.integers(0, 400), methods, st.integers(0, 2))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, method: Method, delay: int) -> None:
     loop, x0 = random_loop(seed)
     too_long = Sampling(sample_time=1e3, method=method, delay=delay)

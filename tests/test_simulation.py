@@ -80,7 +80,7 @@ def test_crossings_of_an_oscillator_with_a_stiffer_side_are_where_they_must_be()
 
 
 @given(st.floats(0.003, 0.7))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_sample_time_moves_no_event(sample_time: float) -> None:
     reference = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=0.05)
     other = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=sample_time)
@@ -97,7 +97,7 @@ def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, 
 
 
 @given(st.integers(1, 50), st.sampled_from([0.01, 0.07]))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
     kicks = [reset(t, slice(1, 2), np.array([v])) for t, v in ((0.7, -2.0), (1.333, 1.0), (1.4, 0.5))]
     arguments: dict[str, Any] = {"duration": 3.0, "sample_time": sample_time, "resets": kicks}
@@ -268,7 +268,7 @@ def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=6)
+@settings(max_examples=6)
 def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:
     loop = random_loop(seed)
     random = np.random.default_rng(seed)

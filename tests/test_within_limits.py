@@ -92,7 +92,7 @@ def limited(spec: Spec) -> tuple[Limited, Peak]:
     return found, found.peak
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(0.05, 0.5), st.floats(0.5, 4.0), st.floats(-0.2, 0.2))
 def test_the_feedforward_takes_what_it_takes_by_hand(
     tmp_path_factory: pytest.TempPathFactory, a: float, w: float, c: float
@@ -361,7 +361,7 @@ def tank(a: float, b: float, s: float, most: float) -> tuple[Task, Within]:
     return task, Within(starts=np.array([[s]]), left=np.array([most]))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(-30, 30).map(lambda k: k / 10), st.floats(0.2, 5), st.floats(0.1, 10), st.floats(0.05, 5))
 def test_one_state_has_the_gain_that_its_limits_leave(a: float, b: float, s: float, most: float) -> None:
     """|K| s <= u: the cost falls as |K| grows to that of the regulator, and the rate grows with |K|."""
@@ -379,7 +379,7 @@ def test_one_state_has_the_gain_that_its_limits_leave(a: float, b: float, s: flo
         assert proof.rate == pytest.approx(b * room / 2 - a, rel=5e-3, abs=5e-3 * b * room)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(1, 30).map(lambda k: k / 10), st.floats(0.2, 5), st.floats(0.1, 10), st.floats(0.05, 0.98))
 def test_where_nothing_keeps_the_limits_the_gain_is_the_regulator(a: float, b: float, s: float, share: float) -> None:
     task, within = tank(a, b, s, share * a * s / b)

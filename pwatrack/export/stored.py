@@ -22,7 +22,13 @@ _SINGLE = float(np.finfo(np.float32).max)
 
 
 def content(
-    spec: Spec, controller: Controller, *, proof: str, generator: dict[str, Any] | None, start: dict[str, Any] | None
+    spec: Spec,
+    controller: Controller,
+    *,
+    proof: str,
+    generator: dict[str, Any] | None,
+    start: dict[str, Any] | None,
+    failed: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what controller.json holds.
 
@@ -32,6 +38,7 @@ def content(
         proof: The digest of certificate.json.
         generator: What generator.json holds.
         start: `x_hat` (with what it has of loads) and `eta_hat`, where they are known.
+        failed: What its run did not achieve, in sentences.
     """
     trajectory, conditions = controller.trajectory, spec.scenario.conditions
     found: dict[str, Any] = {
@@ -44,6 +51,7 @@ def content(
         "claims": claims(spec, controller),
         "practical": _practical(spec, controller),
         "open": [] if trajectory.growth is None else [trajectory.growth.message],
+        "failed": list(failed),
         "plant": _plant(spec, controller),
         "K": controller.design.K.tolist(),
         "L": controller.design.L.tolist(),

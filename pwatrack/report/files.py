@@ -4,7 +4,6 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,12 @@ from pwatrack.report.figures import (
     member_figures,
 )
 from pwatrack.report.how_far import content as how_far_content
+from pwatrack.report.kept_spec import keep
 from pwatrack.report.limits import limit_content
 from pwatrack.report.practical import practical_content
 from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, SPEC, Plots, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
 from pwatrack.report.uncertain import box_figures, largest_content, robust_content
 from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
@@ -43,7 +43,6 @@ from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
-from pwatrack.spec.values import WRITTEN
 from pwatrack.study.how_far import HowFar
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
@@ -108,8 +107,11 @@ def write_design(
         >>> sorted(path.name for path in write_design(spec, design(spec), mkdtemp()).iterdir())[:3]
         ['bounds.json', 'certificate.json', 'controller.json']
     """
+    checked = required(spec, controller)
+    said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
+    why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        _design_files(run, spec, controller, known_start(spec, controller))
+        _design_files(run, spec, controller, known_start(spec, controller), [*missed(checked), *why])
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, effort) | proved_content(spec, controller) | preview_content(controller)
@@ -118,11 +120,10 @@ def write_design(
             *reference_remarks(spec, controller.form),
             *sampling_remarks(controller, spec.scenario.conditions),
         ]
-        index |= _requirements(required(spec, controller))
+        index |= _requirements(checked)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
-            said = "; ".join(problem.message for problem in broken.problems)
             index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
         run.commit(index)
     return Path(folder)
@@ -160,9 +161,10 @@ def write_result(
     index = _index(result.spec, effort) | {"exit": int(code)} | _result_content(result)
     if many:
         index["ensemble"] = ensemble_measures(many)
-    index |= _requirements(required(result.spec, result.controller, result, many))
+    checked = required(result.spec, result.controller, result, many)
+    index |= _requirements(checked)
     with run_folder(folder) as run:
-        _design_files(run, result.spec, result.controller, starts(result))
+        _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
         pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
@@ -212,10 +214,19 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
-def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
-    _keep_spec(run, spec)
+def missed(checked: Sequence[Checked], result: Result | None = None, many: EnsembleResult | None = None) -> list[str]:
+    """Return what a run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
+    found = [each.text for each in checked if not each.met]
+    found += [result.outcome.text] if result is not None and result.outcome.code else []
+    return found + ([many.failure] if many is not None and many.failed else [])
+
+
+def _design_files(
+    run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None, failed: Sequence[str]
+) -> None:
+    keep(run, spec)
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
-    made = written(spec, controller, start)
+    made = written(spec, controller, start, failed)
     run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
     if made.generator is not None:
@@ -246,16 +257,6 @@ def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     if controller.robust is not None:
         index["uncertain"] = robust_content(spec, controller.robust)
     return index | _practical(spec, controller)
-
-
-def _keep_spec(run: RunFolder, spec: Spec) -> None:
-    """Put what was read of the spec beside its run: the file may change, and the folder may be moved."""
-    if spec.text is not None:
-        run.text(WRITTEN, spec.text)
-        return
-    with suppress(PwatrackError):  # it has gone, or was changed since
-        if hashlib.sha256(content := spec_bytes(spec.path)).hexdigest() == spec.sha256:
-            run.place(SPEC).write_bytes(content)
 
 
 def write_refusal(
@@ -304,7 +305,7 @@ def write_refusal(
         if proof is not None:
             run.json(REFUSAL, proof)
         if spec is not None:
-            _keep_spec(run, spec)
+            keep(run, spec)
         run.commit(index | ending)
     return proof is not None
 

@@ -27,7 +27,7 @@ from pwatrack.report.files import Effort
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
-from pwatrack.report.terminal import console
+from pwatrack.report.terminal import compiling, console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
@@ -96,7 +96,12 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
-    with answers() as made.answered, console(stderr=True).status("Reading the spec") as status:
+    screen = console(stderr=True)
+    with (
+        answers() as made.answered,
+        screen.status("Reading the spec") as status,
+        compiling(screen, meant=shown in ("summary", "more")),
+    ):
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = None

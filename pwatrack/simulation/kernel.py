@@ -32,12 +32,15 @@ import numpy as np
 from numba import njit
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.compilation import listen
 
 SAME_TIME = 1e-12  # relative, or in s before t = 1 s
 MOST_IDLE = 1000  # crossings without progress in time
 PIECES = 32  # of a step: more than how often it is halved
 _FINEST = 2.0**-26  # a piece so short that a polynomial without monotony on it stays within rounding of 0
 _VAGUE = 2.0**-22, 2.0**-30  # times known to this part of the finest step, or of a sample time, are known
+
+listen()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
