@@ -27,7 +27,7 @@ $(READY): requirements.lock pyproject.toml
 	fi
 	@echo "Compiling (once)"
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m compileall -q pwatrack
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/pwatrack simulate specs/two_mass_backlash.yaml -q --out .venv/.first >/dev/null
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pwatrack simulate specs/two_mass_backlash.yaml -q --out .venv/.first >/dev/null && rm -rf .venv/.first
 	@touch $@
 
 $(DEV): $(READY) requirements-dev.lock

@@ -77,8 +77,8 @@ def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Put a part of the walk where it is called, before anything is compiled.
 
-    Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each by,
-    that was half of the time to compile. Handing over the arrays of `Room` took a third of the time of the steps.
+    Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each
+    by, that was half of the time to compile. Handing over the arrays of `Room` took a third of that of the steps.
     """
     return _jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
 
