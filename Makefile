@@ -10,9 +10,10 @@ DEV := .venv/.dev
 help: ## print this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
-# With pip, Python files are compiled when they are first imported: most never are, and compiling all took longer than
-# unpacking them. So the example is run once, unseen: that compiles what every run imports, and the walk of simulations,
-# both kept on disk, also in containers that forbid Python to write such files later.
+# With pip, Python files are compiled when they are first imported: most never are, and compiling all takes nearly as
+# much of the processor as all else of the installation. So the example is run once, unseen: that compiles what every
+# run imports, and the walk of simulations, both kept on disk, also in containers that forbid Python to write such
+# files later.
 $(READY): requirements.lock pyproject.toml
 	@echo "Setting up .venv (once; about a minute)"
 	@if command -v uv >/dev/null 2>&1; then \
