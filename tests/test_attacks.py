@@ -216,7 +216,7 @@ def test_verify_says_which_parameters_were_set_and_a_certificate_without_them_is
     proved: Path, tmp_path: Path
 ) -> None:
     code, said = call("verify", proved / "set")
-    assert (code, "mass.yaml with k = 0.3: same plant, gains and goals" in said) == (0, True)
+    assert (code, "spec.txt with k = 0.3: same plant, gains and goals" in said) == (0, True)
     content = json.loads((proved / "set" / "certificate.json").read_text())
     (tmp_path / "certificate.json").write_text(json.dumps(content | {"set": {}}))
     code, said = call("verify", tmp_path / "certificate.json", "--spec", proved / "mass.yaml")
@@ -229,7 +229,7 @@ def test_verify_in_another_place_says_that_it_was_not_compared_with_a_spec(
     monkeypatch.chdir(proved)
     assert call("design", "mass.yaml", "--out", "near")[0] == 0
     code, said = call("verify", "near")
-    assert (code, "it belongs to mass.yaml: same plant, gains and goals" in said) == (0, True)
+    assert (code, "it belongs to near/spec.txt: same plant, gains and goals" in said) == (0, True)
     monkeypatch.chdir(tmp_path)
     near = (proved / "near").rename(tmp_path / "near")
     code, said = call("verify", near)  # the folder keeps its spec
