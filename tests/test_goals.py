@@ -19,8 +19,8 @@ from benchmarks.corpus import feasible
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.cost import Costs, cost_bound, noise_level
 from pwatrack.control.candidates import short
-from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, gain, synthesize
@@ -341,7 +341,7 @@ def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path)
         Q, R = goal.Q, goal.R
         rate = np.einsum("ti,ij,tj->t", e, Q, e) + np.einsum("ti,ij,tj->t", u, R, u)
         cost = float(np.trapezoid(rate, result.response.t))
-        bound = float(e[0] @ controller.costs["controller"] @ e[0])
+        bound = float(e[0] @ controller.claim(Costs).X[CONTROLLER] @ e[0])
         assert 0.1 * bound < cost <= bound * (1 + 1e-5)
 
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, AtLeast
@@ -115,8 +116,7 @@ def test_a_hidden_mode_is_found_in_any_coordinates_and_what_is_named_reaches_it(
 def stiff(specs: Path) -> tuple[Spec, HowFar]:
     """The example with k2 = k3 = 1.2, moved together."""
     spec = load_spec(specs / "gallery" / "stiff_springs.yaml", {"k3": "k2"})
-    practical = design(spec).practical
-    assert practical is not None
+    practical = design(spec).claim(Practical)
     evidence = practical.evidence
     assert isinstance(evidence, Impossibility)
     found = how_far(spec, evidence)

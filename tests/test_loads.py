@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.bounds import SignalBounds
 from pwatrack.control.program import program
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
@@ -179,7 +180,7 @@ def joint_with_loads(loop: ClosedLoop, k: int) -> tuple[Array, Array]:
 
 def test_bounds_hold_beside_loads_and_are_not_far_above_what_noise_can_do(tmp_path: Path) -> None:
     loop = simulate(load_spec(write(tmp_path))).loop
-    for bounds in loop.controller.bounds[-2:]:
+    for bounds in loop.controller.claim(SignalBounds).acting[-2:]:
         M, g = joint_with_loads(loop, bounds.channel[1])
         row = np.concatenate([loop.controller.plant.tracked[0], np.zeros(7)])
         least = worst(M, g, row, duration=30)
@@ -192,7 +193,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     """Of 16 cells there are too many pairs; what is bounded in two steps is above what one pair can do."""
     plant = with_loads(random_plant(3, n=4, k=4, r=2, strength=0.05), np.eye(4)[:, 1:2] + np.eye(4)[:, 3:], [0.0])
     loop = track(plant, "0.2*sin(t)")
-    kinds = {part.loop for bounds in loop.controller.bounds for part in bounds.parts}
+    kinds = {part.loop for bounds in loop.controller.claim(SignalBounds).acting for part in bounds.parts}
     assert kinds == {"controller", "observer"}
     K, L, X = loop.controller.design.K, loop.controller.design.L, loop.x_d[0, :, loop.at.s_hat]
     E = np.eye(4)[:, 1:2] + np.eye(4)[:, 3:]
@@ -201,7 +202,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     observer = np.block([[plant.A[0], E], [np.zeros((1, 5))]]) + L @ C
     M = np.block([[plant.A[0] + plant.B @ K, drive], [np.zeros((5, 4)), observer]])
     row = np.concatenate([plant.tracked[0], np.zeros(5)])
-    for bounds in loop.controller.bounds:
+    for bounds in loop.controller.claim(SignalBounds).acting:
         kind, k = bounds.channel
         push = np.concatenate([np.eye(4)[k], -np.eye(5)[k]])
         g = push if kind == "disturbance" else np.concatenate([X @ L[4:, k], -L[:, k]])

@@ -16,8 +16,8 @@ from rich.console import Console
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import up
 from pwatrack.ball_matrix import text
+from pwatrack.claims.practical import Practical, least_merges
 from pwatrack.control.bounds import Form
-from pwatrack.control.practical import least_merges
 from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.model.merging import Merge, merges
@@ -30,7 +30,7 @@ from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from tests.gaps import plant_with_gaps, practical_controller, worst_found
 from tests.promises import run as run_loop
-from tests.promises import worst
+from tests.promises import with_claim, worst
 
 GEAR = "gallery/gear_with_backlash.yaml"
 CART = """
@@ -100,7 +100,7 @@ def test_all_that_is_tracked_ends_below_something(gear: tuple[Spec, Path]) -> No
 
 def test_the_bound_is_above_the_peak_gain_and_close_to_it(gear: tuple[Spec, Path]) -> None:
     controller = design(gear[0])
-    practical, plant = controller.practical, controller.plant
+    practical, plant = controller.claim(Practical), controller.plant
     assert practical is not None
     A, B, C, K, L = plant.A[0], plant.B, plant.C, controller.design.K, controller.design.L
     M = np.block([[A + B @ K, B @ K], [np.zeros((4, 4)), A + L @ C]])
@@ -147,16 +147,16 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
         return path
 
     asked = design(load_spec(written("practical")))
-    assert asked.practical is not None
-    bound = asked.practical.final["output", 0]
+    assert asked.claims_of(Practical)
+    bound = asked.claim(Practical).final["output", 0]
     assert bound > 0.1  # the gap
-    assert bool(asked.practical.beyond) is not worth
+    assert bool(asked.claim(Practical).beyond) is not worth
     console = Console(file=StringIO(), width=300)
     print_design(console, load_spec(written("practical")), asked)
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
     assert (f"{up(bound)}, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
-        assert design(load_spec(written("output"))).practical is not None
+        assert design(load_spec(written("output"))).claims_of(Practical)
         return
     with pytest.raises(Infeasible) as refusal:
         design(load_spec(written("output")))
@@ -171,7 +171,7 @@ def test_where_exact_tracking_is_found_nothing_is_merged(specs: Path, tmp_path: 
     text = (specs / "two_mass_backlash.yaml").read_text().replace("tracking: output", "tracking: practical")
     path = tmp_path / "asked.yaml"
     path.write_text(text)
-    assert design(load_spec(path)).practical is None
+    assert design(load_spec(path)).claims_of(Practical) == ()
 
 
 def test_a_rate_out_of_reach_is_refused_unless_practical_tracking_is_asked(specs: Path, tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_a_rate_out_of_reach_is_refused_unless_practical_tracking_is_asked(specs
     asked = tmp_path / "asked.yaml"
     asked.write_text(path.read_text().replace("tracking: output", "tracking: practical"))
     controller = design(load_spec(asked))
-    assert controller.practical is not None
+    assert controller.claims_of(Practical)
     assert max(proof.rate for proof in controller.guarantees.controller) >= 0.3
 
 
@@ -195,8 +195,7 @@ def test_only_the_slack_is_merged_and_the_stops_stay(tmp_path: Path) -> None:
     shape = "breakpoints: [-0.6, -gap, gap, 0.6], slopes: [24, 20, 0, 20, 24]"
     other = "- {name: rail, kind: dead_zone, of: z2, lower: -2, upper: 2, slope: 0.1, into: {v2: -1}}"
     spec = load_spec(cart(tmp_path, kind="piecewise_linear", shape=shape, more=other))
-    practical = design(spec).practical
-    assert practical is not None
+    practical = design(spec).claim(Practical)
     (merge,) = practical.merges
     assert (merge.nonlinearity.name, merge.first, merge.last) == ("rope", 1, 2)
     assert float(merge.largest) == pytest.approx(2)
@@ -238,10 +237,10 @@ def test_no_simulation_ends_above_its_bound(seed: int) -> None:
 def test_an_observer_with_all_cells_has_no_error_in_the_end_and_a_smaller_bound() -> None:
     plant, form = plant_with_gaps(0)
     merged_, true = (practical_controller(plant, form, watched=watched) for watched in (False, True))
-    assert merged_.practical is not None
-    assert true.practical is not None
-    assert true.practical.final["output", 0] < merged_.practical.final["output", 0]
-    assert all(size == 0 for (kind, _), size in true.practical.final.items() if kind == "estimate")
+    assert merged_.claims_of(Practical)
+    assert true.claims_of(Practical)
+    assert true.claim(Practical).final["output", 0] < merged_.claim(Practical).final["output", 0]
+    assert all(size == 0 for (kind, _), size in true.claim(Practical).final.items() if kind == "estimate")
     seen = worst_found(true, 0, tries=4, steps=2)
     assert seen.final < 1
     assert seen.part < 1 + 1e-9
@@ -263,10 +262,9 @@ def test_no_gain_of_the_observer_enlarges_rounding() -> None:
 
 def test_a_simulation_above_its_own_bound_is_said_first(gear: tuple[Spec, Path]) -> None:
     controller = design(gear[0])
-    practical = controller.practical
-    assert practical is not None
+    practical = controller.claim(Practical)
     tiny = tuple(replace(bounds, sizes=dict.fromkeys(bounds.sizes, 1e-6)) for bounds in practical.bounds)
-    result = simulate(gear[0], replace(controller, practical=replace(practical, bounds=tiny)))
+    result = simulate(gear[0], with_claim(controller, replace(practical, bounds=tiny)))
     assert result.outcome.kind == "above its bound"
     assert result.outcome.code == ExitCode.CHECK_FAILED
     assert "above its own proved bound" in result.outcome.text
@@ -381,8 +379,7 @@ def test_beside_an_estimated_load_it_is_within_its_bound_and_no_error_is_said_to
         "simulation: {duration: 20, sample_time: 0.005, disturbance: {w2: {constant: -0.1/J2}}}\n"
     )
     result = simulate(load_spec(path))
-    practical = result.controller.practical
-    assert practical is not None
+    practical = result.controller.claim(Practical)
     assert result.verdict == "within its bound"
     assert 0 < result.final_error < practical.final["output", 0]
     printed = StringIO()
@@ -425,8 +422,7 @@ def test_a_bound_beside_the_response_to_given_inputs_must_be_worth_having(
     path = tmp_path / "slack.yaml"
     path.write_text(SLACK.format(gap=gap, u=u, start=start), encoding="utf-8")
     if worth:
-        practical = design(load_spec(path)).practical
-        assert practical is not None
+        practical = design(load_spec(path)).claim(Practical)
         assert not practical.beyond
         return
     with pytest.raises(Infeasible, match="practical tracking is proved, and not worth having") as refusal:

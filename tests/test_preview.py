@@ -16,13 +16,16 @@ from benchmarks.preview import INTEGRATED, followed, grazing_text, integrated, l
 from pwatrack import design, load_spec, plant, problem, simulate
 from pwatrack.arrays import Array, up
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.decay import sentences
+from pwatrack.claims.preview import PlayedBack
+from pwatrack.claims.robust import Robust
 from pwatrack.control import generator as generator_module
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
-from pwatrack.export.stored import claims
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility
@@ -33,11 +36,9 @@ from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
-from pwatrack.report.bounds import bound_rows
 from pwatrack.report.certificate import design_certificate, refusal_certificate
-from pwatrack.report.preview import preview_rows
 from pwatrack.report.summary import print_design
-from pwatrack.report.uncertain import box_figures, box_rows
+from pwatrack.report.uncertain import box_figures
 from pwatrack.simulation import preview as preview_module
 from pwatrack.simulation.preview import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
@@ -390,7 +391,7 @@ def test_the_auditor_reads_the_proof(tmp_path: Any) -> None:
 def test_a_generator_that_runs_is_left_to_run() -> None:
     controller = design(load_spec(SPECS / "two_mass_backlash.yaml"))
     assert controller.trajectory.preview is None
-    assert controller.left_by_preview == 0.0
+    assert controller.claim(PlayedBack).error == 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 13, 18])
@@ -400,7 +401,7 @@ def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: i
     path.write_text(spec_text(seed), encoding="utf-8")
     spec = load_spec(path)
     controller = design(spec)
-    assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.left_by_preview < 1e-3
+    assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.claim(PlayedBack).error < 1e-3
 
 
 PRESSED = """\
@@ -425,14 +426,14 @@ def test_no_short_stay_beyond_a_facet_is_missed(tmp_path: Path, seed: int) -> No
     path.write_text(PRESSED if seed < 0 else grazing_text(seed), encoding="utf-8")
     spec = load_spec(path)
     controller = design(spec)
-    preview, told = controller.trajectory.preview, controller.left_by_preview
+    preview, told = controller.trajectory.preview, controller.claim(PlayedBack).error
     assert preview is not None
     assert (preview.residual <= 1e-10 * preview.terms).all()
     assert integrated(controller, min(spec.scenario.duration, 7.0)) <= told + INTEGRATED
     start = controller.trajectory.state(np.append(controller.trajectory.exosystem.w0, 1.0))
     assert last_tenth(spec, controller, start)[0] <= told
     said = f"but for what is played back, which leaves at most {up(told)} of it"
-    assert claims(spec, controller) == [f"all solutions track y_d with error going to 0, {said}"]
+    assert sentences(spec.words, controller) == [f"all solutions track y_d with error going to 0, {said}"]
 
 
 def test_a_simulation_shows_what_is_left_by_what_is_played_back(
@@ -456,7 +457,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     path = tmp_path / "plant.yaml"
     path.write_text(PRESSED.replace("duration: 7", "duration: 200"), encoding="utf-8")
     result = simulate(load_spec(path))
-    r, left = result.response, result.controller.left_by_signal
+    r, left = result.response, result.controller.claim(PlayedBack).by_signal
     assert result.outcome.kind == "tracks"  # and not above its own bound
     seen: dict[Form, Array] = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
     for signal, values in seen.items():
@@ -465,7 +466,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
         assert (np.abs(values) <= result.bands[signal]).all()
     assert [left["estimate", k] for k in range(2)] == [0.0, 0.0]
     said = "each signal is in the end at most the sum of these, beside what is played back, in proportion to what acts"
-    assert said in next(bound_rows(result.spec, result.controller))
+    assert said in next(result.controller.claim(SignalBounds).rows(result.spec.words, result.controller))[1]
     console = Console(file=StringIO(), width=300)
     print_design(console, result.spec, result.controller)
     printed = console.file.getvalue()  # type: ignore[attr-defined]
@@ -480,7 +481,7 @@ def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeyp
     path = tmp_path / "plant.yaml"
     path.write_text(text, encoding="utf-8")
     result = simulate(load_spec(path))
-    controller, robust = result.controller, result.controller.robust
+    controller, robust = result.controller, result.controller.claim(Robust)
     assert robust is not None
     assert result.w is not None
     r, alone = result.response, robust.reached(result.w.max(axis=0))
@@ -488,8 +489,9 @@ def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeyp
     assert alone["output", 0] < late <= found["bound"]
     assert found["seen"] <= found["bound"]
     assert (np.abs(r.tracking_error[:, 0]) <= result.bands["output", 0]).all()
-    assert f"beside what is played back: |y − y_d| ≤ {up(controller.left_by_signal['output', 0])}, " in " ".join(
-        box_rows(result.spec, controller)
+    assert (
+        f"beside what is played back: |y − y_d| ≤ {up(controller.claim(PlayedBack).by_signal['output', 0])}, "
+        in " ".join(text for _, text in controller.claim(Robust).rows(result.spec.words, controller))
     )
 
 
@@ -552,7 +554,7 @@ def test_a_stay_of_no_length_has_the_slope_of_the_field(tmp_path: Path, later: f
     assert preview is not None
     assert 0 < np.diff(preview.times).min() < 1.1 * later
     assert (preview.residual / preview.terms).max() < 1e-11
-    assert controller.left_by_preview < 1e-8
+    assert controller.claim(PlayedBack).error < 1e-8
 
 
 def test_how_long_before_a_move_it_begins_is_said() -> None:
@@ -562,8 +564,8 @@ def test_how_long_before_a_move_it_begins_is_said() -> None:
     assert trajectory.preview is not None
     assert trajectory.preview.lead is None
     for lead, said in ((None, ""), (0.0, "as the reference moves"), (0.8125, "0.812 s before the reference moves")):
-        told = replace(controller, trajectory=replace(trajectory, preview=replace(trajectory.preview, lead=lead)))
-        ahead = list(preview_rows(spec, told))[1].partition("known beforehand")[2]
+        told = replace(controller.claim(PlayedBack), preview=replace(trajectory.preview, lead=lead))
+        ahead = list(told.texts(spec.words))[1].partition("known beforehand")[2]
         assert ahead == (said and f"; η leaves its rest {said}")
 
 

@@ -13,8 +13,9 @@ from junitparser import JUnitXml
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.decay import gain_figures
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.figures import figure_content, gain_figures, measures
+from pwatrack.report.figures import figure_content, measures
 from pwatrack.report.required import required
 from pwatrack.simulation.closed_loop import Response
 from pwatrack.simulation.figures import Figures, Measuring

@@ -11,6 +11,7 @@ from scipy.linalg import eigvals
 
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.robust import Robust
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.lmi.audit.certificate import audit
@@ -218,7 +219,7 @@ def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> N
     path = tmp_path / "tanks.yaml"
     path.write_text(as_designed(text) + "design: {uncertain: {w: 10%}}")
     result = simulate(load_spec(path))
-    assert result.controller.robust is not None
+    assert result.controller.claims_of(Robust)
     assert any(
         "uncertain parameters: w" in line for line in verify(write_result(result, tmp_path / "run", plots="none"))
     )

@@ -214,6 +214,7 @@ def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
     return closed_loop(
         Controller(
             plant=plant,
+            running=plant,
             design=synthesize(plant),
             trajectory=trajectory,
             generator=generator,

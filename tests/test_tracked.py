@@ -8,8 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pwatrack import design, load_spec, simulate
+from pwatrack.claims.cost import Costs
 from pwatrack.errors import InvalidSpec
 from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.role import OBSERVER
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
 from pwatrack.spec.spec import Spec
@@ -102,7 +104,7 @@ def test_a_second_sensor_lowers_what_noise_and_pushes_can_do(tmp_path: Path) -> 
     more = "design: {observer: {cost: {Q: [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], R: %s}}}"
     few = design(stage(tmp_path, ["z1"], "", more=more % "[[0.01]]", reference="{output: 0.2*sin(t)}"))
     two = design(stage(tmp_path, ["z1", "z2"], "track: [y_z1]", more=more % "[[0.01, 0], [0, 0.01]]"))
-    assert np.trace(two.costs["observer"]) < 0.9 * np.trace(few.costs["observer"])
+    assert np.trace(two.claim(Costs).X[OBSERVER]) < 0.9 * np.trace(few.claim(Costs).X[OBSERVER])
 
 
 def test_a_set_point_is_one_of_what_is_tracked(tmp_path: Path) -> None:

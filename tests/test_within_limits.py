@@ -14,9 +14,10 @@ from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.limits import Limited, Promise, promises
 from pwatrack.control.controller import Controller
 from pwatrack.control.goal import AtLeast, Fastest
-from pwatrack.control.limits import Limited, Peak, Promise, Starts, promises
+from pwatrack.control.limits import Peak, Room, Starts
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.control.within import Within
@@ -27,7 +28,6 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.limits import limit_rows
 from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
@@ -85,7 +85,7 @@ def written(folder: Path, text: str, **entries: str) -> Path:
     return path
 
 
-def limited(spec: Spec) -> tuple[Limited, Peak]:
+def limited(spec: Spec) -> tuple[Room, Peak]:
     found = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
     assert found is not None
     assert found.peak is not None
@@ -128,7 +128,8 @@ def test_a_headroom_that_is_rounding_is_none(tmp_path: Path) -> None:
         assert peak.left(limits).tolist() == [0.0]
         assert peak.beyond(limits) == []
     spec = load_spec(written(tmp_path, STAGE, REFERENCE="{constant: 0}", LIMITS="[0, 100]"))
-    said = list(limit_rows(spec, design(spec)))
+    made = design(spec)
+    said = [text for _, text in made.claim(Limited).rows(spec.words, made)]
     assert len(said) == 1
     assert said[0].endswith("which takes the whole limit: nothing is left for what is off")
 
@@ -182,8 +183,8 @@ def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_
     start = "initial: {generator: [1.5]}"
     path = written(tmp_path, FILTER, REFERENCE="0.3*sin(2*t)", LIMITS="[-1, 1]", MORE=start)
     controller = design(load_spec(path))
-    assert controller.limited is not None
-    assert controller.limited.left is None
+    assert controller.claims_of(Limited)
+    assert controller.claim(Limited).room.left is None
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
     assert "more than that, from where the generator starts; once that start is forgotten -0.674" in said
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
@@ -230,9 +231,8 @@ simulation: {duration: 5, sample_time: 0.01, INITIAL, actuator: {limits: {u: [-0
 def test_one_state_is_promised_what_it_does_by_hand(tmp_path: Path) -> None:
     """u_ff = -0.03, so 0.57 is left; |K e| is 0.75 at the start of a size, and e decays."""
     initial = "initial: {plant: [0.55], observer: [0.55]}"
-    found = design(load_spec(written(tmp_path, MASS, INITIAL=initial))).limited
-    assert found is not None
-    left = found.left
+    found = design(load_spec(written(tmp_path, MASS, INITIAL=initial))).claim(Limited)
+    left = found.room.left
     assert left == pytest.approx(0.57, rel=1e-5)
     assert left is not None
     scales = {p.starts.kind: p.scale(left) for p in found.promises}
@@ -274,7 +274,7 @@ def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
     controller = loop.controller
     sizes = controller.sizes
     starts = Starts.within(sizes)
-    found = promises(controller.plant, controller.design, controller.proofs, sizes.input, starts)
+    found = promises(controller, sizes.input, starts)
     assert [p.starts.kind for p in found] == ["exact", "sizes"]
     for promise in found:
         assert moved(controller, promise, seed) <= 1
@@ -290,12 +290,11 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
     """The loop itself, with limits that cut off: nothing is cut off."""
     spec = load_spec(specs / "two_mass_machine.yaml")
     controller = design(in_scenario(spec, conditions=Conditions(limits=np.array([[-8.0, 8.0]]))))
-    limited = controller.limited
-    assert limited is not None
-    assert limited.left is not None
+    limited = controller.claim(Limited)
+    assert limited.room.left is not None
     exact = limited.promises[0]
-    scale = exact.scale(limited.left)
-    loop = closed_loop(controller, Conditions(limits=limited.limits))
+    scale = exact.scale(limited.room.left)
+    loop = closed_loop(controller, Conditions(limits=limited.room.limits))
     eta = np.array([0.2, 0.0])
     x_d = controller.trajectory.state(np.concatenate([eta, controller.trajectory.exosystem.w0, [1.0]]))
     seen = []
@@ -307,7 +306,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
         assert not any(e.before[3] % 3 != 1 or e.after[3] % 3 != 1 for e in trace.events)
         response = loop.response(trace)
         seen.append(np.abs(response.u - response.u_ff).max())
-    assert 0.7 * limited.left[0] < max(seen) <= limited.left[0]
+    assert 0.7 * limited.room.left[0] < max(seen) <= limited.room.left[0]
 
 
 def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path: Path) -> None:
@@ -444,11 +443,10 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
     text = text.replace("reference:", f"design: {{controller: {asked}}}\nreference:")
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
     controller = design(load_spec(path))
-    found = controller.limited
-    assert found is not None
-    assert found.left is not None
-    assert found.promises[0].scale(found.left) >= 1
-    assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.left[0]
+    found = controller.claim(Limited)
+    assert found.room.left is not None
+    assert found.promises[0].scale(found.room.left) >= 1
+    assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.room.left[0]
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
     assert " within the limits" in said.partition("(9)")[0]
     if asked == "{rate: 0.5}":
@@ -475,14 +473,14 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     for chosen in (plain, units):
         other.write_text(in_units(path, chosen), encoding="utf-8")
         found.append(design(load_spec(other)))
-    assert found[0].limited is not None
-    assert found[0].promises
+    assert found[0].claims_of(Limited)
+    assert found[0].claim(Limited).promises
     assert found[1].design.K.shape == found[0].design.K.shape
     assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-6
     scales = [
-        {p.starts.kind: p.scale(c.limited.left) for p in c.promises}
+        {p.starts.kind: p.scale(left) for p in c.claim(Limited).promises}
         for c in found
-        if c.limited and c.limited.left is not None
+        if (left := c.claim(Limited).room.left) is not None
     ]
     assert "exact" in scales[1]  # those with loads need units that are fractions
     assert {kind: scales[0][kind] for kind in scales[1]} == pytest.approx(scales[1], rel=2e-3)
@@ -497,10 +495,9 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
         path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=more)
         controller = design(load_spec(path))
         gains.append(controller.design.K)
-        found = controller.limited
-        assert found is not None
-        assert found.left is not None
-        kinds = {p.starts.kind: p.scale(found.left) for p in controller.promises}
+        found = controller.claim(Limited)
+        assert found.room.left is not None
+        kinds = {p.starts.kind: p.scale(found.room.left) for p in controller.claim(Limited).promises}
         assert kinds["members" if more == starts else "exact"] >= 1
         assert ("ensemble" in kinds) == (more == starts)
     assert np.abs(gains[0][0, 0]) < np.abs(gains[1][0, 0])
@@ -525,19 +522,18 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
     spec = load_spec(path)
     controller = design(spec)
-    found = controller.limited
-    assert found is not None
-    assert found.left is not None
-    promise = next(p for p in controller.promises if p.starts.kind == "sizes")
+    found = controller.claim(Limited)
+    assert found.room.left is not None
+    promise = next(p for p in controller.claim(Limited).promises if p.starts.kind == "sizes")
     assert promise.loads == (0.5,)
-    scale = promise.scale(found.left)
+    scale = promise.scale(found.room.left)
     assert scale > 0.02
     random = np.random.default_rng(1)
     most = 0.0
     for _ in range(12):
         z = scale * promise.starts.G @ random.choice([-1.0, 1.0], size=promise.starts.G.shape[1])
         push = exosystem([Signal.of(ExponentialPolynomial.constant(c)) for c in (0.0, -z[4] / 2)])
-        loop = closed_loop(controller, Conditions(limits=found.limits, disturbance=push))
+        loop = closed_loop(controller, Conditions(limits=found.room.limits, disturbance=push))
         x = np.array([0.0, 0.1]) + z[:2]
         start = loop.start(plant=x, observer=x + z[2:4], generator=np.zeros(0))
         trace = simulate_flow(loop.flow, start, duration=8.0, sample_time=0.002)
@@ -546,7 +542,7 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
         response = loop.response(trace)
         nominal = response.u_ff + response.estimates
         most = max(most, float(np.abs(response.u - nominal).max()))
-    assert 0.3 * found.left[0] < most <= found.left[0]
+    assert 0.3 * found.room.left[0] < most <= found.room.left[0]
     out = tmp_path / "out"
     said = " ".join(call("design", path, "--out", out).stdout.split())
     assert "from each |x_k − x_dk| and |x̂_k − x_k| and each load up to" in said
@@ -559,7 +555,7 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
 def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right_estimates(tmp_path: Path) -> None:
     text = STAGE.replace("reference:", "design: {estimate: {hum: {into: {v: 1/m}, frequency: 3}}}\nreference:")
     controller = design(load_spec(written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]")))
-    assert [p.starts.kind for p in controller.promises] == ["exact"]
+    assert [p.starts.kind for p in controller.claim(Limited).promises] == ["exact"]
 
 
 FAST = """

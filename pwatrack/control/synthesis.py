@@ -107,7 +107,7 @@ def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tupl
 
     Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
     from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
-    one without bounds: from which errors it keeps them is said by `control.limits`. Other goals say themselves what the
+    one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
     gain is to be.
 
     Args:

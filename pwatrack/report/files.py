@@ -11,30 +11,31 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.claims.bounds import BOUNDS
+from pwatrack.claims.cost import Costs
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.registry import figures
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.report.bounds import BOUNDS, bound_content
+from pwatrack.report.bounds import bound_content
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.drawing import begin
 from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
-    gain_figures,
     load_content,
     measures,
     member_figures,
 )
 from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.kept_spec import keep
-from pwatrack.report.limits import limit_content
-from pwatrack.report.practical import practical_content
-from pwatrack.report.preview import preview_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
-from pwatrack.report.uncertain import box_figures, largest_content, robust_content
+from pwatrack.report.uncertain import box_figures, largest_content
 from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -114,7 +115,7 @@ def write_design(
         _design_files(run, spec, controller, known_start(spec, controller), [*missed(checked), *why])
         if fronts:
             _fronts(run, spec, fronts)
-        index = _index(spec, effort) | proved_content(spec, controller) | preview_content(controller)
+        index = _index(spec, effort) | proved_content(spec, controller)
         index["remarks"] = [
             *controller.plant.remarks,
             *reference_remarks(spec, controller.form),
@@ -187,9 +188,8 @@ def _result_content(result: Result) -> dict[str, Any]:
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         "tracked": _tracked_content(result),
-        **preview_content(result.controller),
     }
-    if (robust := result.controller.robust) is not None and result.w is not None:
+    for robust in result.controller.claims_of(Robust) if result.w is not None else ():
         content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
     return content
 
@@ -198,14 +198,6 @@ def _tracked_content(result: Result) -> dict[str, Any]:
     """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
     sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     return {"sizes": sizes, "unit": error_unit(result)}
-
-
-def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
-    """Return what the index says of practical tracking: a verdict of its own."""
-    if controller.practical is None:
-        return {}
-    found = practical_content(spec, controller.practical, watched=controller.plant.watched is not None)
-    return {"verdict": "practical", "practical": found}
 
 
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
@@ -225,14 +217,16 @@ def _design_files(
     run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None, failed: Sequence[str]
 ) -> None:
     keep(run, spec)
-    run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
+    costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
+    run.json("gains.json", gain_content(controller.design.K, controller.design.L, costs))
     made = written(spec, controller, start, failed)
     run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
     if made.generator is not None:
         run.json("generator.json", made.generator)
-    if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
-        run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
+    for practical in controller.claims_of(Practical):
+        if isinstance(practical.evidence, Impossibility):
+            run.json(REFUSAL, refusal_certificate(spec, practical.evidence))
     if made.controller is not None:
         run.json("controller.json", made.controller)
 
@@ -245,18 +239,14 @@ def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, An
 
 def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     """Return what of run.json follows from the spec and the proofs: nothing in it is simulated, or found on the way."""
-    index = {
+    return {
         "name": spec.name,
         "spec_sha256": spec.sha256,
         "parameters": dict(spec.parameters),
         "verdict": "proved",
         "solver": spec.objectives.solver,
-        "figures": gain_figures(controller),
-        **limit_content(spec, controller),
+        **figures(spec.words, controller),
     }
-    if controller.robust is not None:
-        index["uncertain"] = robust_content(spec, controller.robust)
-    return index | _practical(spec, controller)
 
 
 def write_refusal(

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from math import ceil, inf, isfinite
 from typing import Any
 
+from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.report.figures import gain_figures, measures
+from pwatrack.report.figures import measures
 from pwatrack.report.wording import error_unit
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec

@@ -104,15 +104,11 @@ def run(
     ):
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
-            result = None
-            if simulated:
-                status.update("Simulating the closed loop")
-                with made.timed("simulate"):
-                    result = pipeline.simulate(spec, controller, made.runs)
-                if members:
-                    with made.timed("ensemble"):
-                        many = members.of(result, _shown(status, members.count))
-            else:
+            result = made.simulated(spec, controller, status) if simulated else None
+            if result is not None and members:
+                with made.timed("ensemble"):
+                    many = members.of(result, _shown(status, members.count))
+            elif not simulated:
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):
                     found = _fronts(spec, controller) if fronts else []
@@ -169,6 +165,11 @@ class _Made:
         self.controller = controller
         return spec, controller
 
+    def simulated(self, spec: Spec, controller: Controller, status: Status) -> Result:
+        status.update("Simulating the closed loop")
+        with self.timed("simulate"):
+            return pipeline.simulate(spec, controller, self.runs)
+
     def _scaled(self, spec: Spec, controller: Controller) -> tuple[LargestBox, Controller]:
         """Return the largest box, and the design with the proof for the one of the spec."""
         box, subject = spec.objectives.uncertain, ("design", "uncertain")
@@ -179,7 +180,7 @@ class _Made:
             if largest.factor < 1:
                 message = f"the proof for the uncertain parameters is undecided; {largest_text(largest)}"
                 raise Undecided(Problem(message=message, subject=subject, hint="give these intervals"))
-        return largest, replace(controller, robust=pipeline.prove_for_box(spec, controller, box))
+        return largest, pipeline.proved_for(spec, controller)
 
     @contextmanager
     def timed(self, step: str) -> Iterator[None]:

@@ -7,6 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from pwatrack.claims.bounds import BOUNDS
+from pwatrack.claims.exact_text import decimals
+from pwatrack.claims.registry import STATEMENT
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
@@ -14,8 +17,8 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number, parsed
 from pwatrack.lmi.audit.shape import refuses
-from pwatrack.report.bounds import BOUNDS, bound_content
-from pwatrack.report.certificate import CLAIM, decimals, subject_content
+from pwatrack.report.bounds import bound_content
+from pwatrack.report.certificate import subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
@@ -112,7 +115,7 @@ def _tell_failed(file: Path, said: list[str], faults: list[str]) -> None:
 
 def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
     """Return what keeps a file from being the certificate or the refusal of a run."""
-    if content["claim"] != CLAIM:
+    if content["claim"] != STATEMENT:
         return ["'claim' is not what a certificate of this format proves"]
     if file.name in (REFUSAL, CERTIFICATE) and refuses(content) != (file.name == REFUSAL):
         return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
