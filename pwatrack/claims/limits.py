@@ -83,7 +83,8 @@ class Limited(Claim):
         room = asked.room
         if room is None:
             return
-        proved = () if room.left is None else promises(controller, room.left, room.starts)
+        alone = controller.running is controller.plant  # else what is merged acts too
+        proved = promises(controller, room.left, room.starts) if alone and room.left is not None else ()
         yield cls(room=room, promises=proved)
 
     @classmethod
