@@ -52,8 +52,12 @@ demo: $(READY) ## design and simulate the paper's example
 	@echo "Open the pictures in runs/two_mass_backlash/, for example tracking_error.png"
 
 .PHONY: test
-test: $(DEV) ## run the tests
-	@$(BIN)/pytest -q -n auto
+test: $(DEV) ## run the tests, but for those that take long (five minutes on two cores)
+	@$(BIN)/pytest -q -n auto --dist loadfile -m "not slow"
+
+.PHONY: test-all
+test-all: $(DEV) ## run all tests, as CI does
+	@$(BIN)/pytest -q -n auto --dist loadfile
 
 KINDS ?= 0
 
@@ -206,7 +210,7 @@ imports: $(DEV) ## import-linter: imports only point up the list of rooms
 	@$(BIN)/lint-imports
 
 .PHONY: check
-check: test batch lint type imports ## everything CI runs
+check: test-all batch lint type imports ## everything CI runs
 
 .PHONY: format
 format: $(DEV) ## let ruff format and fix
