@@ -136,7 +136,7 @@ def followed(path: Path) -> Followed:
     gain = max(peak(A, plant.B[:, 0], plant.tracked[0]) for A in plant.A + plant.B @ K)
     left = left_by_pieces(controller, spec.scenario.duration)
     rounding = float(EPS * (np.abs(K[0]) @ largest) * gain)
-    return Followed(near=near, off=off, left=left, bound=controller.claim(PlayedBack).error, rounding=rounding)
+    return Followed(near=near, off=off, left=left, bound=told_of(controller), rounding=rounding)
 
 
 def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float, Array]:
@@ -147,6 +147,11 @@ def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float,
     response = simulate(replace(spec, scenario=replace(spec.scenario, initial=initial)), controller).response
     error = np.abs(response.tracking_error)
     return float(error[-(len(error) // 10) :].max()), np.abs(response.x_d).max(axis=0)
+
+
+def told_of(controller: Controller) -> float:
+    """Return what is told to be left of |y − y_d| by what is played back; 0 where nothing is."""
+    return sum(played.error for played in controller.claims_of(PlayedBack))
 
 
 def left_by_pieces(controller: Controller, duration: float) -> float:
@@ -280,7 +285,7 @@ def grazing(count: int) -> None:
             except PwatrackError:
                 refused += 1
                 continue
-            seen, told = integrated(controller, spec.scenario.duration), controller.claim(PlayedBack).error
+            seen, told = integrated(controller, spec.scenario.duration), told_of(controller)
             start = controller.trajectory.state(np.append(controller.trajectory.exosystem.w0, 1.0))
             simulated, _ = last_tenth(spec, controller, start)
             ratios.append(seen / (told + INTEGRATED))
