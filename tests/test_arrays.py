@@ -349,6 +349,7 @@ WAYS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_the_example_of_the_paper_from_arrays_is_the_very_design_of_its_file(way: str) -> None:
     simulation = {"duration": 60, "sample_time": 0.01, "initial": {"plant": [0.25, 0, 0, 0], "generator": [0.2, 0]}}

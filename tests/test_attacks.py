@@ -108,6 +108,7 @@ MANY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", MANY)
 def test_what_is_only_many_is_checked(tmp_path: Path, what: str) -> None:
     system, cells, facets = MANY[what]
@@ -126,6 +127,7 @@ def test_what_is_only_many_is_checked(tmp_path: Path, what: str) -> None:
         assert (len(found["cells"]), len(found["facets"])) == (cells, facets)
 
 
+@pytest.mark.slow
 def test_twenty_thousand_parameters_and_sixty_thousand_unknown_keys_are_read(tmp_path: Path) -> None:
     parameters = "".join(f"  p{k}: {k}*0.5\n" for k in range(20_000))
     head = f"name: mass\nparameters:\n{parameters}"

@@ -156,6 +156,7 @@ simulation: {{duration: 10, sample_time: 0.1, initial: {{plant: [0.2, 0]}}, {lim
         yield path
 
 
+@pytest.mark.slow
 def test_every_printed_sentence_has_its_entry_with_statement_and_place(
     specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entries: list[tuple[bool, str, re.Pattern[str]]]
 ) -> None:

@@ -129,6 +129,7 @@ EXTRAS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extra", [*EXTRAS.values(), "".join(v for k, v in EXTRAS.items() if k != "one limit")])
 def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
     extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
@@ -146,6 +147,7 @@ def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
         } >= {3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "late"), [("exponential", 0), ("euler", 0), ("exponential", 1), ("euler", 3)])
 @pytest.mark.parametrize(
     "extra",

@@ -66,6 +66,7 @@ NOT_TO_BE_WRITTEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "text"), NOT_TO_BE_WRITTEN.values(), ids=NOT_TO_BE_WRITTEN)
 def test_names_that_would_write_lines_of_their_own_are_refused(
     run: tuple[Path, Result], tmp_path: Path, place: str, text: Any
@@ -101,6 +102,7 @@ OF_OTHER_KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OF_OTHER_KINDS)
 def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
     spec, h = load_spec(SPECS / "gallery" / f"{name}.yaml"), OF_OTHER_KINDS[name]

@@ -341,6 +341,7 @@ def many_trapezoids(folder: Path, periods: int) -> Path:
     return write(folder, shape, duration=periods)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("written", "size"), [(long_table, 1000), (many_trapezoids, 100)])
 def test_signals_with_many_pieces_are_built_in_proportion_to_these(
     tmp_path: Path, written: Callable[[Path, int], Path], size: int

@@ -124,6 +124,7 @@ def content_of(form: ScalarForm) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_a_plant_of_nonlinearities_is_proved_as_it_is_written(stops: Path) -> None:
     """Of nine cells with six different A_i four are the corners; listed they are all proved by the same P."""
     plant = certificate(stops)["plant"]
@@ -226,6 +227,7 @@ def test_elements_that_do_not_make_all_combinations_are_listed(tmp_path: Path) -
     assert not audit(json.dumps(content))[1]
 
 
+@pytest.mark.slow
 def test_of_very_many_cells_no_tables_are_written_and_nothing_is_exported(tmp_path: Path) -> None:
     """Two elements with 150 corners each, of two slopes: 22,801 cells with four different matrices."""
     marks = ", ".join(str(k / 10) for k in range(150))

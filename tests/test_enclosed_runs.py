@@ -91,6 +91,7 @@ def walked(rhs: Any, z: Array, first: float, last: float) -> tuple[Array, Array]
     return t, found.y.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("conditions", [(LIMITS,), (LIMITS, NOISE), (NOISE,)])
 def test_a_run_is_nowhere_beyond_what_is_said_of_it(tmp_path: Path, conditions: tuple[str, ...]) -> None:
     coarse = run(tmp_path, 0.31, *conditions)
@@ -120,6 +121,7 @@ def test_a_run_is_nowhere_beyond_what_is_said_of_it(tmp_path: Path, conditions: 
     held(coarse.figures, t, x, u, 18 * 0.31)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("conditions", [(TICKS,), (TICKS, LIMITS, NOISE)])
 def test_between_ticks_a_run_is_nowhere_beyond_what_is_said_of_it(tmp_path: Path, conditions: tuple[str, ...]) -> None:
     """From tick to tick the input is held: what the plant does there is integrated by another method."""

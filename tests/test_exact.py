@@ -80,6 +80,7 @@ PLANT = ("A", "b", "B", "C", "H", "h")
 PLACES = (*PLANT, "signs", "K", "L", "A_eta", "T", "internal", "rate", "margin", "radius", "integers", "exponents")
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from(PLACES))
 @settings(max_examples=40)
 def test_what_was_tampered_with_is_refused_or_still_true(run: Path, seed: int, where: str) -> None:
@@ -151,6 +152,7 @@ def test_no_forgery_passes(run: Path) -> None:
     assert forged(run, K=K) != []
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from(["size", "a", "integers", "exponents", "signal"]))
 @settings(max_examples=25)
 def test_a_tampered_bound_is_refused_unless_it_is_looser(run: Path, seed: int, where: str) -> None:
@@ -542,6 +544,7 @@ ODD: tuple[Any, ...] = (
 )
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=40)
 def test_any_value_in_any_place_of_any_file_is_judged_in_words(

@@ -53,6 +53,7 @@ def machine() -> Subject:
     return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=1500)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("options", ["-O0", "-O2", "-O3", "-O3 -march=native", f"-O1 {SANE}"])
 def test_no_bit_differs_from_the_simulation_at_any_level(
@@ -74,6 +75,7 @@ SOME = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOME)
 def test_specs_of_all_kinds_give_the_same_bits(name: str, tmp_path: Path) -> None:
     subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=300)
@@ -169,6 +171,7 @@ def test_misra_finds_only_the_deviations_that_are_listed(
     assert not found.others, found.said
 
 
+@pytest.mark.slow
 def test_delays_limits_steps_and_pieces_are_in_the_code(tmp_path: Path) -> None:
     subject = with_pieces(tmp_path)
     for single in (False, True):
@@ -281,6 +284,7 @@ def test_numbers_that_single_floats_do_not_hold_are_refused(machine: Subject, tm
     assert not list((tmp_path / "single").glob("*"))
 
 
+@pytest.mark.slow
 def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
     """A practical design has a bound, rounded up; it does not claim that the error goes to 0."""
     code = CSource(file=machine.file, name="loop", single=False, given=False, unproved=())
@@ -295,6 +299,7 @@ def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
     assert "going to 0" not in header(code)
 
 
+@pytest.mark.slow
 def test_every_claim_of_the_header_is_among_the_claims(machine: Subject) -> None:
     text = (SPECS.parent / "docs/claims.md").read_text(encoding="utf-8")
     listed = [
@@ -361,6 +366,7 @@ def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
     assert "it belongs to ../two/cart/spec.txt: same plant" in call("verify", "../two/cart").output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stored", [False, True])
 def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp_path: Path, stored: bool) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
@@ -392,6 +398,7 @@ def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp
     assert (again / CONTROLLER).read_bytes() == (out / CONTROLLER).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_controller_whose_run_broke_off_says_so_and_one_that_ran_well_does_not(tmp_path: Path) -> None:
     path, run = cart(tmp_path, "controller: {sample_time: 100}", duration=200), tmp_path / "run"
     assert call("simulate", path, "--out", run, "--plots", "none").exit_code == 6

@@ -135,6 +135,7 @@ def found(folder: Path) -> Any:
     return loadmat(folder / "loop.mat", simplify_cells=True)
 
 
+@pytest.mark.slow
 def test_the_file_has_every_number_of_the_controller(machine: Subject, tmp_path: Path) -> None:
     known, file = found(written(machine, tmp_path / "m")), machine.file
     assert file.program is not None

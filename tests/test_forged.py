@@ -110,6 +110,7 @@ def test_the_weights_of_a_cost_are_symmetric(linear: dict[str, Any], name: str, 
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [

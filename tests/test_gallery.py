@@ -16,6 +16,7 @@ WORKING = [path for path in ALL if not expected_exit(path)]
 REFUSED = [path for path in ALL if expected_exit(path)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", WORKING, ids=lambda path: path.stem)
 def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
     spec = load_spec(path)

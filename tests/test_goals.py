@@ -205,6 +205,7 @@ def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:
             AtLeast(rate=1.0, bound=wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 5e-324, 1e-308, 1e300])
 def test_entries_of_any_size_end_in_a_verdict(size: float) -> None:
     """Warnings are errors here."""
@@ -299,6 +300,7 @@ def test_as_many_digits_of_a_gain_are_printed_as_its_proof_needs() -> None:
     assert not is_hurwitz(rounded)
 
 
+@pytest.mark.slow
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
 @settings(max_examples=25)
 def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: int, m: int) -> None:
@@ -319,6 +321,7 @@ def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: 
     assert np.linalg.eigvalsh(bound - cost)[0] > 0
 
 
+@pytest.mark.slow
 def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path) -> None:
     """Regulation to 0 from any state that the observer knows: ∫(eᵀQe + uᵀRu) dt ≤ e(0)ᵀ X e(0)."""
     text = (specs / "two_mass_backlash.yaml").read_text()

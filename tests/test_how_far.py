@@ -124,6 +124,7 @@ def stiff(specs: Path) -> tuple[Spec, HowFar]:
     return spec, found
 
 
+@pytest.mark.slow
 def test_the_springs_and_dampers_at_which_seventeen_begins_to_hold_are_found_to_four_digits(
     stiff: tuple[Spec, HowFar],
 ) -> None:
@@ -196,6 +197,7 @@ simulation: {{duration: 5, sample_time: 0.01}}
     assert words in " ".join(run.stderr.split())
 
 
+@pytest.mark.slow
 def test_a_refused_rate_is_told_the_largest_one_that_is_proved(specs: Path, tmp_path: Path) -> None:
     path = specs / "refused" / "rate_out_of_reach.yaml"
     run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path)])

@@ -33,6 +33,7 @@ def bent_plant(seed: int) -> PWASystem:
     return random_outputs(seed, degrees, internal, spare, k=1 + seed % 2, bent=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
 def test_random_plants_with_a_kinked_last_derivative_are_followed(seed: int) -> None:
     plant = bent_plant(seed)
@@ -72,6 +73,7 @@ def test_every_xi_and_eta_belong_to_one_state_and_it_is_found(seed: int) -> None
     assert len(visited) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_the_closed_loop_agrees_with_a_tight_integrator(seed: int) -> None:
     """(1), (18), (19) and the generator written out with located cells; u jumps where x_d crosses."""

@@ -178,6 +178,7 @@ def joint_with_loads(loop: ClosedLoop, k: int) -> tuple[Array, Array]:
     return np.array(M), np.concatenate([X @ L[4:, k], -L[:, k]])
 
 
+@pytest.mark.slow
 def test_bounds_hold_beside_loads_and_are_not_far_above_what_noise_can_do(tmp_path: Path) -> None:
     loop = simulate(load_spec(write(tmp_path))).loop
     for bounds in loop.controller.claim(SignalBounds).acting[-2:]:
@@ -210,6 +211,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
         assert least <= bounds.sizes["output", 0] <= 300 * least
 
 
+@pytest.mark.slow
 def test_the_auditor_proves_two_steps_again_and_finds_a_smaller_bound(tmp_path: Path) -> None:
     path = write(tmp_path, "{estimate: {wind: {into: {v2: 2}}}}", "")
     springs = "".join(
@@ -303,6 +305,7 @@ simulation: {duration: 5, sample_time: 0.1}
     assert audit(json.dumps(refusal_certificate(spec, evidence)))[1] == []
 
 
+@pytest.mark.slow
 def test_the_certificate_holds_the_loads_and_the_auditor_finds_what_is_changed(tmp_path: Path) -> None:
     result = simulate(load_spec(write(tmp_path)))
     content = json.dumps(design_certificate(result.spec, result.controller))
@@ -440,6 +443,7 @@ def test_the_map_of_one_sample_has_estimates_and_generator_in_it(tmp_path: Path)
             assert all(np.abs(values - value).min() < 1e-6 for value in found)
 
 
+@pytest.mark.slow
 def test_state_tracking_takes_loads_where_inputs_act_and_no_others(tmp_path: Path) -> None:
     matched = "{tracking: state, estimate: {push: {into: {v1: 2}}, hum: {into: {v1: 1}, frequency: 3}}}"
     acting = "disturbance: {v1: {constant: 0.4, sine: {amplitude: 0.3, frequency: 3}}}"

@@ -85,6 +85,7 @@ def equations_of_section_v(t: float, state: Array) -> Array:
     return np.concatenate([plant(x, u), plant(x_hat, u) + L * (x_hat[0] - x[0]), eta_rate])
 
 
+@pytest.mark.slow
 def test_every_sample_agrees_with_a_tight_integrator(paper: Result) -> None:
     response = paper.response
     start = np.array([0.25, 0, 0, 0, 0, 0, 0, 0, 0.2, 0])

@@ -180,6 +180,7 @@ def holds(proof: dict[str, Any], A: Array) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("degree", "k"), [(4, 1.0), (6, 1.03)])
 def test_no_tampered_proof_is_accepted_that_does_not_hold(degree: int, k: float) -> None:
     """1,000 of each degree: whatever the auditor accepts is true, and nearly all of it is refused."""

@@ -73,6 +73,7 @@ def gear(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, P
     return load_spec(path), out
 
 
+@pytest.mark.slow
 def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec, Path]) -> None:
     index = json.loads((gear[1] / "run.json").read_text())
     assert (index["verdict"], index["exit"]) == ("practical", 0)
@@ -88,6 +89,7 @@ def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec,
     assert any("ends below" in said for said in verify(gear[1]))
 
 
+@pytest.mark.slow
 def test_all_that_is_tracked_ends_below_something(gear: tuple[Spec, Path]) -> None:
     """Without the load, what is printed is that of nothing."""
     content = json.loads((gear[1] / "certificate.json").read_text())
@@ -111,6 +113,7 @@ def test_the_bound_is_above_the_peak_gain_and_close_to_it(gear: tuple[Spec, Path
         assert 1 < practical.final[signal] / peak < 1.01
 
 
+@pytest.mark.slow
 def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path) -> None:
     path, out = cart(tmp_path), tmp_path / "out"
     run(path, out, [], None, simulated=True)
@@ -126,6 +129,7 @@ def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path)
         verify(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reference", "worth"),
     [
@@ -225,6 +229,7 @@ def test_the_choice_is_the_least_that_works(tmp_path: Path) -> None:
     assert all(merge.largest > 0 for merge in both.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_no_simulation_ends_above_its_bound(seed: int) -> None:
     plant, form = plant_with_gaps(seed)
@@ -251,6 +256,7 @@ def test_an_observer_with_all_cells_has_no_error_in_the_end_and_a_smaller_bound(
     assert response.observer_error[-1] < 1e-9 * response.observer_error[0]
 
 
+@pytest.mark.slow
 def test_no_gain_of_the_observer_enlarges_rounding() -> None:
     """Of x̂ and x, each by itself, doubles keep so little that with L = 6e5 2e-7 would be left of x̂ − x for good."""
     plant, form = plant_with_gaps(97)
@@ -327,6 +333,7 @@ simulation: {{duration: 20, sample_time: 0.02}}
         design(load_spec(path))
 
 
+@pytest.mark.slow
 def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
     content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
     assert audit(json.dumps(content))[1] == []
@@ -344,6 +351,7 @@ def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
     assert tried > 25
 
 
+@pytest.mark.slow
 def test_a_tampered_peak_gain_is_found(specs: Path) -> None:
     spec = load_spec(specs / "gallery" / "drivetrain_with_backlash.yaml")
     content = json.loads(json.dumps(design_certificate(spec, design(spec))))
@@ -366,6 +374,7 @@ def test_a_tampered_peak_gain_is_found(specs: Path) -> None:
         assert audit(json.dumps(tampered))[1], change
 
 
+@pytest.mark.slow
 def test_beside_an_estimated_load_it_is_within_its_bound_and_no_error_is_said_to_go_to_0(
     specs: Path, tmp_path: Path
 ) -> None:
@@ -407,6 +416,7 @@ simulation: {{duration: 40, sample_time: 0.02}}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "u", "start", "worth"),
     [

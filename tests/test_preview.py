@@ -102,6 +102,7 @@ def move(at: float, span: float) -> Signal:
     return Signal((0.0, at, at + span), pieces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_the_bounded_solution_satisfies_its_equation(seed: int) -> None:
     plant, direction = saddles(seed)
@@ -174,6 +175,7 @@ def test_what_is_played_back_is_continuous() -> None:
             assert abs(before - after) <= 4e-13 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5])
 def test_gains_of_a_million_do_not_enlarge_rounding(tmp_path: Path, seed: int) -> None:
     """Of K x̂ and K x_d, each by itself, doubles keep so little that y would be off by 1e-6 to 1e-5."""
@@ -183,6 +185,7 @@ def test_gains_of_a_million_do_not_enlarge_rounding(tmp_path: Path, seed: int) -
     assert max(found.near, found.left) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_played_back_trajectory_has_no_filter() -> None:
     spec = load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml")
     controller = design(spec)
@@ -196,6 +199,7 @@ def test_a_played_back_trajectory_has_no_filter() -> None:
     assert (controller.plant.tracked @ again.x_d[0] @ start) == pytest.approx([0.0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_an_unknown_load_is_compensated_too() -> None:
     result = simulate(load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml"))
     assert result.final_error < 1e-8
@@ -221,6 +225,7 @@ def blown(folder: Path, loads: str, acts: str, *replaced: tuple[str, str]) -> Sp
     return load_spec(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loads", "acts"),
     [
@@ -370,6 +375,7 @@ def test_random_cells_have_a_P_of_any_sign_or_a_proof_that_they_have_none(seed: 
     assert (found is None) != (against is None)
 
 
+@pytest.mark.slow
 def test_the_auditor_reads_the_proof(tmp_path: Any) -> None:
     spec = load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml")
     content = json.loads(json.dumps(design_certificate(spec, design(spec))))
@@ -394,6 +400,7 @@ def test_a_generator_that_runs_is_left_to_run() -> None:
     assert controller.claims_of(PlayedBack) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 18])
 def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: int) -> None:
     """By another method: e' = (A_i + B K) e + ρ, with the jumps of x_d, in more digits."""
@@ -419,6 +426,7 @@ simulation: {duration: 7, sample_time: 0.01}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [-1, 0])
 def test_no_short_stay_beyond_a_facet_is_missed(tmp_path: Path, seed: int) -> None:
     """x_d is beyond a facet for a small part of a radian; the true plant, by another integrator, keeps what is said."""

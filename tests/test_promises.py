@@ -56,6 +56,7 @@ def unpacked(proof: Any) -> list[list[Fraction]]:
     return [[v * a * b for v, b in zip(row, unit, strict=True)] for row, a in zip(proof.integers, unit, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_no_error_is_ever_above_what_the_proofs_promise(seed: int) -> None:
     """n ≤ 8, r = 1 … 4, up to 16 cells; and the error is below 1e-6 at the time that the proofs predict."""
@@ -73,6 +74,7 @@ def test_no_error_is_ever_above_what_the_proofs_promise(seed: int) -> None:
     assert verdict.opinions == pytest.approx((1, 1), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["two_mass_paper_gains", "gallery/two_driven_carts", "gallery/two_rooms"])
 def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: Path, path: str) -> None:
     spec = load_spec(specs / f"{path}.yaml")
@@ -108,6 +110,7 @@ def test_no_disturbance_and_no_noise_does_more_than_its_bound_says(seed: int) ->
         assert max(seen[signal] / size for signal, size in bounds.sizes.items() if size) > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("two_steps", [False, True])
 @pytest.mark.parametrize("seed", range(4))
 def test_no_switching_does_more_than_a_bound_says(seed: int, two_steps: bool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,6 +133,7 @@ def test_no_switching_does_more_than_a_bound_says(seed: int, two_steps: bool, mo
     assert np.median(ratios) < (8 if two_steps else 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_no_start_and_no_parameter_of_a_box_does_more_than_a_bound_says(seed: int) -> None:
     """As above, from each entry of a start, and for a box of plants: any switching, and any change of parameters."""
@@ -286,6 +290,7 @@ def changed(plant: PWASystem, T: Array, o: Array, cells: IntArray, speed: float)
 CHANGES = ["cells", "states", "affine", "state scales", "time"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=8, derandomize=True)

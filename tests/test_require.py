@@ -189,6 +189,7 @@ def test_each_figure_is_missed_and_met_once(wave: Result, step: Result, tmp_path
         assert (checked.met, checked.found) == (met, came), checked.text
 
 
+@pytest.mark.slow
 def test_a_run_and_a_batch_end_with_6_where_any_figure_is_missed_and_with_0_where_it_is_met(
     wave: Result, step: Result, tmp_path: Path
 ) -> None:
@@ -282,6 +283,7 @@ def test_a_batch_says_what_is_missed_in_table_and_junit(tmp_path: Path) -> None:
     assert "met: final_error: " in missed.system_out
 
 
+@pytest.mark.slow
 def test_members_of_an_ensemble_are_held_to_their_share(tmp_path: Path) -> None:
     boxes = "ensemble: {initial: {plant: {z: [-0.05, 0.09]}}}"
     many = ensemble(simulate(load_spec(stage(tmp_path, "{norm_K: 9}", boxes))), 20)

@@ -44,6 +44,7 @@ def judged(name: str) -> Applicability:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "route"), TAKEN.items())
 def test_the_route_that_check_names_is_the_one_that_design_goes(name: str, route: str) -> None:
     found = judged(name)

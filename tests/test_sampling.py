@@ -38,6 +38,7 @@ def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array
     return np.asarray(np.linalg.norm(response.x - response.x_d, axis=1))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 60), methods, st.integers(0, 3), st.floats(0.01, 0.5))
 @settings(max_examples=25)
 def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Method, delay: int, h: float) -> None:
@@ -60,6 +61,7 @@ def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Meth
     np.testing.assert_allclose(z[1:], expected, atol=1e-9 * (1 + np.abs(z).max()))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 400), methods, st.integers(0, 2))
 @settings(max_examples=4)  # `make sampling` runs 120
 def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, method: Method, delay: int) -> None:
@@ -110,6 +112,7 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     assert result.response.tracking_error.max() < 1
 
 
+@pytest.mark.slow
 def test_an_output_that_is_late_takes_a_shorter_sample_time(tmp_path: Path) -> None:
     found = []
     for delay in (0, 1, 5):
@@ -167,6 +170,7 @@ def scalar_growth(a: tuple[float, float], k: float, l_: float, h: float, start: 
     return grown
 
 
+@pytest.mark.slow
 def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offered(tmp_path: Path) -> None:
     """0.73 s was offered, as stable in all cells: at 0.73, 0.72, 0.6 and 0.5 s the loop runs away."""
     path = tmp_path / "bent.yaml"
@@ -190,6 +194,7 @@ def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offere
     assert simulate(load_spec(path)).outcome.kind == "grows"
 
 
+@pytest.mark.slow
 def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_path: Path) -> None:
     path = tmp_path / "bent.yaml"
     path.write_text(BENT.replace("TIME", "1"), encoding="utf-8")

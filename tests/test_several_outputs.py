@@ -34,6 +34,7 @@ def kind(seed: int) -> tuple[tuple[int, ...], int, int]:
     return KINDS[seed % len(KINDS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
 def test_random_plants_with_several_outputs_are_followed(seed: int) -> None:
     degrees, internal, spare = kind(seed)
@@ -76,6 +77,7 @@ def destabilised(plant: PWASystem, form_of: PWASystem, rate: float) -> PWASystem
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bent", [False, True])
 @pytest.mark.parametrize("seed", range(20))
 def test_verdicts_do_not_depend_on_coordinates_or_on_the_order_of_outputs_and_inputs(seed: int, bent: bool) -> None:
@@ -171,6 +173,7 @@ def as_designed(text: str) -> str:
     return re.sub(r"(?m)^(require|design|  disturbance|  actuator): .*\n", "", text)
 
 
+@pytest.mark.slow
 def test_a_gantry_is_followed_by_both_axes_and_its_certificate_holds(tmp_path: Path) -> None:
     result = simulate(load_spec(SPECS / "gallery" / "gantry.yaml"))
     assert result.controller.generator is not None
@@ -204,6 +207,7 @@ def test_a_reference_is_given_for_each_tracked_output(tmp_path: Path, output: st
     assert refusal.value.problems[0].place is not None
 
 
+@pytest.mark.slow
 def test_loads_are_made_up_for_with_several_outputs(tmp_path: Path) -> None:
     text = as_designed(GANTRY).replace("reference:", "design: {estimate: input}\nreference:", 1)
     path = tmp_path / "gantry.yaml"
@@ -214,6 +218,7 @@ def test_loads_are_made_up_for_with_several_outputs(tmp_path: Path) -> None:
     assert verify(write_result(result, tmp_path / "run", plots="none"))
 
 
+@pytest.mark.slow
 def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> None:
     text = (SPECS / "gallery" / "three_tanks_pumps.yaml").read_text()
     path = tmp_path / "tanks.yaml"
@@ -225,6 +230,7 @@ def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> N
     )
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_is_off_by_its_sample_time_with_several_outputs(tmp_path: Path) -> None:
     errors = []
     for sample_time in (0.001, 0.0005):

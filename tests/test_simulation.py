@@ -249,6 +249,7 @@ def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
     return np.concatenate([plant.field(x, u), plant.field(x_hat, u) + innovation, eta_rate])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
     loop = random_loop(seed)
@@ -444,6 +445,7 @@ def test_forward_and_back_over_one_period_returns(paper: Result) -> None:
     np.testing.assert_allclose([1.0 - e.t for e in back.events[::-1]], [e.t for e in forth.events], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_of_500_passes_within_a_hair_none_is_missed_or_invented() -> None:
     for seed in range(500):
         case = near_grazing(seed)

@@ -91,6 +91,7 @@ def test_what_no_sensor_measures_follows_its_reference(tmp_path: Path) -> None:
     assert np.abs(alone.y[:4].T - r.x[:501]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_order_of_the_sensors_changes_nothing(tmp_path: Path) -> None:
     one, other = (design(stage(tmp_path, s, "track: {payload: z2}")) for s in (["z1", "v1"], ["v1", "z1"]))
     assert np.allclose(one.design.L, other.design.L[:, ::-1], rtol=1e-5, atol=1e-6)

@@ -246,6 +246,7 @@ simulation:
 """
 
 
+@pytest.mark.slow
 def test_of_a_w_that_took_too_long_to_enclose_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "short.yaml"
     changes = {"box": "d: 10%", "reference": '"0.15*cos(2*pi*t)"', "duration": 20.25, "step": 0.5, "start": 0.15}
@@ -311,6 +312,7 @@ def test_a_box_with_too_many_corners_is_undecided_before_anything_is_solved(tmp_
     assert refused.value.code == ExitCode.UNDECIDED
 
 
+@pytest.mark.slow
 def test_the_papers_example_is_proved_to_nine_percent_and_not_to_ten(specs: Path, tmp_path: Path) -> None:
     robust = design(load_spec(backlash(specs, tmp_path, "5%"))).claim(Robust)
     assert robust.count == (16 + 8) * 2  # corners of the cells with a spring, which are alike, and of the gap
@@ -349,6 +351,7 @@ simulation: {{duration: 1, sample_time: 0.1}}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_plant_of_the_box_has_a_peak_gain_above_its_bound(tmp_path: Path, seed: int) -> None:
     """Of (x, x̂)' in one cell, where w acts on x alone: no common P, no ellipsoid and no error coordinates."""
@@ -467,6 +470,7 @@ def wider_interval(box: Any) -> None:
     box["parameters"][0][2] = "9"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "alone"),
     [
@@ -535,6 +539,7 @@ def test_the_entries_of_w_that_are_bounded_are_those_that_vary(
     ]
 
 
+@pytest.mark.slow
 def test_a_proof_for_no_box_does_not_belong_to_a_spec_with_one(tmp_path: Path) -> None:
     folder = write_result(simulate(load_spec(spring(tmp_path))), tmp_path / "run")
     content = json.loads((folder / "certificate.json").read_text())
@@ -552,6 +557,7 @@ def test_estimated_loads_beside_uncertain_parameters_are_refused(tmp_path: Path)
     assert refused.value.code == ExitCode.OUTSIDE_THEORY
 
 
+@pytest.mark.slow
 def test_the_largest_box_is_found_with_its_proof(specs: Path, tmp_path: Path) -> None:
     path = backlash(specs, tmp_path, "5%")
     run(path, tmp_path / "run", [], None, simulated=False, scaled=True)
@@ -564,6 +570,7 @@ def test_the_largest_box_is_found_with_its_proof(specs: Path, tmp_path: Path) ->
         design(load_spec(backlash(specs, tmp_path, f"{5 * largest['beyond']:.9g}%")))
 
 
+@pytest.mark.slow
 def test_a_box_that_is_too_large_is_undecided_and_says_which_is_not(specs: Path, tmp_path: Path) -> None:
     path = backlash(specs, tmp_path, "20%")
     with pytest.raises(PwatrackError, match=r"undecided; proved for the box scaled by 0\.[3-5]") as refused:

@@ -192,6 +192,7 @@ def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_
     assert index["limits"]["inputs"]["u"]["lasting"]["range"] == pytest.approx([-0.6, 0.6], abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_run_shows_the_feedforward_that_was_said(tmp_path: Path) -> None:
     for name in ("two_mass_backlash", "gallery/three_tanks_weirs", "gallery/two_driven_carts"):
         spec = load_spec(SPECS / f"{name}.yaml")
@@ -286,6 +287,7 @@ def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
         assert promise.held.sizes[0] <= 2 * least  # Σ |K_k| s_k is reached at the start
 
 
+@pytest.mark.slow
 def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) -> None:
     """The loop itself, with limits that cut off: nothing is cut off."""
     spec = load_spec(specs / "two_mass_machine.yaml")
@@ -360,6 +362,7 @@ def tank(a: float, b: float, s: float, most: float) -> tuple[Task, Within]:
     return task, Within(starts=np.array([[s]]), left=np.array([most]))
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.integers(-30, 30).map(lambda k: k / 10), st.floats(0.2, 5), st.floats(0.1, 10), st.floats(0.05, 5))
 def test_one_state_has_the_gain_that_its_limits_leave(a: float, b: float, s: float, most: float) -> None:
@@ -395,6 +398,7 @@ def largest(M: Array, K: Array, s: Array) -> float:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_gains_within_limits_keep_them_and_no_regulator_of_heavier_inputs_is_much_cheaper(seed: int) -> None:
     """Of one cell: regulators with dearer and dearer inputs, until the limits are kept, are what one would try."""
@@ -436,6 +440,7 @@ def test_a_gain_that_keeps_its_limits_anyway_is_the_regulator(tmp_path: Path) ->
     assert np.array_equal(free, limited)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["{}", "{rate: 0.5}", "{rate: largest}", "{rate: largest, gain: 0.5}"])
 def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) -> None:
     sizes = "  sizes: {z: 0.5, v: 1}\n  units:"
@@ -464,6 +469,7 @@ def test_where_no_gain_keeps_the_limits_it_is_said_from_where_they_are_kept(tmp_
     assert 0 < float(share[1]) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass_machine", "gallery/stage_with_bumpers"])
 def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Path) -> None:
     path, other = SPECS / f"{name}.yaml", tmp_path / "other.yaml"
@@ -486,6 +492,7 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     assert {kind: scales[0][kind] for kind in scales[1]} == pytest.approx(scales[1], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -> None:
     """They are larger than the sizes, so that the gain is smaller; a certificate with other starts is found out."""
     starts = "initial: {plant: [0, 0]}\n  ensemble: {initial: {plant: {z: [-1, 1], v: [-1, 1]}}}"
@@ -514,6 +521,7 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
         verify(tmp_path / "out", path)
 
 
+@pytest.mark.slow
 def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_path: Path) -> None:
     """Errors of x, of x̂ and the load, all at once, in the loop with its limits."""
     sizes = "  sizes: {z: 0.1, v: 0.3, load_u: 0.5}\n  units:"
@@ -603,6 +611,7 @@ def test_no_start_is_promised_to_reach_no_limit_that_the_feedforward_reaches_bet
     assert simulate(load_spec(path)).figures.largest_input["u"] == pytest.approx(2, rel=2e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("later", "said"), [(15, "no limit is reached in this run"), (5, "no limit is ever reached")])
 def test_what_the_reference_does_after_the_run_is_not_spoken_of(tmp_path: Path, later: float, said: str) -> None:
     steps = f"{{step: [{{size: 0.1, at: 1, smooth: 1}}, {{size: 0.2, at: {later}, smooth: 1}}]}}"
