@@ -1,16 +1,21 @@
-# Bare `make` prints this help. Every target sets up what it needs in .venv, with uv where
-# it is installed, else with python3 -m venv and pip; both install exactly requirements.lock.
+# Bare `make` prints this help. Every target sets up what it needs in .venv, with uv where it is installed, else with
+# python3 -m venv and pip: what runs is exactly requirements.lock, and tests add requirements-dev.lock to it.
 
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+DEV := .venv/.dev
 
 .PHONY: help
 help: ## print this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
+# With pip, Python files are compiled when they are first imported: most never are, and compiling all takes nearly as
+# much of the processor as all else of the installation. So the example is run once, unseen: that compiles what every
+# run imports, and the walk of simulations, both kept on disk, also in containers that forbid Python to write such
+# files later.
 $(READY): requirements.lock pyproject.toml
-	@echo "Setting up .venv (once; about half a minute)"
+	@echo "Setting up .venv (once; about a minute)"
 	@if command -v uv >/dev/null 2>&1; then \
 	  uv venv -q --clear --python '>=3.11' .venv \
 	  && uv pip install -q --python $(BIN)/python --require-hashes -r requirements.lock \
@@ -18,14 +23,28 @@ $(READY): requirements.lock pyproject.toml
 	else \
 	  $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed, this is " + sys.version + "; try make PYTHON=python3.12")' \
 	  && $(PYTHON) -m venv --clear .venv \
-	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock \
-	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation -e . ; \
+	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile --require-hashes -r requirements.lock \
+	  && $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile --no-deps --no-build-isolation -e . ; \
 	fi
-	@$(BIN)/python -m compileall -q pwatrack  # containers often forbid Python to do so later: each start would take 0.3 s more
+	@echo "Compiling (once)"
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m compileall -q pwatrack
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pwatrack simulate specs/two_mass_backlash.yaml -q --out .venv/.first >/dev/null && rm -rf .venv/.first
+	@touch $@
+
+$(DEV): $(READY) requirements-dev.lock
+	@echo "Adding what tests need to .venv (once)"
+	@if command -v uv >/dev/null 2>&1; then \
+	  uv pip install -q --python $(BIN)/python --require-hashes -r requirements-dev.lock ; \
+	else \
+	  $(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements-dev.lock ; \
+	fi
 	@touch $@
 
 .PHONY: setup
-setup: $(READY) ## set up .venv only
+setup: $(READY) ## set up .venv with what runs
+
+.PHONY: setup-dev
+setup-dev: $(DEV) ## and with what tests need
 
 .PHONY: demo
 demo: $(READY) ## design and simulate the paper's example
@@ -33,22 +52,26 @@ demo: $(READY) ## design and simulate the paper's example
 	@echo "Open the pictures in runs/two_mass_backlash/, for example tracking_error.png"
 
 .PHONY: test
-test: $(READY) ## run the tests
-	@$(BIN)/pytest -q -n auto
+test: $(DEV) ## run the tests, but for those that take long (five minutes on two cores)
+	@$(BIN)/pytest -q -n auto --dist loadfile -m "not slow"
+
+.PHONY: test-all
+test-all: $(DEV) ## run all tests, as CI does
+	@$(BIN)/pytest -q -n auto --dist loadfile
 
 KINDS ?= 0
 
 .PHONY: test-kernels
-test-kernels: $(READY) ## run the numerical tests under other processors' kernels, in random order (KINDS=1: one of them)
+test-kernels: $(DEV) ## run the numerical tests under other processors' kernels, in random order (KINDS=1: one of them)
 	@$(BIN)/python -m benchmarks.processors --tests $(KINDS)
 
 .PHONY: processors
-processors: $(READY) ## compare the verdicts on 200 pairs of nearly equal modes under all of these (ten minutes)
+processors: $(DEV) ## compare the verdicts on 200 pairs of nearly equal modes under all of these (ten minutes)
 	@$(BIN)/python -m benchmarks.processors 200
 
 DOCS := .venv/.docs
 
-$(DOCS): $(READY) docs/requirements.lock
+$(DOCS): $(DEV) docs/requirements.lock
 	@if command -v uv >/dev/null 2>&1; then \
 	  uv pip install -q --python $(BIN)/python --require-hashes -r docs/requirements.lock ; \
 	else \
@@ -84,7 +107,7 @@ batch: $(READY) ## design and simulate every spec in specs/
 
 PEERS := .venv/.peers
 
-$(PEERS): $(READY)
+$(PEERS): $(DEV)
 	@echo "Installing the peers (once; one that cannot be had is left out)"
 	@if command -v uv >/dev/null 2>&1; then INSTALL="uv pip install --python $(BIN)/python"; \
 	  else INSTALL="$(BIN)/python -m pip install --disable-pip-version-check"; fi; \
@@ -102,40 +125,40 @@ lmi-bench: $(PEERS) ## time our solver of matrix inequalities against CVXPY, PIC
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lmi
 
 .PHONY: corpus
-corpus: $(READY) ## count the verdicts proved on 900 random systems (ten minutes)
+corpus: $(DEV) ## count the verdicts proved on 900 random systems (ten minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py
 
 .PHONY: false-accepts
-false-accepts: $(READY) ## look for false proofs: tampered certificates, nearly singular matrices (three minutes)
+false-accepts: $(DEV) ## look for false proofs: tampered certificates, nearly singular matrices (three minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.false_accepts
 
 .PHONY: promises
-promises: $(READY) ## hold what the proofs promise against simulations of 200 random designs
+promises: $(DEV) ## hold what the proofs promise against simulations of 200 random designs
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
 
 .PHONY: peaks
-peaks: $(READY) ## hold enclosed peaks of feedforwards against a fine walk of 100 random specs and the gallery's
+peaks: $(DEV) ## hold enclosed peaks of feedforwards against a fine walk of 100 random specs and the gallery's
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peaks 100 600
 
 .PHONY: previews
-previews: $(READY) ## follow references with 100 random plants that are not minimum phase
+previews: $(DEV) ## follow references with 100 random plants that are not minimum phase
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview 100
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview grazing 20
 
 .PHONY: bounds
-bounds: $(READY) ## hold the bounds of random designs against the worst that can be found
+bounds: $(DEV) ## hold the bounds of random designs against the worst that can be found
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bounds 200
 
 .PHONY: uncertain
-uncertain: $(READY) ## hold what is said of boxes of parameters against 2,000 random plants (fifteen minutes)
+uncertain: $(DEV) ## hold what is said of boxes of parameters against 2,000 random plants (fifteen minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.uncertain 2000
 
 .PHONY: practical
-practical: $(READY) ## hold final bounds of practical tracking against simulations of 200 random plants (four minutes)
+practical: $(DEV) ## hold final bounds of practical tracking against simulations of 200 random plants (four minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.practical 200
 
 .PHONY: fuzz
-fuzz: $(READY) ## design, simulate and verify 150 random specs (five minutes)
+fuzz: $(DEV) ## design, simulate and verify 150 random specs (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz
 
 .PHONY: fuzz-reader
@@ -143,62 +166,64 @@ fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by covera
 	@$(BIN)/python -m benchmarks.fuzz_reader
 
 .PHONY: bad-inputs
-bad-inputs: $(READY) ## check every bad input of the tests in a process of its own: code, line, time, memory (five minutes)
+bad-inputs: $(DEV) ## check every bad input of the tests in a process of its own: code, line, time, memory (five minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bad_inputs
 
 .PHONY: batch-bench
-batch-bench: $(READY) ## time batches against a process for each spec (ten minutes)
+batch-bench: $(DEV) ## time batches against a process for each spec (ten minutes)
 	@$(BIN)/python -m benchmarks.batch
 
 .PHONY: sweep-bench
-sweep-bench: $(READY) ## sweep 1,000 points here and on two dask workers, one killed, against a formula (ten minutes)
+sweep-bench: $(DEV) ## sweep 1,000 points here and on two dask workers, one killed, against a formula (ten minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sweep
 
 .PHONY: kills
-kills: $(READY) ## kill a batch at 200 random moments and look for harm (ten minutes)
+kills: $(DEV) ## kill a batch at 200 random moments and look for harm (ten minutes)
 	@$(BIN)/python -m benchmarks.kills
 
 .PHONY: sampling
-sampling: $(READY) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
+sampling: $(DEV) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sampling 120
 
 .PHONY: export
-export: $(READY) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
+export: $(DEV) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.export
 
 .PHONY: control-bench
-control-bench: $(READY) ## run the loop of every spec in python-control, and compare (three minutes)
+control-bench: $(DEV) ## run the loop of every spec in python-control, and compare (three minutes)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.python_control
 
 .PHONY: step-bench
-step-bench: $(READY) ## time a step of exported C against a hand-written loop and python-control
+step-bench: $(DEV) ## time a step of exported C against a hand-written loop and python-control
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.step
 
 .PHONY: lint
-lint: $(READY) ## ruff: lint and format
+lint: $(DEV) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 
 .PHONY: type
-type: $(READY) ## mypy --strict
+type: $(DEV) ## mypy --strict
 	@$(BIN)/mypy
 
 .PHONY: imports
-imports: $(READY) ## import-linter: imports only point up the list of rooms
+imports: $(DEV) ## import-linter: imports only point up the list of rooms
 	@$(BIN)/lint-imports
 
 .PHONY: check
-check: test batch lint type imports ## everything CI runs
+check: test-all batch lint type imports ## everything CI runs
 
 .PHONY: format
-format: $(READY) ## let ruff format and fix
+format: $(DEV) ## let ruff format and fix
 	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+COMPILE := uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+  --custom-compile-command 'make lock' pyproject.toml
 
 .PHONY: lock
 lock: ## renew the locks from pyproject.toml (needs uv)
-	uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
-	  --extra dev --custom-compile-command 'make lock' pyproject.toml -o requirements.lock
-	uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
-	  --extra docs -c requirements.lock --custom-compile-command 'make lock' pyproject.toml -o docs/requirements.lock
+	$(COMPILE) --extra build -o requirements.lock
+	$(COMPILE) --extra dev -c requirements.lock -o requirements-dev.lock
+	$(COMPILE) --extra docs -c requirements-dev.lock -o docs/requirements.lock
 
 .PHONY: clean
 clean: ## remove .venv, runs and caches

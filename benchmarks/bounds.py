@@ -18,8 +18,6 @@ import numpy as np
 from rich.console import Console
 
 from pwatrack import design, load_spec
-from pwatrack.report.bounds import cause
-from pwatrack.report.wording import signal_text
 from tests.promises import box_system, joint_system, random_box, random_design, worst, worst_from
 
 
@@ -35,12 +33,12 @@ def main(paths: list[Path]) -> None:
         console.print(f"{path}: {time.perf_counter() - begin:.2f} s")
         for bounds in found:
             M, g, rows = joint_system(controller, bounds)
-            _, on, _ = cause(spec, bounds.channel)
+            _, on, _ = spec.words.cause(bounds.channel)
             for signal, size in bounds.sizes.items():
                 if signal[0] == "estimate":
                     continue
                 seen = worst(M, g, rows[signal], duration=8 / rate)
-                name, _ = signal_text(spec, signal)
+                name, _ = spec.words.signal(signal)
                 console.print(f"    {on} → {name}: bound {size:.4g}, found {seen:.4g}, ratio {size / seen:.2f}")
 
 

@@ -33,6 +33,7 @@ from scipy.linalg import expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import EPS, Array
+from pwatrack.claims.preview import PlayedBack
 from pwatrack.control.controller import Controller
 from pwatrack.errors import Infeasible, PwatrackError
 from pwatrack.spec.spec import Spec
@@ -135,7 +136,7 @@ def followed(path: Path) -> Followed:
     gain = max(peak(A, plant.B[:, 0], plant.tracked[0]) for A in plant.A + plant.B @ K)
     left = left_by_pieces(controller, spec.scenario.duration)
     rounding = float(EPS * (np.abs(K[0]) @ largest) * gain)
-    return Followed(near=near, off=off, left=left, bound=controller.left_by_preview, rounding=rounding)
+    return Followed(near=near, off=off, left=left, bound=told_of(controller), rounding=rounding)
 
 
 def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float, Array]:
@@ -146,6 +147,11 @@ def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float,
     response = simulate(replace(spec, scenario=replace(spec.scenario, initial=initial)), controller).response
     error = np.abs(response.tracking_error)
     return float(error[-(len(error) // 10) :].max()), np.abs(response.x_d).max(axis=0)
+
+
+def told_of(controller: Controller) -> float:
+    """Return what is told to be left of |y − y_d| by what is played back; 0 where nothing is."""
+    return sum(played.error for played in controller.claims_of(PlayedBack))
 
 
 def left_by_pieces(controller: Controller, duration: float) -> float:
@@ -251,8 +257,16 @@ def integrated(controller: Controller, duration: float) -> float:
         return np.concatenate([field(x) + driven, field(x_hat) + driven + L @ (plant.C @ (x_hat - x))])
 
     t = np.linspace(0.0, duration, _LOOKS)
-    options = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-10, "max_step": duration / _LOOKS}
-    found = solve_ivp(slope, (0.0, duration), np.tile(desired(0.0)[0], 2), t_eval=t, **options)
+    found = solve_ivp(
+        slope,
+        (0.0, duration),
+        np.tile(desired(0.0)[0], 2),
+        t_eval=t,
+        method="DOP853",
+        rtol=1e-9,
+        atol=1e-10,
+        max_step=duration / _LOOKS,
+    )
     assert found.success
     x_d = np.array([desired(at)[0] for at in t])
     return float(np.abs((found.y[:n].T - x_d) @ plant.tracked.T).max())
@@ -271,7 +285,7 @@ def grazing(count: int) -> None:
             except PwatrackError:
                 refused += 1
                 continue
-            seen, told = integrated(controller, spec.scenario.duration), controller.left_by_preview
+            seen, told = integrated(controller, spec.scenario.duration), told_of(controller)
             start = controller.trajectory.state(np.append(controller.trajectory.exosystem.w0, 1.0))
             simulated, _ = last_tenth(spec, controller, start)
             ratios.append(seen / (told + INTEGRATED))

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.practical import Practical
+from pwatrack.control.bounds import Bounds
 from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
@@ -33,7 +36,7 @@ class Design(Controller):
     Attributes:
         spec: The problem.
         K, L: The gains, (m, n) and (n, q); with estimated loads L has a row for each of their states, too.
-        plant, generator, proofs, guarantees, bounds: As `Controller` of `pwatrack.control.controller` has them.
+        plant, generator, proofs, guarantees, claims: As `Controller` of `pwatrack.control.controller` has them.
 
     Example:
         >>> from pwatrack import design, plant, problem
@@ -56,14 +59,24 @@ class Design(Controller):
         return controller if isinstance(controller, Design) else Design(**_parts(controller), spec=spec)
 
     @property
+    def bounds(self) -> tuple[Bounds, ...]:
+        """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
+        return self.claim(SignalBounds).acting
+
+    @property
+    def starts(self) -> tuple[Bounds, ...]:
+        """What each entry of the start, of x − x_d, of x̂ − x and of the estimates of loads, can do to each signal."""
+        return self.claim(SignalBounds).starts
+
+    @property
     def verdict(self) -> str:
         """What is proved: "proved", or where cells are merged "practical"; whatever else is a refusal, and raised."""
-        return "proved" if self.practical is None else "practical"
+        return "practical" if self.claims_of(Practical) else "proved"
 
     @property
     def figures(self) -> dict[str, float]:
         """Sizes of the gains and what is proved of them, by name, as in run.json: rates in 1/s."""
-        from pwatrack.report.figures import gain_figures
+        from pwatrack.claims.decay import gain_figures
 
         return gain_figures(self)
 

@@ -44,7 +44,9 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDRESS", help="Let the workers of this dask scheduler do it."),
 ]
-SolverName = Annotated[Literal["clarabel", "cvxopt"] | None, typer.Option("--solver", help="Interior-point solver.")]
+SolverName = Annotated[
+    Literal["structured", "clarabel", "cvxopt"] | None, typer.Option("--solver", help="Who is asked for solutions.")
+]
 
 
 def _version(wanted: bool) -> None:
@@ -82,27 +84,27 @@ def check(
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
 
             from pwatrack.control.applicability import applicability  # which a spec in error does not need
+            from pwatrack.lmi.solve import asking
             from pwatrack.study.merged import checked
+            from pwatrack.study.pipeline import sampling_known
             from pwatrack.study.sizing import spec_sizes
             from pwatrack.study.tracking import reference_remarks
 
             sizes = spec_sizes(spec)
-            name, report = (
-                spec.name,
-                applicability(
-                    spec.problem.plant,
-                    tracking=spec.problem.tracking,
-                    sizes=sizes,
-                    asked=spec.objectives.practical,
-                    uncertain=bool(spec.objectives.uncertain),
-                    known=getattr(spec.problem.reference, "preview", True),
-                ),
-            )
-            reference, sizes = checked(spec, report)
-            remarks = reference_remarks(spec, report.form)
-            if (sampling := spec.scenario.conditions.sampling) is not None:
-                said = "depends on its gains: `design` looks at it in each cell"
-                remarks = (*remarks, f"what sampling every {sampling.sample_time:g} s makes of the loop {said}")
+            with asking(spec.objectives.solver):
+                name, report = (
+                    spec.name,
+                    applicability(
+                        spec.problem.plant,
+                        tracking=spec.problem.tracking,
+                        sizes=sizes,
+                        asked=spec.objectives.practical,
+                        uncertain=bool(spec.objectives.uncertain),
+                        known=getattr(spec.problem.reference, "preview", True),
+                    ),
+                )
+                reference, sizes = checked(spec, report)
+            remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if as_json:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pwatrack.report.terminal import refusals
+from pwatrack.report.terminal import compiling, console, refusals
 
 if TYPE_CHECKING:
     from pwatrack.report.export import Target
@@ -88,7 +88,8 @@ def _export(
 
         given = options.pop("reference") == "outside"
         known = assignments(parameters or [])
-        files = export(to, target, out, parameters=known, sample_time=sample_time, given=given, **options)
+        with compiling(console(stderr=True)):
+            files = export(to, target, out, parameters=known, sample_time=sample_time, given=given, **options)
         typer.echo(f"Code in {out}/: {', '.join(files)}")
 
 
@@ -111,19 +112,20 @@ def export_to_fmu(
         from pwatrack.report.export_fmu import export_fmu
         from pwatrack.spec.load import assignments
 
-        for line in export_fmu(
-            target,
-            out,
-            parameters=assignments(parameters or []),
-            sample_time=sample_time,
-            name=name,
-            versions=(2, 3) if fmi == "both" else (2,) if fmi == "2" else (3,),
-            of=("controller", "plant") if of == "both" else (of,),
-            given=reference == "outside",
-            unproved=unproved,
-            failed=failed,
-        ):
-            typer.echo(line)
+        with compiling(console(stderr=True)):
+            lines = export_fmu(
+                target,
+                out,
+                parameters=assignments(parameters or []),
+                sample_time=sample_time,
+                name=name,
+                versions=(2, 3) if fmi == "both" else (2,) if fmi == "2" else (3,),
+                of=("controller", "plant") if of == "both" else (of,),
+                given=reference == "outside",
+                unproved=unproved,
+                failed=failed,
+            )
+        typer.echo("\n".join(lines))
 
 
 def _check_sample_time(sample_time: float | None) -> None:

@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import Controller
 from pwatrack.errors import OutsideTheory, PwatrackError, Undecided
 
@@ -243,7 +244,7 @@ def _outside(spec: Any, box: Mapping[str, tuple[float, ...]], drawn: Any, rng: n
 def _real(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
     """Return the largest real part of an eigenvalue of (e, Δ)' = M (e, Δ), A by differences at random states."""
     K, L = controller.design.K, controller.design.L
-    assert controller.robust is not None
+    assert controller.claims_of(Robust)
     worst = -math.inf
     for plant in plants:
         one, other = rng.normal(size=(2, len(K[0]))) * 3
@@ -251,7 +252,7 @@ def _real(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: 
         off = (nominal.B - plant.B) @ K
         M = np.block([[A_p + plant.B @ K, plant.B @ K], [A - A_p + off, A_hat + L @ nominal.C + off]])
         worst = max(worst, float(np.linalg.eigvals(M).real.max()))
-    return worst + controller.robust.rate
+    return worst + controller.claim(Robust).rate
 
 
 def _slope(f: Callable[[Array], Array], x: Array, step: float = 1e-7) -> Array:
@@ -260,7 +261,7 @@ def _slope(f: Callable[[Array], Array], x: Array, step: float = 1e-7) -> Array:
 
 def _part(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
     """Return the largest part of its bound that a signal comes to from error 0, with plants that change at random."""
-    K, L, robust, n = controller.design.K, controller.design.L, controller.robust, len(nominal.B)
+    K, L, robust, n = controller.design.K, controller.design.L, controller.claim(Robust), len(nominal.B)
     assert robust is not None
     z, w, seen = np.tile(rng.normal(size=n), 3)[None], np.zeros(n), dict.fromkeys(robust.bounds[0].sizes, 0.0)
     frequency, size, plant = rng.uniform(0.5, 6), rng.uniform(0.5, 5), plants[0]

@@ -30,11 +30,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if NUMERICAL.fullmatch(item.path.name):
             item.add_marker("numerical")
+    files = dict[Path, list[pytest.Item]]()
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    long = {path: sum(item.get_closest_marker("slow") is not None for item in each) for path, each in files.items()}
+    items.sort(key=lambda item: -long[item.path])  # a file goes to one worker: those that take long come first
     seed = config.getoption("--shuffle", default=None)
     if seed is not None:
-        order, files = random.Random(seed), dict[Path, list[pytest.Item]]()
-        for item in items:
-            files.setdefault(item.path, []).append(item)
+        order = random.Random(seed)
         items[:] = [
             item for file in order.sample(list(files.values()), len(files)) for item in order.sample(file, len(file))
         ]

@@ -6,8 +6,8 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.practical import Practical, deviation_bounds
 from pwatrack.control.controller import Controller
-from pwatrack.control.practical import Practical, deviation_bounds
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.model.merging import merged, merges
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, dead_zone
@@ -59,7 +59,7 @@ def practical_controller(plant: PWASystem, form: ScalarForm, *, watched: bool = 
     )
     assert bounds is not None
     practical = Practical(plant=plant, merges=tuple(chosen.values()), replaced=(), evidence=None, bounds=bounds)
-    return replace(controller, practical=practical)
+    return replace(controller, running=plant, claims=(practical,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class Seen:
 def simulated(controller: Controller, y_d: str, x0: Array, *, fastest: float) -> Seen:
     """Run the true plant."""
     assert controller.generator is not None
-    assert controller.practical is not None
+    assert controller.claims_of(Practical)
     trajectory = output_trajectory(controller.generator, exosystem([Signal.of(formula(y_d, {}))]))
     loop = closed_loop(replace(controller, trajectory=trajectory))
     duration = 18 / controller.guarantees.rate + 30 / fastest

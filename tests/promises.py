@@ -3,18 +3,20 @@
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import expm, sqrtm
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.bounds import SignalBounds, loops_of
+from pwatrack.claims.robust import Robust, prove_box
 from pwatrack.control.bounds import Bounds, Form
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import Claim, Controller
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.control.proof import prove_design
-from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import Infeasible, Undecided
@@ -29,6 +31,8 @@ from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.expression import formula
 from tests.plants import random_plant
 
+Made = TypeVar("Made", bound=Controller)
+
 FLOOR = 1e-12  # of the largest state: rounding of a simulation
 
 
@@ -38,11 +42,22 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
     goals = [DEFAULT if X is None else Given(gain=X) for X in (K, L)]
     gains = synthesize(plant, controller=goals[0], observer=goals[1])
     proofs = prove_design(plant, gains, generator)
-    return closed_loop(
-        Controller(
-            plant=plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs, sizes=Sizes.of(plant)
-        )
+    controller = Controller(
+        plant=plant,
+        running=plant,
+        design=gains,
+        trajectory=trajectory,
+        generator=generator,
+        proofs=proofs,
+        sizes=Sizes.of(plant),
     )
+    return closed_loop(replace(controller, claims=(SignalBounds(loops=loops_of(controller)),)))
+
+
+def with_claim(controller: Made, claim: Claim) -> Made:
+    """Return a controller with a claim in place of the one of its kind."""
+    claims = tuple(claim if type(one) is type(claim) else one for one in controller.claims)
+    return replace(controller, claims=claims)
 
 
 def follow(plant: PWASystem, seed: int) -> float:
@@ -61,7 +76,13 @@ def followed(plant: PWASystem, seed: int, duration: float | None = None) -> tupl
     proofs = prove_design(form.plant, gains, generator)
     loop = closed_loop(
         Controller(
-            plant=form.plant, design=gains, trajectory=trajectory, generator=generator, proofs=proofs, sizes=sizes
+            plant=form.plant,
+            running=form.plant,
+            design=gains,
+            trajectory=trajectory,
+            generator=generator,
+            proofs=proofs,
+            sizes=sizes,
         )
     )
     duration = duration or 26 / loop.controller.guarantees.rate

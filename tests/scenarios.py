@@ -1,4 +1,4 @@
-"""Specs that differ in what is simulated."""
+"""Specs of a mass on a spring that differ in little, and specs that differ in what is simulated."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,3 +9,33 @@ from pwatrack import Spec
 def in_scenario(spec: Spec, **changes: Any) -> Spec:
     """Return the spec with some attributes of its scenario changed."""
     return replace(spec, scenario=replace(spec.scenario, **changes))
+
+
+STOP = "{name: stop, kind: spring, of: z, start: 1, slope: 0.3, into: {v: -1}}"
+
+
+def mass(
+    *elements: str,
+    head: str = "name: mass",
+    A: str = "[[0, 1], [-1, -1]]",
+    B: str = "[[0], [1]]",
+    C: str = "[[1, 0]]",
+    design: str = "{}",
+    reference: str = '{output: "0.1*sin(t)"}',
+    simulation: str = "{duration: 1, sample_time: 0.1}",
+) -> str:
+    """Return the spec of one: its place z and speed v, and elements between them."""
+    listed = "".join(f"\n    - {element}" for element in elements)
+    between = f"\n  nonlinearities:{listed}" if elements else ""
+    return f"""{head}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: {A}
+  B: {B}
+  C: {C}{between}
+design: {design}
+reference: {reference}
+simulation: {simulation}
+"""

@@ -87,6 +87,7 @@ def test_errors_for_github_are_commands(wrong: str) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["design", "simulate"])
 def test_what_is_printed_can_be_chosen(command: str, specs: Path, tmp_path: Path) -> None:
     text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8").replace("duration: 60", "duration: 2")

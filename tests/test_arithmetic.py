@@ -47,6 +47,7 @@ def differ(loop: ClosedLoop, ticks: int, x0: Array) -> int:
     return wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", SAMPLED)
 def test_the_simulation_is_the_page_in_every_bit(sampling: Sampling) -> None:
     controller = design(load_spec("specs/two_mass_machine.yaml"))
@@ -105,6 +106,7 @@ class Running:
         return int(status)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_single_floats_and_a_reference_from_outside_follow_the_page(real: Any) -> None:
     controller = design(load_spec("specs/two_mass_machine.yaml"))

@@ -147,7 +147,7 @@ def plants(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @given(plants(), st.booleans())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_arrays_mapping_text_and_file_give_the_same_problem(arguments: dict[str, Any], doubles: bool) -> None:
     if doubles:  # of dyadic numbers, so that they are exact
         arguments = {name: np.array(value, dtype=np.float64) for name, value in arguments.items()}
@@ -174,7 +174,6 @@ def test_arrays_mapping_text_and_file_give_the_same_problem(arguments: dict[str,
         max_leaves=8,
     )
 )
-@settings(deadline=None)
 def test_any_tree_is_read_back_from_its_text(tree: Any) -> None:
     whole = {"name": tree, "system": {"a": tree, "b": [tree]}}
     document = document_of(whole)
@@ -350,6 +349,7 @@ WAYS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_the_example_of_the_paper_from_arrays_is_the_very_design_of_its_file(way: str) -> None:
     simulation = {"duration": 60, "sample_time": 0.01, "initial": {"plant": [0.25, 0, 0, 0], "generator": [0.2, 0]}}

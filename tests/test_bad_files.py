@@ -85,6 +85,7 @@ def test_there_are_many() -> None:
     assert len({(bad.content, bad.beside) for bad in bad_inputs()}) >= 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", list(bad_inputs()), ids=lambda bad: ascii(bad.about)[1:50])
 def test_a_bad_file_is_refused_with_code_and_line_and_nothing_is_written(tmp_path: Path, bad: BadInput) -> None:
     path = bad.written(tmp_path)

@@ -272,7 +272,7 @@ def test_what_is_unknown_many_times_is_guessed_at_only_a_few_times(tmp_path: Pat
 _CHARACTERS = st.text(alphabet=st.sampled_from("ab12 :-[]{}&*!|>'\"%@`,?#\n\t\0~<ä\u0430\u2212\x1b\ue000"), max_size=60)
 
 
-@settings(max_examples=150, deadline=2_000)
+@settings(max_examples=150)
 @given(_CHARACTERS)
 def test_any_text_is_a_tree_or_is_refused(text: str) -> None:
     try:
@@ -287,7 +287,7 @@ _TERMS = st.lists(
 ).map("".join)
 
 
-@settings(max_examples=400, deadline=2_000)
+@settings(max_examples=400)
 @given(_TERMS)
 def test_any_text_is_an_expression_or_is_refused(text: str) -> None:
     parameters = {"k": 2.0, "w": 0.5}
@@ -325,7 +325,7 @@ _VALUES = st.sampled_from(
 )
 
 
-@settings(max_examples=60, deadline=5_000)
+@settings(max_examples=60)
 @given(st.integers(0, len(SPEC.splitlines()) - 1), _VALUES)
 def test_any_value_in_any_place_is_read_or_refused_in_our_own_words(
     tmp_path_factory: pytest.TempPathFactory, line: int, value: str

@@ -39,6 +39,7 @@ def held(result: Result) -> dict[Form, float]:
     return {form: float((np.abs(off[form]) / (band + floor)).max()) for form, band in result.bands.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path", ["two_mass_backlash", "gallery/payload_in_wind", "gallery/two_driven_carts", "gallery/robust_positioning"]
 )
@@ -76,6 +77,7 @@ def test_a_limit_that_no_input_comes_to_changes_no_band_and_one_that_it_comes_to
     assert changed(specs, tmp_path, "  controller: {sample_time: 0.001}\n", free.controller).bands == {}
 
 
+@pytest.mark.slow
 def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required(specs: Path, tmp_path: Path) -> None:
     wishes = "require: {final_error: 0.2, largest_input: 50, settling_time: 50}\n"
     result = changed(specs, tmp_path, "  actuator: {limits: {u: [-60, 60]}}\n" + wishes)
@@ -92,6 +94,7 @@ def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required
     assert panels == ["z1_hat − z1", "v1_hat − v1", "z2_hat − z2", "v2_hat − v2", ""]
 
 
+@pytest.mark.slow
 def test_a_spike_at_the_start_does_not_squash_the_rest_of_an_input(specs: Path) -> None:
     result = simulate(load_spec(specs / "gallery" / "payload_in_wind.yaml"))
     whole, start, _ = pictures(result)["input.png"]().axes

@@ -274,6 +274,7 @@ def test_a_name_with_brackets_and_control_characters_is_printed_as_text(
     assert "\x1b" not in said.out + said.err
 
 
+@pytest.mark.slow
 def test_a_run_that_is_told_to_stop_leaves_nothing_behind(specs: Path, tmp_path: Path) -> None:
     text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
     long = text.replace("duration: 60", "duration: 3000").replace("sample_time: 0.01", "sample_time: 0.001")

@@ -40,7 +40,7 @@ def exponentials(F: Array, times: list[Fraction]) -> list[Array]:
 
 
 @given(seeds, st.integers(2, 6), st.integers(1, 3))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_no_guard_leaves_its_bounds_on_a_step_of_any_length(seed: int, n: int, k: int) -> None:
     random = np.random.default_rng(seed)
     flow = random_flow(random, n, k)
@@ -65,7 +65,7 @@ def test_no_guard_leaves_its_bounds_on_a_step_of_any_length(seed: int, n: int, k
 
 
 @given(seeds, st.integers(1, 7), st.integers(1, 4))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_what_a_product_can_be_off_by_covers_its_rounding(seed: int, n: int, k: int) -> None:
     """Rows and vectors chosen so that nearly everything cancels, and vectors that are off themselves."""
     random = np.random.default_rng(seed)

@@ -19,6 +19,7 @@ from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import Nonlinearity, dead_zone, generate_cells, spring
 from pwatrack.model.polyhedron import Row, borders, interior_point, opposite, primitive, value
 from pwatrack.real import Real
+from tests.scenarios import mass
 
 entries = st.integers(-3, 3)
 powers = st.integers(-150, 150).map(lambda k: Fraction(10) ** k)
@@ -65,7 +66,7 @@ rows_in = st.integers(1, 3).flatmap(
 
 
 @given(rows_in)
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_interiors_and_borders_are_those_of_elimination(rows: list[Row]) -> None:
     n = len(rows[0]) - 1
     point, found = interior_point(rows, n), borders(rows, n)
@@ -79,7 +80,7 @@ def test_interiors_and_borders_are_those_of_elimination(rows: list[Row]) -> None
 
 
 @given(st.lists(st.tuples(entries, entries, entries).filter(lambda row: any(row[:-1])), min_size=1, max_size=7))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_lines_in_the_plane_make_as_many_cells_and_facets_as_their_crossings_say(
     lines: list[tuple[int, ...]],
 ) -> None:
@@ -129,7 +130,7 @@ def chain(marks: Sequence[Fraction], row: Sequence[Fraction], factors: Sequence[
 
 
 @given(st.data(), st.integers(1, 6), st.integers(1, 3))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_chain_of_cells_of_any_widths_keeps_every_cell(data: st.DataObject, k: int, n: int) -> None:
     marks = sorted(data.draw(st.sets(st.tuples(st.integers(-99, 99), powers).map(lambda v: v[0] * v[1]), min_size=k)))
     row = [data.draw(powers) for _ in range(n)]
@@ -183,7 +184,7 @@ def partition_of(planes: Sequence[Sequence[Fraction | int]], cells: Sequence[dic
 
 
 @given(st.data(), st.integers(1, 3), st.integers(1, 6))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_cells_whose_facets_do_not_match_cover_and_meet_as_elimination_says(
     data: st.DataObject, n: int, times: int
 ) -> None:
@@ -206,7 +207,7 @@ def witness(message: str) -> list[float]:
 
 
 @given(st.data(), st.integers(1, 3), st.integers(1, 5))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_a_cell_that_is_missing_or_too_large_is_found(data: st.DataObject, n: int, times: int) -> None:
     planes, cells = split(data, n, times)
     assume(planes)
@@ -246,7 +247,7 @@ def test_two_partitions_on_top_of_each_other_overlap() -> None:
 
 
 @given(st.data(), st.integers(1, 3), st.integers(1, 5))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_units_factors_and_order_change_nothing(data: st.DataObject, n: int, times: int) -> None:
     planes, cells = split(data, n, times)
     assume(planes)
@@ -276,7 +277,7 @@ def test_a_cell_between_equal_borders_is_left_out() -> None:
 
 
 @given(powers, st.integers(1, 9), st.booleans())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_one_border_with_two_roundings_is_one_plane_and_remarked(size: Fraction, digit: int, turned: bool) -> None:
     third, rounded = Fraction(digit, 3) * size, Fraction(round(digit * 10**13 / 3), 10**13) * size
     assume(third != rounded)
@@ -370,37 +371,20 @@ def test_more_cells_than_can_be_worked_with_are_refused_at_once() -> None:
         generate_cells(-np.eye(60), np.zeros(60), elements)
 
 
-SPEC = """
-name: cells
-parameters: {a: 0.3, b: 0.1}
-system:
-  states: [z, v]
-  inputs: [u]
-  outputs: [y]
-  A: [[0, 1], [-1, -1]]
-  B: [[0], [1]]
-  C: [[1, 0]]
-  nonlinearities:
-%s
-reference: {output: "0.1*sin(t)"}
-simulation: {duration: 1, sample_time: 0.1}
-"""
-
-
 def run(tmp_path: Path, elements: str, command: str, *options: str) -> Result:
-    (tmp_path / "spec.yaml").write_text(SPEC % elements)
+    (tmp_path / "spec.yaml").write_text(mass(elements, head="name: cells\nparameters: {a: 0.3, b: 0.1}"))
     return CliRunner().invoke(app, [command, str(tmp_path / "spec.yaml"), *options])
 
 
 def test_differences_that_vanish_on_paper_vanish_beside_large_offsets(tmp_path: Path) -> None:
-    stop = "    - {name: valve, kind: stop, of: z, lower: a - 3*b, upper: 2e4, upper_slope: -300, into: {v: -1}}"
+    stop = "{name: valve, kind: stop, of: z, lower: a - 3*b, upper: 2e4, upper_slope: -300, into: {v: -1}}"
     checked = json.loads(run(tmp_path, stop, "check", "--json").stdout)
     assert checked["cells"] == ["valve below", "valve inside", "valve above"]
     assert checked["facets"][0]["hyperplane"] == "z = 0"
 
 
 def test_a_border_that_no_decimal_hits_is_proved_and_verified_as_it_is(tmp_path: Path) -> None:
-    spring = "    - {name: s, kind: spring, of: z/7 + v/3, start: 1/3, slope: 1/11, into: {v: -1}}"
+    spring = "{name: s, kind: spring, of: z/7 + v/3, start: 1/3, slope: 1/11, into: {v: -1}}"
     done = run(tmp_path, spring, "design", "--out", str(tmp_path / "out"))
     assert done.exit_code == 0, done.output
     certificate = json.loads((tmp_path / "out" / "certificate.json").read_text())
@@ -413,7 +397,7 @@ def test_a_border_that_no_decimal_hits_is_proved_and_verified_as_it_is(tmp_path:
 def test_check_shows_the_first_of_many_cells_and_json_has_all(tmp_path: Path) -> None:
     marks = list(range(24))
     slopes = [k % 3 for k in range(25)]
-    wavy = f"    - {{name: w, kind: piecewise_linear, of: z, breakpoints: {marks}, slopes: {slopes}, into: {{v: -1}}}}"
+    wavy = f"{{name: w, kind: piecewise_linear, of: z, breakpoints: {marks}, slopes: {slopes}, into: {{v: -1}}}}"
     text = run(tmp_path, wavy, "check").stdout
     assert "25 cells; continuous across 24 facets" in " ".join(text.split())
     assert "… and 20 more cells (--json lists all)" in text

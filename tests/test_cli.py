@@ -21,8 +21,12 @@ from pwatrack.report.run_folder import read_index
 PUSHED = ("--set", "d1=-0.5")  # the load is driven on: zero dynamics that are unstable in every cell
 
 
-def call(*arguments: object) -> Run:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+def call(*arguments: object, pictures: bool = False) -> Run:
+    """Run a command; a simulation draws pictures only where a test looks at them, since they take most of its time."""
+    asked = [str(a) for a in arguments]
+    if asked[0] == "simulate" and not pictures and "--plots" not in asked:
+        asked += ["--plots", "none"]
+    return CliRunner().invoke(app, asked)
 
 
 def refused(run: Run, code: int) -> str:
@@ -63,7 +67,7 @@ def simulated(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     """A spec, its run folder and how the run went."""
     folder = tmp_path_factory.mktemp("simulated")
     path = shortened(specs / "two_mass_paper_gains.yaml", folder / "plant.yaml")
-    return path, folder / "out", call("simulate", path, "--out", folder / "out")
+    return path, folder / "out", call("simulate", path, "--out", folder / "out", pictures=True)
 
 
 def test_check_says_what_the_plant_is(spec: Path) -> None:
@@ -229,10 +233,11 @@ def test_a_parameter_that_cannot_be_set_ends_with_2(spec: Path, text: str) -> No
 def test_an_unknown_solver_ends_with_2(spec: Path, tmp_path: Path) -> None:
     run = call("design", spec, "--solver", "mosek", "--out", tmp_path / "out")
     assert (run.exit_code, run.stdout) == (2, "")
-    assert all(name in run.stderr for name in ("mosek", "clarabel", "cvxopt"))
+    assert all(name in run.stderr for name in ("mosek", "structured", "clarabel", "cvxopt"))
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run = call("design", spec, "--set", "k2=0.3", "--set", "k3 = k2", "--solver", "cvxopt", "--out", out)
@@ -241,12 +246,16 @@ def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: P
     assert (index["parameters"]["k2"], index["parameters"]["k3"], index["solver"]) == (0.3, 0.3, "cvxopt")
 
 
-def test_both_solvers_prove_the_example(specs: Path, tmp_path: Path) -> None:
-    for solver in ("clarabel", "cvxopt"):
-        run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path / solver)
-        assert run.exit_code == 0, run.output
-        index = json.loads((tmp_path / solver / "run.json").read_text(encoding="utf-8"))
-        assert index["figures"]["controller_rate"] > 0
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["structured", "clarabel", "cvxopt"])
+def test_the_solver_that_is_named_is_the_one_that_answers(specs: Path, tmp_path: Path, solver: str) -> None:
+    run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path)
+    assert run.exit_code == 0, run.output
+    index = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
+    assert index["figures"]["controller_rate"] > 0
+    assert index["solver"] == solver
+    assert index["answered"].keys() - {"nobody"} == {solver}
+    assert index["answered"][solver] > 20, "those of the bounds, too"
 
 
 def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,6 +264,7 @@ def test_without_out_the_run_folder_is_named_for_the_spec(spec: Path, monkeypatc
     assert (spec.parent / "runs" / "plant" / "gains.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_folder_tells_the_last_run_alone_whatever_came_of_it(spec: Path, specs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for arguments, code, verdict in (
@@ -316,6 +326,7 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
     assert (out / "sub").is_dir()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, "3", '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
@@ -332,6 +343,7 @@ def test_a_folder_that_cannot_be_written_ends_with_2(spec: Path, out: str) -> No
     assert contents(spec.parent) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "code"), [(OSError(28, "No space left on device"), 2), (ValueError("a fault"), 1)])
 def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, code: int
@@ -344,11 +356,12 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     before = contents(out)
     monkeypatch.setattr("pwatrack.report.plots.pictures.pictures", fail)
     monkeypatch.setattr("pwatrack.cores.cores", lambda: 1)  # where no other process draws
-    message = refused(call("simulate", spec, "--out", out), code)
+    message = refused(call("simulate", spec, "--out", out, pictures=True), code)
     assert str(error.args[-1]) in message
     assert contents(out) == before
 
 
+@pytest.mark.slow
 def test_a_folder_that_stands_in_the_way_of_a_file_changes_no_other_file(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
@@ -375,6 +388,7 @@ def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, uni
     assert unit in run.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -396,6 +410,7 @@ def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
     assert (run.returncode, run.stderr) == (0, b"")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
 def test_a_terminal_that_cannot_print_greek_loses_no_result(spec: Path, tmp_path: Path, encoding: str) -> None:
     run = subprocess.run(
@@ -517,6 +532,7 @@ def shell(command: str, *arguments: object) -> "subprocess.CompletedProcess[str]
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [("--version",), ("check", "specs/two_mass_backlash.yaml")])
 def test_output_that_nobody_takes_is_no_bug(arguments: tuple[str, ...]) -> None:
     full = shell('"$@" > /dev/full', *arguments)
@@ -536,6 +552,7 @@ def in_group(number: int) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 2000"))

@@ -294,6 +294,7 @@ def test_where_no_scheduler_is_or_distributed_is_missing_that_is_said(monkeypatc
         Cluster("tcp://127.0.0.1:1")
 
 
+@pytest.mark.slow
 def test_a_worker_of_another_version_is_refused_by_both_names_and_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(HOME / "pwatrack", tmp_path / "home" / "pwatrack", ignore=shutil.ignore_patterns("__pycache__"))
     version = tmp_path / "home" / "pwatrack" / "version.py"

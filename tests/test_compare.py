@@ -27,6 +27,7 @@ def runs(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [folder / "a" / "run", folder / "b" / "run", folder / "rooms"]
 
 
+@pytest.mark.slow
 def test_the_error_that_is_read_is_that_of_the_run(runs: list[Path]) -> None:
     for folder in runs:
         run = read_run(folder)

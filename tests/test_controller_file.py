@@ -32,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     text = (SPECS / "two_mass_machine.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("duration: 60\n  sample_time: 0.01", "duration: 4\n  sample_time: 0.002"))
     result = simulate(load_spec(path))
-    return write_result(result, path.parent / "run"), result
+    return write_result(result, path.parent / "run", plots="none"), result
 
 
 def content(run: tuple[Path, Result]) -> dict[str, Any]:
@@ -66,6 +66,7 @@ NOT_TO_BE_WRITTEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "text"), NOT_TO_BE_WRITTEN.values(), ids=NOT_TO_BE_WRITTEN)
 def test_names_that_would_write_lines_of_their_own_are_refused(
     run: tuple[Path, Result], tmp_path: Path, place: str, text: Any
@@ -101,13 +102,14 @@ OF_OTHER_KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OF_OTHER_KINDS)
 def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
     spec, h = load_spec(SPECS / "gallery" / f"{name}.yaml"), OF_OTHER_KINDS[name]
     conditions = replace(spec.scenario.conditions, sampling=Sampling(sample_time=h))
     scenario = replace(spec.scenario, conditions=conditions, duration=300 * h, sample_time=h)
     result = simulate(replace(spec, scenario=scenario), design(spec))
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     controller = Controller.load(folder / "controller.json")
     assert_the_same_bits(controller, result, h)
     (of_x_hat, of_x_d), names = controller.cells, controller.file.plant.cells
@@ -193,9 +195,9 @@ def test_a_file_that_was_changed_in_200_ways_is_refused(run: tuple[Path, Result]
 def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
     old = tmp_path / "controller.json"
     old.write_text(json.dumps({**content(run), "format": "pwatrack controller 1"}))
-    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 3'"):
+    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 4'"):
         Controller.load(old)
-    for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 3"}'):
+    for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 4"}'):
         old.write_text(text)
         with pytest.raises(InvalidSpec):
             Controller.load(old)

@@ -74,6 +74,18 @@ NO_COURSE = [
     ("{polyline: {points: [[], [1, 2]]}}", "points[1]: a point is a pair [t, y]"),
     ("{polyline: {points: [[1, 2, 3]]}}", "points[1]: a point is a pair [t, y]"),
     ("{polyline: {points: [[1, 2], [1, 3]]}}", "points[2]: t = 1 s does not come after 1 s"),
+    (
+        "{polyline: {points: [[0, 0], [0.1, 1], [3, 0]], smooth: 0.3}}",
+        "polyline.points[2]: the corner at t = 0.1 s is rounded from t = -0.05 s on, before t = 0",
+    ),
+    (
+        "{polyline: {points: [[-1, 0], [0, 0], [3, 2]], smooth: 0.3}}",
+        "polyline.points[2]: the corner at t = 0 s is rounded from t = -0.15 s on, before t = 0",
+    ),
+    (
+        "{polyline: {points: [[0.1, 0], [3, 2]], smooth: 0.3}}",
+        "polyline.points[1]: the corner at t = 0.1 s is rounded from t = -0.05 s on, before t = 0",
+    ),
     ("{polyline: {points: [[0, 0], [1e-30, 1e60]]}}", "points 1 and 2, 1e-30 s apart, is too short beside 4 s"),
     ("{step: {size: 1, at: 1, smooth: 1e-15}}", "smooth: 1e-15 s is too short beside 5 s"),
     ("{step: {size: 1}}", "says neither when it begins, `at`, nor where its middle is, `centre`"),
@@ -106,6 +118,49 @@ def test_a_course_beyond_its_limits_is_refused_at_its_line_with_the_limit(
 def test_everything_wrong_with_a_signal_is_said_at_once(tmp_path: Path) -> None:
     both = "{polyline: {points: [[1, 2], [0, 3]]}, table: {file: none.csv}, step: [{size: 1, at: 1, smooth: 1e-15}]}"
     assert len(refused(write(tmp_path, both))) == 3
+
+
+def rounded(t: np.ndarray, corners: list[float], y: list[float], width: float, r: int) -> np.ndarray:
+    """Lines through corners averaged r times over a moving window of width / r, by sums."""
+    around = (np.arange(4000) + 0.5) / 4000 - 0.5
+    window = width / r * around
+    for _ in range(r - 1):
+        window = np.quantile(np.add.outer(window, width / r * around), (np.arange(4000) + 0.5) / 4000)
+    return np.asarray(np.interp(np.add.outer(t, window), corners, y).mean(axis=1))
+
+
+@pytest.mark.parametrize("r", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("output", "corners", "y"),
+    [  # what is written: from t = 0 on, with no corner before
+        ("{polyline: {points: [[0, 2], [1, 3], [3, 0]], smooth: 0.8}}", [-9, 1, 3, 9], [-7, 3, 0, 0]),
+        ("{polyline: {points: [[0.4, 1], [1.5, 3], [3, 0]], smooth: 0.8}}", [-9, 0.4, 1.5, 3, 9], [1, 1, 3, 0, 0]),
+        ("{polyline: {points: [[-3, 9], [-1, 1], [1.5, 3]], smooth: 0.8}}", [-3, -1, 1.5, 9], [9, 1, 3, 3]),
+        (
+            "{trapezoid: {low: 1, high: 2, rise: 0.5, hold: 1, fall: 0.5, rest: 9, smooth: 0.4}}",
+            [-9, 0.2, 0.7, 1.7, 2.2, 9],
+            [1, 1, 2, 2, 1, 1],
+        ),
+        (
+            "{trapezoid: {high: 2, start: 0.5, rise: 1, fall: 1, rest: 9, smooth: 0.4}}",
+            [-9, 0.7, 1.7, 2.7, 9],
+            [0, 0, 2, 0, 0],
+        ),
+        (
+            "{trapezoid: {high: 2, start: -0.5, rise: 1, fall: 1, rest: 9, smooth: 0.4}}",
+            [-9, -0.3, 0.7, 1.7, 9],
+            [0, 0, 2, 0, 0],
+        ),
+    ],
+)
+def test_a_rounded_reference_begins_as_it_is_written(
+    tmp_path: Path, output: str, corners: list[float], y: list[float], r: int
+) -> None:
+    t, path = np.linspace(0, 3.99, 57), write(tmp_path, output)
+    found = values(path, t, r)
+    np.testing.assert_allclose(found, rounded(t, corners, y, float(output[-5:-2]), max(r, 1)), atol=2e-4)
+    if "-" not in output:
+        assert found[0] == pytest.approx(float(np.interp(0, corners, y)), abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -286,6 +341,7 @@ def many_trapezoids(folder: Path, periods: int) -> Path:
     return write(folder, shape, duration=periods)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("written", "size"), [(long_table, 1000), (many_trapezoids, 100)])
 def test_signals_with_many_pieces_are_built_in_proportion_to_these(
     tmp_path: Path, written: Callable[[Path, int], Path], size: int

@@ -1,13 +1,16 @@
 """The package that is built is whole: it designs the example in an environment that has nothing else of this folder."""
 
+import ast
 import os
 import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
 import zipfile
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -80,3 +83,61 @@ def test_citation_changelog_and_package_tell_one_version() -> None:
     assert cited["version"] == __version__
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.findall(r"(?m)^## (\S+)", changes)[0] == __version__
+
+
+def _name(requirement: str) -> str:
+    found = re.match(r"[A-Za-z0-9._-]+", requirement)
+    assert found, requirement
+    return re.sub("[-_.]+", "-", found[0]).lower()
+
+
+def _locked(name: str) -> dict[str, set[str]]:
+    """Return what a lock has of each package: versions with their conditions, and hashes."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    found: dict[str, set[str]] = {}
+    for entry in re.findall(r"(?m)^[a-z].*(?:\n {4}--hash.*)+", text):
+        found.setdefault(_name(entry), set()).update(line.rstrip(" \\").strip() for line in entry.splitlines())
+    assert re.findall(r"(?m)^[a-z0-9]\S*", text) == re.findall(r"(?m)^[a-z0-9]\S*==\S+(?= .*\n {4}--hash)", text), name
+    return found
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = {extra: {_name(each) for each in needed} for extra, needed in PROJECT["optional-dependencies"].items()}
+NEEDED = {_name(each) for each in PROJECT["dependencies"]}
+COMPANION = "pydantic-core"  # half of pydantic, which asks for exactly one version of it
+
+
+def test_the_lock_of_what_runs_has_that_and_the_backend_and_no_tool() -> None:
+    runs, tests = _locked("requirements.lock"), _locked("requirements-dev.lock")
+    assert set(runs) >= NEEDED | EXTRAS["build"]
+    assert not set(runs) & set().union(*(EXTRAS[extra] for extra in ("dev", "cluster", "control", "table", "docs")))
+    assert not set(runs) & {"dask", "lxml", "pytest-xdist", "mypy"}
+    assert set(tests) > set(runs)
+    assert set(tests) >= EXTRAS["dev"] - {"pwatrack"} | EXTRAS["cluster"] | EXTRAS["control"] | EXTRAS["table"]
+    assert {name: tests[name] for name in runs} == runs  # so that the second lock installs none of the first again
+
+
+def _imported(path: Path) -> dict[str, bool]:
+    """Return what a module imports from elsewhere by name, and whether as soon as it is imported itself."""
+    tree, found = ast.parse(path.read_text(encoding="utf-8")), dict[str, bool]()
+    for node in ast.walk(tree):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.level == 0:
+            names = [str(node.module)]
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "import_module":
+            names = [str(each.value) for each in node.args if isinstance(each, ast.Constant)]
+        for name in names:
+            top = name.partition(".")[0]
+            found[top] = found.get(top, False) or node in tree.body
+    return found
+
+
+def test_what_is_imported_is_needed_or_an_extra_and_then_not_at_once() -> None:
+    owners = packages_distributions()
+    extras = EXTRAS["cluster"] | EXTRAS["control"] | EXTRAS["table"]
+    for path in sorted((ROOT / "pwatrack").rglob("*.py")):
+        for top, at_once in _imported(path).items():
+            if top in sys.stdlib_module_names or top in {"pwatrack", "audit"}:
+                continue
+            owner = {_name(each) for each in owners[top]}
+            assert owner & {*NEEDED, COMPANION} or (owner & extras and not at_once), f"{path}: {top}"

@@ -201,6 +201,7 @@ def test_blocks_show_what_came_out_and_a_page_that_fails_is_an_error(tmp_path: P
         page.expand("```{picture} none.png\n```\n")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(which("make") is None or which("cc") is None, reason="no C compiler: `make docs` runs these pages")
 @pytest.mark.parametrize("name", ["tutorial/index", "howto/cells"])
 def test_pages_for_newcomers_run_in_an_empty_folder(name: str, tmp_path: Path) -> None:

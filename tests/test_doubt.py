@@ -82,7 +82,7 @@ def test_a_state_that_comes_to_rest_on_a_guard_is_told() -> None:
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.01, 2.0), st.sampled_from([-1.0, 1.0]), st.floats(0.01, 1.0))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_clean_crossing_is_no_doubt(value: float, slope: float, side: float, sample_time: float) -> None:
     """Swinging through a guard with any clear slope."""
     F0 = np.array([[0.0, 1.0, 0], [-1.0, 0, 0], [0, 0, 0]])
@@ -111,7 +111,7 @@ def roots(a: Fraction, b: Fraction) -> list[float]:
     st.sampled_from([0.05, 0.3, 1.0]),
     st.booleans(),
 )
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_no_crossing_is_missing_or_shifted_without_a_word(
     t0: float, steps: int, size: float, sample_time: float, corner: bool
 ) -> None:

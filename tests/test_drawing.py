@@ -23,6 +23,7 @@ def alone(result: Result) -> dict[str, bytes]:
     return begin(result, None)()
 
 
+@pytest.mark.slow
 def test_other_processes_draw_the_same_pictures_to_the_last_bit(result: Result, alone: dict[str, bytes]) -> None:
     with Pool(2) as pool:
         prepare(pool)
@@ -42,7 +43,8 @@ def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, 
     assert {file.name: file.read_bytes() for file in folder.glob("*.png")} == alone
 
 
-@pytest.mark.parametrize("spec", ["kinked_tanks", "gantry", "payload_in_wind"])
+@pytest.mark.slow
+@pytest.mark.parametrize("spec", ["kinked_tanks", "payload_in_wind"])
 def test_panels_fill_a_picture_and_leave_room_for_what_is_written_beside_them(specs: Path, spec: str) -> None:
     for draw in pictures(simulate(load_spec(specs / "gallery" / f"{spec}.yaml"))).values():
         figure = draw()

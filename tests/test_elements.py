@@ -1,6 +1,7 @@
 """Plants that are proved as they are written: the corners of the box of slopes stand for all cells."""
 
 import json
+import shutil
 from collections.abc import Callable
 from fractions import Fraction
 from math import prod
@@ -26,6 +27,7 @@ from pwatrack.report.export import of_spec
 from pwatrack.report.files import write_design
 from pwatrack.report.verify import verify
 from tests.conftest import designed
+from tests.test_cli import call, refused
 
 STOPS = """
 name: stops
@@ -55,7 +57,7 @@ def certificate(folder: Path) -> dict[str, Any]:
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_every_cell_is_a_mean_of_the_corners_of_the_box_of_slopes_and_is_read_as_it_is(seed: int) -> None:
     """The weights are the products of how far each slope is from its least one; b_i is no mean, and need not be."""
     random = np.random.default_rng(seed)
@@ -122,6 +124,7 @@ def content_of(form: ScalarForm) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_a_plant_of_nonlinearities_is_proved_as_it_is_written(stops: Path) -> None:
     """Of nine cells with six different A_i four are the corners; listed they are all proved by the same P."""
     plant = certificate(stops)["plant"]
@@ -224,6 +227,7 @@ def test_elements_that_do_not_make_all_combinations_are_listed(tmp_path: Path) -
     assert not audit(json.dumps(content))[1]
 
 
+@pytest.mark.slow
 def test_of_very_many_cells_no_tables_are_written_and_nothing_is_exported(tmp_path: Path) -> None:
     """Two elements with 150 corners each, of two slopes: 22,801 cells with four different matrices."""
     marks = ", ".join(str(k / 10) for k in range(150))
@@ -243,6 +247,16 @@ def test_of_very_many_cells_no_tables_are_written_and_nothing_is_exported(tmp_pa
         of_spec(spec, 0.1)
 
 
-def test_another_format_is_refused_by_the_names_of_both(stops: Path) -> None:
-    content = certificate(stops) | {"format": "pwatrack certificate 9"}
-    assert audit(json.dumps(content))[1] == [f"the format is 'pwatrack certificate 9', this program reads '{FORMAT}'"]
+@pytest.mark.parametrize("name", ["pwatrack certificate 11", "pwatrack certificate 13", "x\n", 11, None])
+def test_another_format_is_refused_by_the_names_of_both_and_what_to_do(stops: Path, tmp_path: Path, name: Any) -> None:
+    """Also where all else is as it should be: an older file may hold keys, or numbers, that meant something else."""
+    shutil.copytree(stops, tmp_path / "run")
+    text = json.dumps(certificate(stops) | {"format": name})
+    (tmp_path / "run" / "certificate.json").write_text(text)
+    shown = repr(name) if isinstance(name, str) else "none that is known"
+    (fault,) = audit(text)[1]
+    assert fault.startswith(
+        f"the format is {shown}, this program reads '{FORMAT}': write it anew with 'pwatrack design'"
+    )
+    (line,) = refused(call("verify", tmp_path / "run"), 6).splitlines()
+    assert fault in line

@@ -102,6 +102,7 @@ def test_fewer_points_are_the_first_of_more(seed: int, fewer: int) -> None:
         assert few.tobytes() == many[:fewer].tobytes()
 
 
+@pytest.mark.slow
 def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
     members = members_of(short, 8)
     N = len(members[0].z0)
@@ -118,6 +119,7 @@ def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
     assert ran[0].t.tobytes() == trace.t.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backwards", [False, True])
 def test_neither_workers_nor_order_change_a_bit(short: Result, backwards: bool) -> None:
     members = members_of(short, 24)
@@ -160,8 +162,9 @@ def test_a_seed_gives_the_same_members_again_and_another_seed_others(short: Resu
     assert more.error[:3].tobytes() == first.ensemble.error.tobytes()
 
 
+@pytest.mark.slow
 def test_without_a_region_states_start_within_their_size_in_the_nominal_run(short: Result) -> None:
-    many = ensemble(short, 200)
+    many = ensemble(short, 60)
     x = short.response.x
     away = np.abs(starts(many)[:, :4] - x[0]).max(axis=0) / np.abs(x).max(axis=0)
     assert not many.variation.given
@@ -170,6 +173,7 @@ def test_without_a_region_states_start_within_their_size_in_the_nominal_run(shor
     assert (starts(many)[:, 4:8] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over", ["parameters", "noise"])
 def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
     """The machine's program, limits and disturbance are the same in all members."""
@@ -196,16 +200,17 @@ def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, sp
     assert more.error[:3].tobytes() == many.ensemble.error.tobytes()
 
 
+@pytest.mark.slow
 def test_without_intervals_the_parameters_of_the_plant_vary_by_a_twentieth(short: Result) -> None:
     """Those of the reference do not: no member has another one."""
-    many = ensemble(short, 300, over="parameters")
+    many = ensemble(short, 120, over="parameters")
     declared = dict(short.spec.parameters)
     assert not many.variation.given
     assert set(many.variation.values) == set(declared) - {"Ad", "omega"}
     for name, values in many.variation.values.items():
         away = values / declared[name] - 1
         assert np.abs(away).max() <= 0.05 + 1e-12
-        assert np.abs(away).max() > 0.048
+        assert np.abs(away).max() > 0.045
 
 
 def test_what_cannot_vary_is_refused(specs: Path, short: Result, tmp_path: Path) -> None:
@@ -285,10 +290,13 @@ def regions(path: Path, text: str) -> Path:
     )
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_path: Path) -> None:
     text = "plant: {z1: [-0.3, 0.3], v1: [-1, 1]}, observer: {ellipsoid: {radii: {z2: 0.1}, center: {v1: 2}}}"
     path = regions(tmp_path / "plant.yaml", text + ", generator: [[0, 0.2], [0, 0]]")
-    run = call("simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out")
+    run = call(
+        "simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out", pictures=True
+    )
     assert run.exit_code == 0, run.output
     assert "12 members from other initial states, seed 3" in run.stdout
     assert "-0.3 ≤ z1 ≤ 0.3" in run.stdout
@@ -357,6 +365,7 @@ def test_a_region_for_a_generator_whose_start_is_fixed_is_refused(tmp_path: Path
     assert "generator" in error
 
 
+@pytest.mark.slow
 def test_every_member_is_judged_as_a_run_of_its_own_and_one_that_grows_ends_with_6(tmp_path: Path) -> None:
     """From some stiffness on, the plant pushes harder than gains and stop pull."""
     path = cart(tmp_path, "ensemble: {parameters: {k: [0, 16]}}", duration=8)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
@@ -24,7 +24,6 @@ def first_crossing(power: Any, tolerance: float) -> tuple[float, float, float]:
 roots_in_reach = st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=6)
 
 
-@settings(deadline=None)  # the first call compiles
 @example([0.5, 0.75], 1.0)  # a dip from one halving point to another
 @given(roots_in_reach, st.sampled_from([-1.0, 1.0]))
 def test_the_first_sign_change_from_plus_to_minus_is_found(roots: list[float], sign: float) -> None:

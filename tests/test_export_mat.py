@@ -13,8 +13,8 @@ from pwatrack import load_spec
 from pwatrack.export.controller import Controller
 from pwatrack.export.matlab import write_matlab
 from pwatrack.export.source import Source
-from pwatrack.report.export import CONTROLLER, Subject, of_spec
-from pwatrack.report.verify import CERTIFICATE
+from pwatrack.report.export import Subject, of_spec
+from pwatrack.report.verify import CERTIFICATE, CONTROLLER
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
 from tests.test_cli import call, refused
@@ -135,6 +135,7 @@ def found(folder: Path) -> Any:
     return loadmat(folder / "loop.mat", simplify_cells=True)
 
 
+@pytest.mark.slow
 def test_the_file_has_every_number_of_the_controller(machine: Subject, tmp_path: Path) -> None:
     known, file = found(written(machine, tmp_path / "m")), machine.file
     assert file.program is not None

@@ -17,22 +17,9 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.report.files import write_result
 from pwatrack.report.verify import verify
 from tests.conftest import designed
+from tests.scenarios import STOP, mass
 
-COST = """
-name: cart
-system:
-  states: [z, v]
-  inputs: [u]
-  outputs: [y]
-  A: [[0, 1], [-1, -1]]
-  B: [[0], [1]]
-  C: [[1, 0]]
-  nonlinearities:
-    - {name: stop, kind: spring, of: z, start: 1, slope: 0.3, into: {v: -1}}
-design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[0.3]]}}}
-reference: {output: "0.1*sin(t)"}
-simulation: {duration: 1, sample_time: 0.1}
-"""
+WEIGHED = "{controller: {cost: {Q: [[1, 0], [0, 1]], R: [[0.3]]}}}"
 NO_DICHOTOMY = """
 name: cells with different numbers of unstable modes
 system:
@@ -47,32 +34,24 @@ system:
 reference: {output: "sin(t)"}
 simulation: {duration: 2, sample_time: 0.1}
 """
-BOX = """
-name: mass with limits
-parameters: {m: 2, k: 3}
-system:
-  states: [z, v]
-  inputs: [u]
-  outputs: [y]
-  A: [[0, 1], [-k/m, -1]]
-  B: [[0], [1/m]]
-  C: [[1, 0]]
-design: {uncertain: {m: 5%, k: 5%}}
-reference: {output: "0.1*sin(t)"}
-simulation: {duration: 2, sample_time: 0.05, actuator: {limits: {u: [-20, 20]}}}
-"""
+BOX = mass(
+    head="name: mass with limits\nparameters: {m: 2, k: 3}",
+    A="[[0, 1], [-k/m, -1]]",
+    B="[[0], [1/m]]",
+    design="{uncertain: {m: 5%, k: 5%}}",
+    simulation="{duration: 2, sample_time: 0.05, actuator: {limits: {u: [-20, 20]}}}",
+)
 
 
 @pytest.fixture(scope="module")
 def cost(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = designed(tmp_path_factory.mktemp("cost"), COST)
+    folder = designed(tmp_path_factory.mktemp("cost"), mass(STOP, design=WEIGHED))
     return dict(json.loads((folder / "certificate.json").read_text()))
 
 
 @pytest.fixture(scope="module")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    text = "".join(line for line in COST.splitlines(keepends=True) if "nonl" not in line and "stop" not in line)
-    folder = designed(tmp_path_factory.mktemp("linear"), text)
+    folder = designed(tmp_path_factory.mktemp("linear"), mass(design=WEIGHED))
     return dict(json.loads((folder / "certificate.json").read_text()))
 
 
@@ -131,6 +110,7 @@ def test_the_weights_of_a_cost_are_symmetric(linear: dict[str, Any], name: str, 
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -194,6 +174,13 @@ def test_names_are_printed_on_one_line_or_not_at_all(box: Path, name: str) -> No
     assert wrong == ["the certificate.uncertain.parameters.0.0 is no text on one line"]
     assert changed(content, lambda c: c["plant"]["cells"].__setitem__(0, name))
     assert all(map(str.isprintable, changed(content, lambda c: c.update({name: 1}))))
+
+
+def test_a_box_is_one_of_parameters(box: Path) -> None:
+    content = json.loads((box / "certificate.json").read_text())
+    assert changed(content, lambda c: c["uncertain"]["parameters"].clear()) == [
+        "uncertain parameters: none is named, and there are bounds for them"
+    ]
 
 
 @pytest.mark.parametrize("key", ["rate", "P", "format", "proofs"])

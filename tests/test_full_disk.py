@@ -113,6 +113,7 @@ def test_a_batch_in_a_folder_that_turns_read_only_goes_on_once_it_can_be_written
     check_gone_on(folder, disk / "out", first, "Read-only file system", least=3)
 
 
+@pytest.mark.slow
 def test_a_run_that_finds_no_room_leaves_the_earlier_one_as_it_was(specs: Path, disk: Path) -> None:
     arguments = ["simulate", str(specs / "two_mass_paper_gains.yaml"), "--plots", "none", "--out", str(disk / "out")]
     remounted(disk, "size=8m")

@@ -19,8 +19,8 @@ from benchmarks.corpus import feasible
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.cost import Costs, cost_bound, noise_level
 from pwatrack.control.candidates import short
-from pwatrack.control.cost import cost_bound, noise_level
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, gain, synthesize
@@ -164,7 +164,7 @@ def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_for
     rate=st.floats(-3, 3),
     bound=st.one_of(st.floats(-2, 4), st.just(60.0)),
 )
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_every_search_of_a_small_plant_ends_after_few_programs(
     seed: int, n: int, cells: int, goal: str, rate: float, bound: float
 ) -> None:
@@ -205,6 +205,7 @@ def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:
             AtLeast(rate=1.0, bound=wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 5e-324, 1e-308, 1e300])
 def test_entries_of_any_size_end_in_a_verdict(size: float) -> None:
     """Warnings are errors here."""
@@ -299,8 +300,9 @@ def test_as_many_digits_of_a_gain_are_printed_as_its_proof_needs() -> None:
     assert not is_hurwitz(rounded)
 
 
+@pytest.mark.slow
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: int, m: int) -> None:
     random = np.random.default_rng(seed)
     A, B = random.normal(size=(n, n)), random.normal(size=(n, m))
@@ -319,6 +321,7 @@ def test_with_one_cell_the_gains_of_least_cost_are_lqr_and_kalman(seed: int, n: 
     assert np.linalg.eigvalsh(bound - cost)[0] > 0
 
 
+@pytest.mark.slow
 def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path) -> None:
     """Regulation to 0 from any state that the observer knows: ∫(eᵀQe + uᵀRu) dt ≤ e(0)ᵀ X e(0)."""
     text = (specs / "two_mass_backlash.yaml").read_text()
@@ -341,7 +344,7 @@ def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path)
         Q, R = goal.Q, goal.R
         rate = np.einsum("ti,ij,tj->t", e, Q, e) + np.einsum("ti,ij,tj->t", u, R, u)
         cost = float(np.trapezoid(rate, result.response.t))
-        bound = float(e[0] @ controller.costs["controller"] @ e[0])
+        bound = float(e[0] @ controller.claim(Costs).X[CONTROLLER] @ e[0])
         assert 0.1 * bound < cost <= bound * (1 + 1e-5)
 
 
@@ -399,7 +402,7 @@ def balanced_cost(task: Task, K: Array) -> float:
 
 
 @given(seed=seeds, n=st.integers(1, 6), m=st.integers(1, 2))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_with_one_cell_the_default_gain_is_lqr_in_sizes(seed: int, n: int, m: int) -> None:
     random = np.random.default_rng(seed)
     d = 2.0 ** random.integers(-5, 6, size=n)
@@ -425,7 +428,7 @@ def test_no_smaller_gain_costs_less_than_the_default_one(seed: int) -> None:
 
 
 @given(seed=seeds, n=st.integers(1, 4), slow=st.floats(-9, -1), cells=st.integers(1, 3))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_a_slow_mode_that_no_gain_moves_makes_no_gain_zero(seed: int, n: int, slow: float, cells: int) -> None:
     """Such a mode limits the rate, so that a gain of 0 is as fast as any; the other modes still want one."""
     random = np.random.default_rng(seed)
@@ -526,7 +529,7 @@ def test_a_goal_that_makes_no_sense_is_refused(specs: Path, tmp_path: Path, cont
 
 
 @given(seed=seeds, n=st.integers(2, 5), cells=st.integers(2, 4), m=st.integers(0, 2))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     seed: int, n: int, cells: int, m: int
 ) -> None:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, AtLeast
@@ -115,8 +116,7 @@ def test_a_hidden_mode_is_found_in_any_coordinates_and_what_is_named_reaches_it(
 def stiff(specs: Path) -> tuple[Spec, HowFar]:
     """The example with k2 = k3 = 1.2, moved together."""
     spec = load_spec(specs / "gallery" / "stiff_springs.yaml", {"k3": "k2"})
-    practical = design(spec).practical
-    assert practical is not None
+    practical = design(spec).claim(Practical)
     evidence = practical.evidence
     assert isinstance(evidence, Impossibility)
     found = how_far(spec, evidence)
@@ -124,6 +124,7 @@ def stiff(specs: Path) -> tuple[Spec, HowFar]:
     return spec, found
 
 
+@pytest.mark.slow
 def test_the_springs_and_dampers_at_which_seventeen_begins_to_hold_are_found_to_four_digits(
     stiff: tuple[Spec, HowFar],
 ) -> None:
@@ -196,6 +197,7 @@ simulation: {{duration: 5, sample_time: 0.01}}
     assert words in " ".join(run.stderr.split())
 
 
+@pytest.mark.slow
 def test_a_refused_rate_is_told_the_largest_one_that_is_proved(specs: Path, tmp_path: Path) -> None:
     path = specs / "refused" / "rate_out_of_reach.yaml"
     run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path)])

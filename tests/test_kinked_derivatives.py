@@ -33,7 +33,8 @@ def bent_plant(seed: int) -> PWASystem:
     return random_outputs(seed, degrees, internal, spare, k=1 + seed % 2, bent=True)
 
 
-@pytest.mark.parametrize("seed", range(100))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
 def test_random_plants_with_a_kinked_last_derivative_are_followed(seed: int) -> None:
     plant = bent_plant(seed)
     assert normal_form(plant).piecewise == tuple(r > 1 for r in KINDS[seed % len(KINDS)][0])
@@ -72,7 +73,8 @@ def test_every_xi_and_eta_belong_to_one_state_and_it_is_found(seed: int) -> None
     assert len(visited) > 1
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1])
 def test_the_closed_loop_agrees_with_a_tight_integrator(seed: int) -> None:
     """(1), (18), (19) and the generator written out with located cells; u jumps where x_d crosses."""
     loop, response = followed(bent_plant(seed), seed, duration=3.0)
@@ -154,7 +156,7 @@ def test_kinked_tanks_are_followed_to_rounding_through_every_kink(tmp_path: Path
     assert together == 4 * periods
     jump = np.abs(np.diff(result.response.u_ff[:, 0])).max()
     assert jump > 0.005
-    folder = write_result(result, tmp_path / "run")
+    folder = write_result(result, tmp_path / "run", plots="none")
     assert "Theorem 3, output tracking: none of its inequalities is absent" in verify(folder)
     content = json.loads((folder / "certificate.json").read_text())
     generator = content["generator"]
@@ -183,7 +185,7 @@ def test_loads_where_the_input_enters_are_made_up_for_through_kinks(tmp_path: Pa
     result = simulate(load_spec(estimating(tmp_path, "input", "{h1: -0.002/a}")))
     assert np.abs(result.response.tracking_error[-200:]).max() < 1e-7
     assert result.response.estimates[-1, 0] == pytest.approx(-0.002, abs=1e-6)
-    assert verify(write_result(result, tmp_path / "run"))
+    assert verify(write_result(result, tmp_path / "run", plots="none"))
 
 
 def test_loads_that_move_a_kinked_derivative_are_refused_by_name(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.bounds import SignalBounds
 from pwatrack.control.program import program
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
@@ -177,9 +178,10 @@ def joint_with_loads(loop: ClosedLoop, k: int) -> tuple[Array, Array]:
     return np.array(M), np.concatenate([X @ L[4:, k], -L[:, k]])
 
 
+@pytest.mark.slow
 def test_bounds_hold_beside_loads_and_are_not_far_above_what_noise_can_do(tmp_path: Path) -> None:
     loop = simulate(load_spec(write(tmp_path))).loop
-    for bounds in loop.controller.bounds[-2:]:
+    for bounds in loop.controller.claim(SignalBounds).acting[-2:]:
         M, g = joint_with_loads(loop, bounds.channel[1])
         row = np.concatenate([loop.controller.plant.tracked[0], np.zeros(7)])
         least = worst(M, g, row, duration=30)
@@ -192,7 +194,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     """Of 16 cells there are too many pairs; what is bounded in two steps is above what one pair can do."""
     plant = with_loads(random_plant(3, n=4, k=4, r=2, strength=0.05), np.eye(4)[:, 1:2] + np.eye(4)[:, 3:], [0.0])
     loop = track(plant, "0.2*sin(t)")
-    kinds = {part.loop for bounds in loop.controller.bounds for part in bounds.parts}
+    kinds = {part.loop for bounds in loop.controller.claim(SignalBounds).acting for part in bounds.parts}
     assert kinds == {"controller", "observer"}
     K, L, X = loop.controller.design.K, loop.controller.design.L, loop.x_d[0, :, loop.at.s_hat]
     E = np.eye(4)[:, 1:2] + np.eye(4)[:, 3:]
@@ -201,7 +203,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     observer = np.block([[plant.A[0], E], [np.zeros((1, 5))]]) + L @ C
     M = np.block([[plant.A[0] + plant.B @ K, drive], [np.zeros((5, 4)), observer]])
     row = np.concatenate([plant.tracked[0], np.zeros(5)])
-    for bounds in loop.controller.bounds:
+    for bounds in loop.controller.claim(SignalBounds).acting:
         kind, k = bounds.channel
         push = np.concatenate([np.eye(4)[k], -np.eye(5)[k]])
         g = push if kind == "disturbance" else np.concatenate([X @ L[4:, k], -L[:, k]])
@@ -209,6 +211,7 @@ def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
         assert least <= bounds.sizes["output", 0] <= 300 * least
 
 
+@pytest.mark.slow
 def test_the_auditor_proves_two_steps_again_and_finds_a_smaller_bound(tmp_path: Path) -> None:
     path = write(tmp_path, "{estimate: {wind: {into: {v2: 2}}}}", "")
     springs = "".join(
@@ -229,7 +232,7 @@ def test_the_auditor_proves_two_steps_again_and_finds_a_smaller_bound(tmp_path: 
 small = st.integers(-2, 2)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(*(st.lists(small, min_size=size, max_size=size) for size in (9, 6, 6)))
 def test_what_is_hidden_is_what_the_rank_of_the_pencil_says(a: list[int], e: list[int], c: list[int]) -> None:
     A, E, C = np.array(a).reshape(3, 3), np.array(e).reshape(3, 2), np.array(c).reshape(2, 3)
@@ -302,6 +305,7 @@ simulation: {duration: 5, sample_time: 0.1}
     assert audit(json.dumps(refusal_certificate(spec, evidence)))[1] == []
 
 
+@pytest.mark.slow
 def test_the_certificate_holds_the_loads_and_the_auditor_finds_what_is_changed(tmp_path: Path) -> None:
     result = simulate(load_spec(write(tmp_path)))
     content = json.dumps(design_certificate(result.spec, result.controller))
@@ -439,6 +443,7 @@ def test_the_map_of_one_sample_has_estimates_and_generator_in_it(tmp_path: Path)
             assert all(np.abs(values - value).min() < 1e-6 for value in found)
 
 
+@pytest.mark.slow
 def test_state_tracking_takes_loads_where_inputs_act_and_no_others(tmp_path: Path) -> None:
     matched = "{tracking: state, estimate: {push: {into: {v1: 2}}, hum: {into: {v1: 1}, frequency: 3}}}"
     acting = "disturbance: {v1: {constant: 0.4, sine: {amplitude: 0.3, frequency: 3}}}"

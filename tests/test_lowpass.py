@@ -99,6 +99,7 @@ CLEAN = 0.15 * (1 - np.cos(np.pi * T))
 NOISY = CLEAN + 1e-4 * np.random.default_rng(1).normal(size=len(T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 3])
 def test_a_feedforward_that_follows_noise_is_remarked_with_figures(tmp_path: Path, order: int) -> None:
     path = stage(tmp_path, NOISY, order=order)

@@ -80,7 +80,7 @@ def assert_exactly_continuous(plant: PWASystem) -> None:
 
 
 @given(seeds, st.integers(2, 6), st.integers(0, 3))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_springs_are_continuous_across_every_facet(seed: int, n: int, k: int) -> None:
     random = np.random.default_rng(seed)
     A, b, B, C = (random.normal(size=shape) for shape in ((n, n), n, (n, 1), (1, n)))
@@ -94,7 +94,7 @@ def test_springs_are_continuous_across_every_facet(seed: int, n: int, k: int) ->
 
 
 @given(seeds, st.floats(1e-6, 1.0))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_jump_is_refused_with_its_size(seed: int, size: float) -> None:
     random = np.random.default_rng(seed)
     A = random.normal(size=(3, 3))
@@ -121,7 +121,7 @@ def test_a_tolerance_accepts_rounded_data() -> None:
 
 
 @given(seeds, st.integers(2, 4), st.integers(3, 5))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_data_that_jump_by_rounding_are_repaired_exactly_around_every_edge(seed: int, n: int, k: int) -> None:
     """Planes through one edge: the jumps across them have to add up to 0 on the way around it."""
     random = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def test_a_jump_of_the_offset_alone_is_refused() -> None:
 
 
 @given(seeds, st.integers(1, 4), st.integers(0, 3), st.integers(0, 2))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_any_linear_change_of_state_is_undone_by_the_normal_form(seed: int, r: int, extra: int, k: int) -> None:
     plant = random_plant(seed, n=r + extra, k=k, r=r)
     form = normal_form(plant)
@@ -266,7 +266,7 @@ def test_a_thin_cell_stays(width: float) -> None:
 
 
 @given(seeds, st.integers(2, 4))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_scaling_states_by_a_million_loses_no_cell(seed: int, k: int) -> None:
     random = np.random.default_rng(seed)
     n = 4
@@ -280,7 +280,7 @@ def test_scaling_states_by_a_million_loses_no_cell(seed: int, k: int) -> None:
 
 
 @given(seeds, st.integers(1, 4))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_the_relative_degree_does_not_depend_on_the_scale_of_the_states(seed: int, r: int) -> None:
     plant = random_plant(seed, n=4, k=2, r=r)
     d = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, size=4)

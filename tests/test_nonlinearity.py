@@ -69,7 +69,7 @@ def plant_of(seed: int, elements: list[PiecewiseLinear]) -> tuple[PWASystem, lis
 
 
 @given(st.integers(0, 1000), st.lists(st.sampled_from(sorted(ELEMENTS)), min_size=0, max_size=3))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_the_generated_cells_are_the_sum_of_the_elements(seed: int, names: list[str]) -> None:
     plant, nonlinearities, A, b = plant_of(seed, [ELEMENTS[name][0] for name in names])
     random = np.random.default_rng(seed + 1)

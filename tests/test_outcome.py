@@ -183,7 +183,7 @@ RUNAWAY = {
 @pytest.mark.parametrize("condition", RUNAWAY.values(), ids=RUNAWAY)
 def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, condition: str) -> None:
     path = cart(tmp_path, condition, reference="0.08*cos(t)")
-    run = call("simulate", path, "--out", tmp_path / "out")
+    run = call("simulate", path, "--out", tmp_path / "out", pictures=True)
     assert run.exit_code == 6, run.output
     assert f"error: {path}: the error grows: |y − y_d| up to" in run.stderr
     title, first, second, third, *_ = lines(run.stdout)
@@ -287,7 +287,7 @@ def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
     path = tmp_path / "rod.yaml"
     path.write_text(ROD, encoding="utf-8")
     for command in ("design", "simulate"):
-        run = call(command, path, "--out", tmp_path / command)
+        run = call(command, path, "--out", tmp_path / command, pictures=True)
         assert run.exit_code == 6, run.output
         assert re.match(rf"error: {path}:\d+:\d+: x_d grows without bound, as far as can be seen: \|", run.stderr)
     assert index_of(tmp_path / "design")["verdict"] == "check failed"

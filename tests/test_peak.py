@@ -69,7 +69,7 @@ def test_a_plant_with_one_cell_is_bounded_by_its_peak_gain_and_verify_finds_out_
         for signal, (low, high) in bounds.peaks.items():
             assert low <= high == bounds.sizes[signal] < bounds.certified[signal]
     assert all(set(bounds.peaks) == set(bounds.sizes) for bounds in controller.bounds[:2])
-    folder = write_result(simulate(load_spec(path), controller), tmp_path / "run")
+    folder = write_result(simulate(load_spec(path), controller), tmp_path / "run", plots="none")
     assert "bounds.json beside it tells the same" in verify(folder)
     content = json.loads((folder / "bounds.json").read_text())
     signal = content["table"][0]["signals"]["y - y_d"]

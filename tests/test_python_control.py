@@ -38,6 +38,7 @@ def off(ours: Array, signals: dict[str, Array], names: list[str]) -> float:
     return float(np.abs(np.array([signals[name] for name in names]).T - ours).max()) / size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LOOPS)
 def test_the_loop_runs_in_python_control_as_it_runs_here(name: str) -> None:
     found = made(name, LOOPS[name])
@@ -56,6 +57,7 @@ def test_the_loop_runs_in_python_control_as_it_runs_here(name: str) -> None:
     assert loop.input_labels == loads
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [False, True])
 @pytest.mark.parametrize("single", [False, True])
 def test_no_bit_of_the_sampled_controller_differs(given: bool, single: bool) -> None:
@@ -78,6 +80,7 @@ def test_no_bit_of_the_sampled_controller_differs(given: bool, single: bool) -> 
     assert system.params["units"]["u"] == "N"
 
 
+@pytest.mark.slow
 def test_plant_in_continuous_and_controller_in_discrete_time_are_the_sampled_loop() -> None:
     """Between samples python-control runs the plant with the input held."""
     spec = load_spec(SPECS / "two_mass_machine.yaml")

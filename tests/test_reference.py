@@ -130,7 +130,7 @@ def test_a_kink_is_refused_where_the_derivative_is_needed() -> None:
 
 
 @given(st.integers(1, 4), st.floats(0.05, 0.9))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_rounding_a_polyline_keeps_what_is_straight(r: int, smooth: float) -> None:
     course = Profile(corners=polyline([-9, 1, 2, 9], [0, 0, 3, 3]), continuous=True, smooth=smooth, end=None)
     signal = course.signal(r)

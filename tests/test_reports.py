@@ -27,6 +27,7 @@ OUTCOMES = [
         folder=Path("runs/good"),
         exit=0,
         figures={"norm_K": 2.5, "final_error": 1e-12},
+        unit="<m>",
         required=(("overshoot 3 % ≤ 5 %", True), ("settling_time 3 s ≤ 2 s: <late>", False)),
         notes=("a | remark",),
         seconds=1.25,
@@ -149,7 +150,10 @@ def test_the_page_loads_nothing_and_shows_text_as_text(tmp_path: Path) -> None:
     good, odd = (next(row for row in rows if name in row[0]) for name in ("good.yaml", "<b>%"))
     assert len(rows) == len(OUTCOMES)
     assert "missed: settling_time 3 s ≤ 2 s: <late>" in good[2]
-    assert good[3:5] == ["1 of 2", "2.5"]
+    assert good[3:] == ["1 of 2", "2.5", "", "1e-12 <m>", "1.2", ""]
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    heads = re.findall(r'<button type="button">(.*?)</button>', text)
+    assert heads == ["spec", "result", "verdict", "required", "‖K‖", "‖L‖ (1/s)", "final error", "time (s)"]
     assert rows.index(odd) < rows.index(good), "what failed is read first"
     assert "\\x1b[2J no\nsecond" in odd[2]
 

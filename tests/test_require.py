@@ -13,8 +13,9 @@ from junitparser import JUnitXml
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.claims.decay import gain_figures
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.figures import figure_content, gain_figures, measures
+from pwatrack.report.figures import figure_content, measures
 from pwatrack.report.required import required
 from pwatrack.simulation.closed_loop import Response
 from pwatrack.simulation.figures import Figures, Measuring
@@ -24,6 +25,7 @@ from tests.test_cli import call, index_of, refused
 from tests.test_outcome import cart
 
 T = np.linspace(0.0, 10.0, 1001)
+SIZES = {"final_error", "largest_error", "final_errors", "largest_errors", "largest_input"}
 
 
 def response(y: Array, y_d: Array, t: Array = T) -> Response:
@@ -187,6 +189,7 @@ def test_each_figure_is_missed_and_met_once(wave: Result, step: Result, tmp_path
         assert (checked.met, checked.found) == (met, came), checked.text
 
 
+@pytest.mark.slow
 def test_a_run_and_a_batch_end_with_6_where_any_figure_is_missed_and_with_0_where_it_is_met(
     wave: Result, step: Result, tmp_path: Path
 ) -> None:
@@ -200,9 +203,10 @@ def test_a_run_and_a_batch_end_with_6_where_any_figure_is_missed_and_with_0_wher
             path = tmp_path / "specs" / f"{name}_{kind}.yaml"
             path.parent.mkdir(exist_ok=True)
             path.write_text(f"{text}require: {{{name}: {limit!r}}}\n", encoding="utf-8")
+            if code not in ends.values():  # one of either kind by itself; a batch of all
+                run = call("simulate", path, "--plots", "none", "--out", tmp_path / "out" / path.stem)
+                assert run.exit_code == code, run.output
             ends[path.stem] = code
-            run = call("simulate", path, "--plots", "none", "--out", tmp_path / "out" / path.stem)
-            assert run.exit_code == code, run.output
     report = tmp_path / "junit.xml"
     run = call("batch", tmp_path / "specs", "--out", tmp_path / "runs", "--plots", "none", "--junit", report)
     assert run.exit_code == 6, run.output
@@ -279,6 +283,7 @@ def test_a_batch_says_what_is_missed_in_table_and_junit(tmp_path: Path) -> None:
     assert "met: final_error: " in missed.system_out
 
 
+@pytest.mark.slow
 def test_members_of_an_ensemble_are_held_to_their_share(tmp_path: Path) -> None:
     boxes = "ensemble: {initial: {plant: {z: [-0.05, 0.09]}}}"
     many = ensemble(simulate(load_spec(stage(tmp_path, "{norm_K: 9}", boxes))), 20)
@@ -430,3 +435,34 @@ def test_run_json_stays_readable_where_a_time_never_comes(tmp_path: Path) -> Non
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert index["figures"]["settling_time"] == {"y": None}
     assert index["requirements"][0]["said"] == "settling_time of y: never, at most 5 s required"
+
+
+def test_what_took_too_long_to_enclose_is_said_of_the_samples_and_keeps_no_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wishes = "{largest_input: 50, final_error: 1, settling_time: 12, ensemble: {members: 1/3, largest_error: 9}}"
+    path = stage(tmp_path, wishes, "ensemble: {initial: {plant: {z: [-0.05, 0.09]}}}")
+    text = path.read_text(encoding="utf-8").replace("sample_time: 0.02", "sample_time: 0.5")
+    path.write_text(text, encoding="utf-8")
+    enclosed = simulate(load_spec(path)).figures
+    assert call("simulate", path, "--ensemble", 3, "--out", tmp_path / "out").exit_code == 0
+    assert index_of(tmp_path / "out")["simulation"]["sampled"] == []
+    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_PIECES", 1)
+    result = simulate(load_spec(path))
+    u, error = np.abs(result.response.u).max(), result.response.error_norm
+    assert result.figures.sampled == tuple(name for name in QUANTITIES if name in SIZES)
+    assert result.figures.largest_input["u"] == u < 0.999 * enclosed.largest_input["u"]
+    assert result.figures.final_error == error[-3:].max()
+    assert " at the samples in the last tenth of the time" in result.outcome.text
+    run = call("simulate", path, "--ensemble", 3, "--out", tmp_path / "out")
+    assert run.exit_code == 6, run.output
+    said = " ".join(run.output.split())
+    assert f"largest input |u| = {u:.4g} N at the samples" in said
+    assert f"missed largest_input of u: {u:.4g} N at the samples, not known between them, at most 50 N required" in said
+    assert "missed largest_error: at most 9 m in 0 of 3 members, in 1 required; worst " in said
+    assert "largest u (N), at the samples" in said
+    assert "met: settling_time of y: " in said
+    index = index_of(tmp_path / "out")
+    assert index["simulation"]["sampled"] == list(result.figures.sampled)
+    assert index["ensemble"]["sampled"] == sorted(result.figures.sampled)
+    assert [each["met"] for each in index["requirements"]] == [False, False, True, False]

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec
+from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
 from pwatrack.control.applicability import ROUTES, Applicability, applicability
 from pwatrack.control.route import Needs, No
@@ -43,6 +44,7 @@ def judged(name: str) -> Applicability:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "route"), TAKEN.items())
 def test_the_route_that_check_names_is_the_one_that_design_goes(name: str, route: str) -> None:
     found = judged(name)
@@ -137,7 +139,7 @@ def test_where_cells_are_merged_check_names_that_route_too(name: str) -> None:
     answers = {route.name: answer for route, answer in found.answers}
     assert isinstance(answers["practical tracking"], Needs)
     controller = design(load_spec(SPECS / f"gallery/{name}.yaml"))
-    assert (controller.practical is not None) == (name != "train_slack_couplings")
+    assert bool(controller.claims_of(Practical)) == (name != "train_slack_couplings")
     assert found.taken.split(", else ")[-1] == "practical tracking"
 
 

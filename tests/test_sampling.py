@@ -1,5 +1,6 @@
 """Sample times at which a cell is unstable are refused before anything is simulated; what is offered dies out."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -37,8 +38,9 @@ def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array
     return np.asarray(np.linalg.norm(response.x - response.x_d, axis=1))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 60), methods, st.integers(0, 3), st.floats(0.01, 0.5))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Method, delay: int, h: float) -> None:
     """A plant with one cell, at rest: the loop is linear, and z(k + 1) = M z(k)."""
     plant = random_plant(seed, n=3, k=0, r=2)
@@ -59,8 +61,9 @@ def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Meth
     np.testing.assert_allclose(z[1:], expected, atol=1e-9 * (1 + np.abs(z).max()))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 400), methods, st.integers(0, 2))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=4)  # `make sampling` runs 120
 def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, method: Method, delay: int) -> None:
     loop, x0 = random_loop(seed)
     too_long = Sampling(sample_time=1e3, method=method, delay=delay)
@@ -109,6 +112,7 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     assert result.response.tracking_error.max() < 1
 
 
+@pytest.mark.slow
 def test_an_output_that_is_late_takes_a_shorter_sample_time(tmp_path: Path) -> None:
     found = []
     for delay in (0, 1, 5):
@@ -166,6 +170,7 @@ def scalar_growth(a: tuple[float, float], k: float, l_: float, h: float, start: 
     return grown
 
 
+@pytest.mark.slow
 def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offered(tmp_path: Path) -> None:
     """0.73 s was offered, as stable in all cells: at 0.73, 0.72, 0.6 and 0.5 s the loop runs away."""
     path = tmp_path / "bent.yaml"
@@ -189,6 +194,7 @@ def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offere
     assert simulate(load_spec(path)).outcome.kind == "grows"
 
 
+@pytest.mark.slow
 def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_path: Path) -> None:
     path = tmp_path / "bent.yaml"
     path.write_text(BENT.replace("TIME", "1"), encoding="utf-8")
@@ -197,9 +203,10 @@ def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_pat
     said = "sampled every 1 s, the loop is unstable in cell 'bend off'"
     assert said in " ".join(run.output.split())
     assert any(remark.startswith(said) for remark in index_of(tmp_path / "out")["remarks"])
+    assert said in " ".join(call("check", path).output.split())
     path.write_text(BENT.replace("TIME", "0.01"), encoding="utf-8")
     assert "unstable in cell" not in call("design", path, "--out", tmp_path / "out").output
-    assert "sampling every 0.01 s" in " ".join(call("check", path).output.split())
+    assert "unstable in cell" not in call("check", path).output
 
 
 @pytest.mark.parametrize("delay", ["-1", "11", "0.5"])
@@ -301,3 +308,17 @@ def test_the_files_of_a_run_with_steps_and_rates_are_written(tmp_path: Path) -> 
     assert run.exit_code == 0, run.output
     header = (tmp_path / "out" / "trace.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.endswith("cell_rate_u")
+
+
+def test_check_says_what_design_says_of_a_sample_time_where_the_gains_are_given(tmp_path: Path) -> None:
+    said = "sampled every 0.5 s, the loop is unstable in cell 'stop "
+    path = cart(tmp_path, SLOW, reference="0.08*cos(t)")
+    remarks = json.loads(call("check", path, "--json").stdout)["remarks"]
+    assert [remark[: len(said)] for remark in remarks] == [said]
+    assert remarks[0] in " ".join(call("design", path, "--out", tmp_path / "out").output.split())
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("  observer: {L: [[-10], [-30]]}\n", ""), encoding="utf-8")
+    (remark,) = json.loads(call("check", path, "--json").stdout)["remarks"]
+    assert remark.startswith("what sampling every 0.5 s makes of the loop depends on its gains")
+    fast = cart(tmp_path, SLOW.replace("0.5", "0.01"), reference="0.08*cos(t)")
+    assert json.loads(call("check", fast, "--json").stdout)["remarks"] == []

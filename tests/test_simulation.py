@@ -80,7 +80,7 @@ def test_crossings_of_an_oscillator_with_a_stiffer_side_are_where_they_must_be()
 
 
 @given(st.floats(0.003, 0.7))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_sample_time_moves_no_event(sample_time: float) -> None:
     reference = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=0.05)
     other = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=10.0, sample_time=sample_time)
@@ -97,7 +97,7 @@ def test_half_the_sample_time_changes_neither_events_nor_samples(paper: Result, 
 
 
 @given(st.integers(1, 50), st.sampled_from([0.01, 0.07]))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
     kicks = [reset(t, slice(1, 2), np.array([v])) for t, v in ((0.7, -2.0), (1.333, 1.0), (1.4, 0.5))]
     arguments: dict[str, Any] = {"duration": 3.0, "sample_time": sample_time, "resets": kicks}
@@ -122,7 +122,7 @@ def test_a_long_run_is_written_in_full_and_kept_in_part(
         assert in_part[name] == pytest.approx(figure, rel=1e-12), name
     monkeypatch.delattr("pwatrack.study.pipeline.trace_blocks")  # writing does not simulate
     for one, other in ((paper, "whole"), (result, "part")):
-        write_result(one, tmp_path / other)
+        write_result(one, tmp_path / other, plots="none")
     assert (tmp_path / "whole/events.csv").read_bytes() == (tmp_path / "part/events.csv").read_bytes()
     whole, part = (np.loadtxt(tmp_path / name / "trace.csv", delimiter=",", skiprows=1) for name in ("whole", "part"))
     np.testing.assert_allclose(part, whole, rtol=1e-14, atol=1e-15)  # products of matrices of other shapes
@@ -214,6 +214,7 @@ def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
     return closed_loop(
         Controller(
             plant=plant,
+            running=plant,
             design=synthesize(plant),
             trajectory=trajectory,
             generator=generator,
@@ -248,15 +249,16 @@ def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
     return np.concatenate([plant.field(x, u), plant.field(x_hat, u) + innovation, eta_rate])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1])
 def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
     loop = random_loop(seed)
     random = np.random.default_rng(seed)
     x, x_hat, eta = random.normal(size=4), np.zeros(4), random.normal(size=2)
-    trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=3.0, sample_time=0.05)
+    trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=1.5, sample_time=0.05)
     truth = solve_ivp(
         lambda t, s: right_hand_side(loop, t, s),
-        (0, 3.0),
+        (0, 1.5),
         np.concatenate([x, x_hat, eta]),
         method="DOP853",
         rtol=1e-11,
@@ -268,7 +270,7 @@ def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=6)
+@settings(max_examples=6)
 def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:
     loop = random_loop(seed)
     random = np.random.default_rng(seed)
@@ -443,6 +445,7 @@ def test_forward_and_back_over_one_period_returns(paper: Result) -> None:
     np.testing.assert_allclose([1.0 - e.t for e in back.events[::-1]], [e.t for e in forth.events], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_of_500_passes_within_a_hair_none_is_missed_or_invented() -> None:
     for seed in range(500):
         case = near_grazing(seed)

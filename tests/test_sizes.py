@@ -77,7 +77,8 @@ def designed(spec: Spec) -> tuple[Design, Sizes]:
         return controller.design, controller.sizes
 
 
-@pytest.mark.parametrize("path", [*GALLERY, SPECS / "two_mass_goals.yaml"], ids=lambda path: path.stem)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [*GALLERY[::5], SPECS / "two_mass_goals.yaml"], ids=lambda path: path.stem)
 def test_other_units_give_the_same_controller(path: Path, tmp_path: Path) -> None:
     first, sizes = designed(load_spec(path))
     other = tmp_path / path.name

@@ -234,7 +234,7 @@ def test_equation_3_is_not_decided_on_a_grid_of_times(k: int, horizon: float) ->
     st.sampled_from("pv"),
     st.booleans(),
 )
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_equation_3_holds_exactly_where_each_state_follows_from_the_others(
     omega: float, size: float, horizon: float, wrong: float, where: str, spoiled: bool
 ) -> None:
@@ -349,7 +349,7 @@ def test_a_set_point_is_found_exactly_where_a_least_squares_solution_solves_the_
 
 
 @given(st.lists(st.integers(-12, 12), min_size=4, max_size=4), st.floats(-3, 3), st.integers(0, 1))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_set_point_is_the_same_in_all_units(exponents: list[int], y: float, redundant: int) -> None:
     # dp/dt = v, dv/dt = −p − v − 4 max(0, p − 1) + u (+ u2): at rest u (+ u2) = p + 4 max(0, p − 1)
     d, e = 10.0 ** np.array(exponents[:2]), 10.0 ** np.array(exponents[2 : 3 + redundant])

@@ -67,6 +67,7 @@ def test_parameters_that_vary_twice_and_too_many_points_are_refused(texts: list[
         places([axis(text) for text in texts])
 
 
+@pytest.mark.slow
 def test_the_end_of_the_proof_is_where_the_theory_has_it(spec: Path) -> None:
     axes = [axis("a=0:1.6:5"), axis("b=0:1.5:4")]
     with ThreadPoolExecutor(1) as executor:
@@ -85,6 +86,7 @@ def test_the_end_of_the_proof_is_where_the_theory_has_it(spec: Path) -> None:
         assert not edge.beyond.proved
 
 
+@pytest.mark.slow
 def test_the_common_P_of_the_example_ends_where_the_formula_says(specs: Path) -> None:
     axes = [axis("k2=0.5:0.9:2"), axis("d1=0.15:0.25:2")]
     with ThreadPoolExecutor(1) as executor:

@@ -248,7 +248,7 @@ def test_the_proposed_offset_makes_the_field_continuous_at_every_point_of_the_fa
     [
         ('{output: "0.1*sin(t)"}', 0, "bounded and smooth enough for relative degree 2"),
         ('{output: "t"}', 3, "not bounded"),
-        ("{output: {polyline: {points: [[0, 0], [0.5, 1]]}}}", 3, "jumps by 2 at t = 0"),
+        ("{output: {polyline: {points: [[0, 0], [0.5, 1]]}}}", 3, "jumps by 2 at t = 0.5"),
         ("{output: {step: {size: 1, at: 0.5, smooth: 0.2}}}", 0, "smooth enough"),
     ],
 )

@@ -9,6 +9,7 @@ from pwatrack.batch.job import Ended, Fault
 from pwatrack.errors import ExitCode
 
 _LARGEST = 1e300  # of a figure that is shown
+FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖ (1/s)", "final_error": "final error"}  # norms are in sizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,7 @@ class Outcome:
         reason: Why it did not end by itself; empty if it did.
         how: Whether it was run now, or before with nothing changed since, or not at all.
         figures: From its run.json, empty if this run left none.
+        unit: Of its errors; sizes where several signals are tracked.
         notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
         required: Each requirement with what came out, and whether it is met.
         messages: What it said on stderr.
@@ -36,6 +38,7 @@ class Outcome:
     reason: str = ""
     how: Literal["run", "cached", "skipped"] = "run"
     figures: Mapping[str, float] = field(default_factory=dict)
+    unit: str = ""
     notes: tuple[str, ...] = ()
     required: tuple[tuple[str, bool], ...] = ()
     messages: str = ""
@@ -52,6 +55,7 @@ class Outcome:
             expected=ended.expected,
             how="cached" if cached else "run",
             figures=_figures(ended.index),
+            unit=_unit(ended.index),
             notes=_notes(ended.index),
             required=_required(ended.index),
             messages=ended.messages,
@@ -145,6 +149,12 @@ def _figures(index: Mapping[str, Any]) -> dict[str, float]:
         for name, value in (figures.items() if isinstance(figures, dict) else ())
         if isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
     }
+
+
+def _unit(index: Mapping[str, Any]) -> str:
+    tracked = index.get("tracked")
+    unit = tracked.get("unit") if isinstance(tracked, dict) else None
+    return unit if isinstance(unit, str) else ""
 
 
 def _required(index: Mapping[str, Any]) -> tuple[tuple[str, bool], ...]:

@@ -9,15 +9,16 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from pwatrack.batch.outcomes import Outcome, counted
+from pwatrack.batch.outcomes import FIGURES, Outcome, counted
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
 
 _TEXTS = ("spec", "result", "verdict")
-_FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_error": "final error"}
 _PICTURES = ("outputs.png", "tracking_error.png")
 _WIDTH = 180  # of a small picture, in dots
+_SPEC, _VERDICT = 9, 18  # rem: at least so wide are names of files, and what is said of a run, about 38 letters a line
+_NARROW = 76  # rem: in less than this the columns do not fit beside each other, and a row is a block; 1,280 dots are 80
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -28,25 +29,29 @@ _PAGE = """<!DOCTYPE html>
 <style>
 body {{ font: 15px/1.4 system-ui, sans-serif; margin: 1.5rem; color: #12355b; background: #fff }}
 table {{ border-collapse: collapse; width: 100% }}
-th, td {{ text-align: left; vertical-align: top; padding: .35rem .6rem; border-bottom: 1px solid #d8dee6 }}
+th, td {{ text-align: left; vertical-align: top; padding: .35rem .5rem; border-bottom: 1px solid #d8dee6 }}
 th {{ position: sticky; top: 0; background: #eef2f6 }}
 th button {{ all: unset; cursor: pointer; font-weight: 600 }}
 th button:focus-visible {{ outline: 2px solid #e08e2b }}
 th[aria-sort=ascending] button::after {{ content: " ▲" }}
 th[aria-sort=descending] button::after {{ content: " ▼" }}
-.n {{ text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }}
+.n {{ text-align: right; font-variant-numeric: tabular-nums }}
+td.n {{ white-space: nowrap }}
+.spec {{ min-width: {spec}rem; overflow-wrap: anywhere }}
+.verdict {{ min-width: {verdict}rem; overflow-wrap: anywhere }}
 .pass {{ color: #1a7f37 }} .fail {{ color: #b42318; font-weight: 600 }} .cached {{ color: #0a6c8f }}
 .skipped {{ color: #8a6d00 }}
 .note {{ color: #4a5a6a; font-size: .9em; overflow-wrap: anywhere }}
 .missed {{ color: #b42318; font-size: .9em }}
 pre {{ white-space: pre-wrap; overflow-wrap: anywhere; font-size: .85em; margin: .3rem 0 }}
-.pictures {{ white-space: nowrap }}
-img {{ max-width: {width}px; margin-right: .3rem }}
+.pictures {{ min-width: {width}px }}
+img {{ max-width: {width}px; margin: 0 .3rem .3rem 0 }}
 form {{ margin: 1rem 0; display: flex; gap: 1rem; flex-wrap: wrap }}
-@media (max-width: 60rem) {{
+@media (max-width: {narrow}rem) {{
   table, tbody, tr, td {{ display: block }}
     thead tr {{ display: flex; flex-wrap: wrap; background: #eef2f6 }}
-  th, td {{ border: 0; padding: .2rem .6rem; overflow-wrap: anywhere }}
+  th, td {{ border: 0; padding: .2rem .5rem; min-width: 0; overflow-wrap: anywhere }}
+  .spec, .verdict {{ min-width: 0 }}
   tbody tr {{ border-bottom: 1px solid #d8dee6; padding: .4rem 0 }}
   td.n, .pictures {{ display: inline-block; text-align: left; white-space: normal }}
   tr[hidden], td:empty, td.n:empty, th.pictures {{ display: none }}
@@ -111,11 +116,14 @@ def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
         InvalidSpec: If the file cannot be written.
     """
     required = any(outcome.required for outcome in outcomes)
-    names = [*_TEXTS, *(["required"] if required else []), *_FIGURES.values(), "s"]
+    names = [*_TEXTS, *(["required"] if required else []), *FIGURES.values(), "time (s)"]
     kinds = sorted({_kind(outcome) for outcome in outcomes})
     page = _PAGE.format(
         title=_text(counted(outcomes)),
         width=_WIDTH,
+        spec=_SPEC,
+        verdict=_VERDICT,
+        narrow=_NARROW,
         kinds="".join(f"<option>{kind}</option>" for kind in kinds),
         head="".join(map(_head, names)) + '<th class="pictures">pictures</th>',
         rows="\n".join(_row(outcome, path.parent, required=required) for outcome in sorted(outcomes, key=_passed)),
@@ -136,17 +144,17 @@ def _row(outcome: Outcome, here: Path, *, required: bool) -> str:
         notes.append(f"<details><summary>what it said</summary><pre>{_text(outcome.messages)}</pre></details>")
     met = len(outcome.required) - len(outcome.missed)
     cells = [
-        f"<td>{_text(str(outcome.spec))}</td>",
+        f'<td class="spec">{_text(str(outcome.spec))}</td>',
         f'<td class="{_kind(outcome)}">{_text(outcome.result)}</td>',
-        f"<td>{_text(outcome.verdict)}{''.join(notes)}</td>",
+        f'<td class="verdict">{_text(outcome.verdict)}{"".join(notes)}</td>',
     ]
     if required:
         share = met / len(outcome.required) if outcome.required else ""
         cells.append(_number("required", share, f"{met} of {len(outcome.required)}" if outcome.required else ""))
-    for figure, name in _FIGURES.items():
-        value = outcome.figures.get(figure, "")
-        cells.append(_number(name, value, f"{value:.3g}" if value != "" else ""))
-    cells.append(_number("s", outcome.seconds, f"{outcome.seconds:.1f}"))
+    for figure, name in FIGURES.items():
+        value, unit = outcome.figures.get(figure, ""), outcome.unit if figure == "final_error" else ""
+        cells.append(_number(name, value, f"{value:.3g} {_text(unit)}".rstrip() if value != "" else ""))
+    cells.append(_number("time (s)", outcome.seconds, f"{outcome.seconds:.1f}"))
     cells.append(f'<td class="pictures">{_pictures(outcome.folder, here)}</td>')
     return f'<tr data-kind="{_kind(outcome)}">{"".join(cells)}</tr>'
 

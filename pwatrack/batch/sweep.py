@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
+from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Controller
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import as_ended
@@ -100,7 +101,8 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
 
 def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, simulated: bool) -> Point:
     """Design at one place, and simulate if asked."""
-    from pwatrack.report.figures import figure_content, gain_figures, measures
+    from pwatrack.claims.decay import gain_figures
+    from pwatrack.report.figures import figure_content, measures
     from pwatrack.spec.load import load_spec
     from pwatrack.study import pipeline
 
@@ -127,7 +129,7 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
 
 def kind_of_proof(controller: Controller) -> str:
     """Return which kind of proof a design has: by common matrices P, by polynomials, or of practical tracking."""
-    if controller.practical is not None:
+    if controller.claims_of(Practical):
         return PRACTICAL
     promised = controller.guarantees
     claims = [claim for claim in (promised.controller, promised.observer, promised.generator) if claim]

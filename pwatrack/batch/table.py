@@ -5,21 +5,19 @@ from pathlib import Path
 
 from rich.table import Table
 
-from pwatrack.batch.outcomes import Outcome, counted
+from pwatrack.batch.outcomes import FIGURES, Outcome, counted
 from pwatrack.report.terminal import console
-
-_COLUMNS = {"norm_K": "‖K‖", "norm_L": "‖L‖", "final_error": "final error"}
 
 
 def print_batch(outcomes: Sequence[Outcome]) -> None:
     """Print the table on stdout, and what failing specs said on stderr."""
     table = Table()
     some = ["required"] if any(outcome.required for outcome in outcomes) else []
-    for name in ("spec", "result", "verdict", *some, *_COLUMNS.values(), "s"):
-        numeric = name in (*some, *_COLUMNS.values(), "s")
+    for name in ("spec", "result", "verdict", *some, *FIGURES.values(), "s"):
+        numeric = name in (*some, *FIGURES.values(), "s")
         table.add_column(name, justify="right" if numeric else "left", overflow="fold")
     for outcome in outcomes:
-        figures = [f"{outcome.figures[key]:.3g}" if key in outcome.figures else "" for key in _COLUMNS]
+        figures = [f"{outcome.figures[key]:.3g}" if key in outcome.figures else "" for key in FIGURES]
         total = len(outcome.required)
         met = [f"{total - len(outcome.missed)} of {total}" if total else "" for _ in some]
         table.add_row(str(outcome.spec), outcome.result, outcome.verdict, *met, *figures, f"{outcome.seconds:.1f}")

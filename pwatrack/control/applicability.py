@@ -95,7 +95,7 @@ def _preview(facts: Facts) -> Answer:
 
 
 def _practical(facts: Facts) -> Answer:
-    """Judge whether merging cells leaves a plant that can be tracked exactly: see `control.practical`."""
+    """Judge whether merging cells leaves a plant that can be tracked exactly: see `claims.practical`."""
     if facts.uncertain:
         return No("its bounds are not proved with uncertain parameters")
     if facts.merged is None:

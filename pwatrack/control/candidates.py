@@ -109,7 +109,7 @@ class Candidates:
         inequality = bounded_cost(at.system(self.A) + shift, at.input(self.task.B), at.rows(rows), R)
         found, least = list[Candidate](), np.inf
         for _ in range(WEIGHINGS):
-            solution = solve(least_worst_cost(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
+            solution = solve(least_worst_cost(inequality, box.around, box.limits), gap=_NEAR)
             if solution is None or solution.impossible or not _definite(solution.P) or not solution.t < least:
                 break
             found, least = [self._candidate(at, solution), *found], solution.t
@@ -123,7 +123,7 @@ class Candidates:
         inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
         box, best, most = _Box.of(at, starts, left), None, 0.0
         for _ in range(WEIGHINGS):
-            solution = solve(gain_from_starts(inequality, box.around, box.limits), self.task.solver, gap=_NEAR)
+            solution = solve(gain_from_starts(inequality, box.around, box.limits), gap=_NEAR)
             if solution is None or not _definite(solution.P) or not solution.t > most:
                 break
             best, most = self._candidate(at, solution), solution.t
@@ -137,7 +137,7 @@ class Candidates:
             at = self._regulated(shift)
             for _ in range(_RECENTRED):
                 inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
-                solution = solve(largest_margin(inequality, _most(inequality, factor)), self.task.solver)
+                solution = solve(largest_margin(inequality, _most(inequality, factor)))
                 if solution is None:
                     return
                 candidate = self._candidate(at, solution, inequality.margin(solution.P, solution.Y))
@@ -170,7 +170,7 @@ class Candidates:
         program, before = smallest_gain(inequality, metric_root, input_root), np.inf
         first, last = None, None
         for _ in range(_CLOSER + 1):
-            solution = solve(program, self.task.solver, gap=_NEAR, after=last)
+            solution = solve(program, gap=_NEAR, after=last)
             if solution is None or not _definite(solution.P):
                 return
             seen.append(solution)
@@ -191,7 +191,7 @@ class Candidates:
         at = self.at.of_regulator(A, B, root.T @ root, R)
         B = at.input(self.task.B)
         inequality = quadratic_cost(at.system(self.A) + shift, B, at.rows(rows), R)
-        solution = solve(least_cost(inequality, at.states(initial)), self.task.solver)
+        solution = solve(least_cost(inequality, at.states(initial)))
         if solution is not None:
             yield self._candidate(at, replace(solution, Y=-np.asarray(np.linalg.solve(R, B.T))))
 

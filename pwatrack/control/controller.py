@@ -1,26 +1,133 @@
-"""What runs on the machine: observer (18), controller (19), desired trajectory and feedforward."""
+"""What runs on the machine, observer (18), controller (19), desired trajectory and feedforward, and its claims.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+Everything that is proved of a loop is a claim, one class in the room `claims` for each kind of them. What is said of a
+loop is what its claims say; nothing else lists them but `claims.registry`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from pwatrack.arrays import Array
-from pwatrack.control.bounds import Bounds, Loops, signal_bounds, start_bounds
+from pwatrack.arrays import OVER_SUMS, Array
+from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.limits import Limited, Promise
-from pwatrack.control.practical import Practical
-from pwatrack.control.robust import Robust
+from pwatrack.control.limits import Room
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.control.words import Words
 from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.inequality import Solver
+from pwatrack.model.box import Box
 from pwatrack.model.normal_form import NormalForm
-from pwatrack.model.pwa import PWASystem
+from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
+
+Row = tuple[str, str]  # a label, or nothing where it is that of the row before, and a sentence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What a loop is to be proved for.
+
+    Attributes:
+        words: What it is called, and the goals of its gains.
+        room: What the feedforward leaves of the limits of inputs, where there are some.
+        box: Parameters that are uncertain.
+        corners: The matrices at the corners of their box, for the plant of a design.
+        solver: Who is asked for what is proved later.
+    """
+
+    words: Words
+    room: Room | None
+    box: Box
+    corners: Callable[[PWASystem], Sequence[Matrices]]
+    solver: Solver = "structured"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What of a run decides which claims speak of it, and what they allow.
+
+    Attributes:
+        t: Times of samples in s, (K,).
+        start: (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,).
+        acting: The largest size so far of what disturbs, and of noise the largest it ever gets, (K,) each.
+        designed: Whether the loop is the one that was designed, but for disturbances, noise and limits not come to.
+        w: Of uncertain parameters, how large each entry of w is so far, (K, n), where the plant is one of their box.
+    """
+
+    t: Array
+    start: Array
+    acting: Mapping[Channel, Array]
+    designed: bool
+    w: Array | None = None
+
+
+class Claim(ABC):
+    """Something that is proved of a loop: how it is stated, stored, said, drawn and held against a run.
+
+    Beside each in `lmi.audit` is how it is decided again from its data.
+
+    Attributes:
+        statement: The exact mathematical sentence, for the text of a certificate; "" where another claim's says it.
+        nothing: What a certificate holds where the claim is not made, by key; what `data` gives takes its place.
+        beside: What adds to all bounds of signals, in words; "" where it leaves nothing.
+    """
+
+    statement: ClassVar[str] = ""
+    nothing: ClassVar[Mapping[str, Any]] = {}
+    beside: ClassVar[str] = ""
+
+    @classmethod
+    @abstractmethod
+    def prove(cls, controller: "Controller", asked: Asked) -> "Iterator[Claim]":
+        """Yield what can be proved of a controller with the claims that come before: none, one or several.
+
+        Raises:
+            PwatrackError: If it was asked for and is not so, or not proved.
+        """
+
+    @classmethod
+    @abstractmethod
+    def read(cls, content: Mapping[str, Any], controller: "Controller", asked: Asked) -> "Iterator[Claim]":
+        """Yield what a certificate holds of it, without a solver.
+
+        Raises:
+            ValueError: If that does not fit to the controller.
+        """
+
+    @abstractmethod
+    def data(self, controller: "Controller") -> dict[str, Any]:
+        """Return its part of a certificate, by key: exact numbers as text. Lists of several claims are joined."""
+
+    def rows(self, words: Words, controller: "Controller") -> Iterator[Row]:
+        """Yield what a summary says of it."""
+        yield from ()
+
+    def figures(self, words: Words, controller: "Controller") -> dict[str, Any]:
+        """Return what run.json says of it, by key; objects of several claims are joined."""
+        return {}
+
+    def leaves(self, form: Form) -> float | None:
+        """Return what it adds to every bound of a signal, in its unit; None where it cannot tell: then no bound is."""
+        return 0.0
+
+    def leaves_norm(self, of: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
+        """Return what it adds to a bound of the norm of all signals of a kind, each counted in its size."""
+        return 0.0
+
+    def allows(self, controller: "Controller", seen: Seen) -> dict[Form, Array]:
+        """Return how large each signal may be at the samples of a run, (K,), without what claims leave."""
+        return {}
+
+
+C = TypeVar("C", bound=Claim)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,28 +138,24 @@ class Controller:
     observer runs these too, and `compensation` says what they add to x_d and u_ff.
 
     Attributes:
-        plant: The system (1); for practical tracking with merged cells.
+        plant: The system (1) that gains and trajectory are made for; for practical tracking with merged cells.
+        running: The plant that it controls.
         design: The gains with their proofs.
         trajectory: Where x_d and u_ff come from.
         generator: The trajectory generator (15), for output tracking only.
         proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
         sizes: Of all signals of the plant: what the gains were weighed with.
-        costs: For "controller" and "observer", where a cost was asked: X (n, n), the proved bound; see `cost_bound`.
-        robust: What is proved for uncertain parameters, where some are.
-        limited: What is known of inputs that have limits, where some have.
-        practical: What is proved of the loop with the true plant, where cells of it are merged.
+        claims: What is proved of the loop, in the order in which it is said.
     """
 
     plant: PWASystem
+    running: PWASystem
     design: Design
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
     proofs: tuple[AnyProof, ...]
     sizes: Sizes
-    costs: Mapping[str, Array] = field(default_factory=dict)
-    robust: Robust | None = None
-    limited: Limited | None = None
-    practical: Practical | None = None
+    claims: tuple[Claim, ...] = ()
 
     @property
     def tracking(self) -> Literal["output", "state"]:
@@ -63,11 +166,6 @@ class Controller:
     def error_names(self) -> tuple[str, ...]:
         """Names of what the tracking error has entries for."""
         return self.plant.states if self.generator is None else self.plant.tracked_names
-
-    @property
-    def running(self) -> PWASystem:
-        """The plant that it controls."""
-        return self.plant if self.practical is None else self.practical.plant
 
     @property
     def K(self) -> Array:
@@ -95,58 +193,53 @@ class Controller:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
         return guarantees(self.plant, self.design, self.proofs, self.sizes, self.compensation.X)
 
-    def tracking_bound(self, t: Array, start: Array, observer_start: Array) -> Array:
-        """Return what is proved of |x − x_d|, in sizes where there are several, or of |y − y_d|: see `guarantees`.
+    def claims_of(self, kind: type[C]) -> tuple[C, ...]:
+        """Return the claims of a kind: none, one or several."""
+        return tuple(claim for claim in self.claims if isinstance(claim, kind))
 
-        With merged cells what these leave in the end comes on top of it.
+    def claim(self, kind: type[C]) -> C:
+        """Return the one claim of a kind.
+
+        Raises:
+            LookupError: If there is none.
         """
+        for claim in self.claims_of(kind):
+            return claim
+        raise LookupError(f"no claim is a {kind.__name__}")
+
+    @property
+    def beside(self) -> str:
+        """What adds to all bounds of signals, in words; "" where nothing does."""
+        return "".join(f", beside {claim.beside}" for claim in self.claims if claim.beside)
+
+    def leaves(self, form: Form) -> float | None:
+        """Return what adds to every bound of a signal; None where that is not known: then there is no bound."""
+        each = [claim.leaves(form) for claim in self.claims]
+        known = [part for part in each if part is not None]
+        return sum(known) if len(known) == len(each) else None
+
+    def with_left(self, sizes: Mapping[Form, Any]) -> dict[Form, Any]:
+        """Add to bounds of signals what adds to every one; those of which that is not known are none."""
+        found = {}
+        for form, size in sizes.items():
+            left = self.leaves(form)
+            if left is not None:
+                found[form] = (size + left) * OVER_SUMS if left else size
+        return found
+
+    def tracking_bound(self, t: Array, start: Array, observer_start: Array) -> Array:
+        """Return what is proved of |x − x_d|, in sizes where there are several, or of |y − y_d|: see `guarantees`."""
         bound = self.guarantees.tracking_error(t, start, observer_start, output=self.tracking == "output")
-        if self.practical is None:
-            return bound
-        return bound + self.practical.norm(self.tracking, self.error_sizes.tolist())
+        return bound + sum(claim.leaves_norm(self.tracking, self.error_sizes.tolist()) for claim in self.claims)
 
     def observer_bound(self, t: Array, start: Array) -> Array:
         """Return what is proved of |x̂ − x|, likewise."""
-        bound, sizes = self.guarantees.observer_error(t, start), self.sizes.state
-        if self.practical is None:
-            return bound
-        return bound + self.practical.norm("estimate", sizes.tolist() if len(sizes) > 1 else [1.0])
+        sizes = self.sizes.state.tolist() if len(self.sizes.state) > 1 else [1.0]
+        left = sum(claim.leaves_norm("estimate", sizes) for claim in self.claims)
+        return self.guarantees.observer_error(t, start) + left
 
     @property
     def error_sizes(self) -> Array:
         """What each entry of the tracking error counts in a norm of them all: its size; 1 where it is the only one."""
         sizes = self.sizes.state if self.tracking == "state" else self.sizes.tracked
         return np.ones(1) if len(sizes) == 1 else sizes
-
-    @property
-    def left_by_preview(self) -> float:
-        """What residual and jumps of an η that was worked out beforehand leave of |y − y_d| in the end, 0 without one.
-
-        With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps
-        by J so does e, by −T⁻¹ [0; J], or by a mean of these where x_d changes its cell.
-        """
-        preview, form = self.trajectory.preview, self.form
-        if preview is None or form is None:
-            return 0.0
-        columns = np.array([inverse[:, form.r :] for inverse in form.T_inverse])
-        return self.guarantees.left(columns, preview.residual, preview.times, preview.jumps)
-
-    @property
-    def promises(self) -> tuple[Promise, ...]:
-        """From which starts inputs that have limits stay near their feedforward."""
-        return () if self.limited is None else self.limited.promises
-
-    @cached_property
-    def _loops(self) -> Loops:
-        K, L = self.design.exact
-        return Loops(self.plant, K, L, self.proofs, self.compensation.X, output=self.tracking == "output")
-
-    @cached_property
-    def bounds(self) -> tuple[Bounds, ...]:
-        """What a disturbance of each state equation and the noise of each sensor can do to each signal."""
-        return signal_bounds(self._loops)
-
-    @cached_property
-    def starts(self) -> tuple[Bounds, ...]:
-        """What each entry of the start, of x − x_d, of x̂ − x and of the estimates of loads, can do to each signal."""
-        return start_bounds(self._loops)

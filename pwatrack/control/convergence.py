@@ -14,7 +14,7 @@ from pwatrack.lmi.certificate import Certificate, prove
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
-from pwatrack.lmi.inequality import Solver, lyapunov
+from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
 from pwatrack.lmi.precise import Precise, square
@@ -42,7 +42,6 @@ def best_certificate(
     start: Array | None = None,
     sizes: Array | None = None,
     soon: bool = False,
-    solver: Solver = "clarabel",
 ) -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found.
 
@@ -55,12 +54,11 @@ def best_certificate(
         start: A P (n, n) that may prove something.
         sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
         soon: Whether to give up sooner.
-        solver: Which interior-point solver to ask.
 
     Returns:
         The certificate, or None if no P was found that proves anything.
     """
-    search, points = _Rates(M, start, sizes, solver), list[tuple[float, float]]()
+    search, points = _Rates(M, start, sizes), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
     for step in range(_STEPS):
         margin, best = search.margin(trial), search.best
@@ -68,7 +66,7 @@ def best_certificate(
             if soon and step == _SOON:
                 return None
             if step == _RECENTRED:  # sizes may differ by more than doubles can count with
-                return None if sizes is None else best_certificate(M, start=start, solver=solver)
+                return None if sizes is None else best_certificate(M, start=start)
             continue
         if margin is None:
             points, ceiling = [], min(ceiling, trial)
@@ -84,17 +82,17 @@ def best_certificate(
     return search.best
 
 
-def first_certificate(M: Array, *, sizes: Array | None = None, solver: Solver = "clarabel") -> Certificate | None:
+def first_certificate(M: Array, *, sizes: Array | None = None) -> Certificate | None:
     """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None.
 
     Args:
-        M, sizes, solver: As for `best_certificate`.
+        M, sizes: As for `best_certificate`.
     """
     if not (np.isfinite(M).all() and np.linalg.eigvals(M).real.max(initial=-1.0) < 0):
         return None
     corners, at = extreme(M), _near(M, None, sizes)
     for _ in range(_RECENTRED + 1):
-        found = solve(largest_margin(lyapunov(at.system(corners))), solver, gap=_NEAR, against=0.0)
+        found = solve(largest_margin(lyapunov(at.system(corners))), gap=_NEAR, against=0.0)
         if found is None or not found.objective < 0:  # the sign of the largest margin is the same in all coordinates
             return None
         proof = prove(M, at.matrix(found.P))
@@ -104,9 +102,7 @@ def first_certificate(M: Array, *, sizes: Array | None = None, solver: Solver = 
     return None
 
 
-def precise_certificate(
-    at: Precise, role: Role, M: Sequence[BallMatrix], start: Array, *, solver: Solver = "clarabel"
-) -> Certificate | None:
+def precise_certificate(at: Precise, role: Role, M: Sequence[BallMatrix], start: Array) -> Certificate | None:
     """Return what `best_certificate` finds in coordinates to hundreds of bits, proved in exact numbers.
 
     Args:
@@ -114,12 +110,11 @@ def precise_certificate(
         role: Which inequality it is.
         M: The matrices M_i, each different.
         start: A P (n, n) in these coordinates that may prove something.
-        solver: Which interior-point solver to ask.
     """
     inside = at.system([M_i.centre for M_i in M])
     if not (np.isfinite(inside).all() and np.linalg.eigvals(inside).real.max() < 0):
         return None
-    found = best_certificate(inside, start=start, soon=True, solver=solver)
+    found = best_certificate(inside, start=start, soon=True)
     proof = None if found is None else prove_exactly(role, M, at.matrix(found.P / np.linalg.norm(found.P)), found.rate)
     if proof is None:
         return None
@@ -129,16 +124,16 @@ def precise_certificate(
 class _Rates:
     """Rates that are tried one after the other; `best` is the best proof so far."""
 
-    def __init__(self, M: Array, start: Array | None, sizes: Array | None, solver: Solver) -> None:
+    def __init__(self, M: Array, start: Array | None, sizes: Array | None) -> None:
         self.best = None if start is None else prove(M, start)
-        self._M, self._corners, self._at, self._solver = M, extreme(M), _near(M, start, sizes), solver
+        self._M, self._corners, self._at = M, extreme(M), _near(M, start, sizes)
         self._last: Solution | None = None
 
     def margin(self, rate: float) -> float | None:
         """Return about the largest margin at a rate in 1/s; None, and better coordinates, if no proof is found."""
         at = self._at
         inequality = lyapunov(at.system(self._corners), rate / at.speed)
-        self._last = found = solve(largest_margin(inequality), self._solver, gap=_NEAR, after=self._last)
+        self._last = found = solve(largest_margin(inequality), gap=_NEAR, after=self._last)
         if found is None:
             return None
         proof = prove(self._M, at.matrix(found.P))
@@ -159,7 +154,7 @@ def _root_of_chord(points: list[tuple[float, float]]) -> float:
 
 
 def least_overshoot_certificate(
-    M: Array, rate: float, *, sizes: Array | None = None, start: Array | None = None, solver: Solver = "clarabel"
+    M: Array, rate: float, *, sizes: Array | None = None, start: Array | None = None
 ) -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P), P in sizes.
 
@@ -170,7 +165,6 @@ def least_overshoot_certificate(
         rate: In 1/s, below the best one.
         sizes: Of the states, (n,); 1 by default.
         start: A P (n, n) to begin near.
-        solver: Which interior-point solver to ask.
 
     Returns:
         The certificate, or None if no P was found that proves anything.
@@ -185,7 +179,7 @@ def least_overshoot_certificate(
     at = _near(M, start, sizes)
     inequality = lyapunov(at.system(extreme(M)), rate / at.speed)
     try:
-        candidate = solve(least_condition(inequality, at.driven(unit)), solver, gap=_CLOSE)
+        candidate = solve(least_condition(inequality, at.driven(unit)), gap=_CLOSE)
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
     return None if candidate is None else prove(M, at.matrix(candidate.P))
@@ -207,7 +201,6 @@ def prove_convergence(
     role: Role = PLANT,
     sizes: Array | None = None,
     subject: Subject = (),
-    solver: Solver = "clarabel",
     hint: str = "every cell needs all its eigenvalues in the open left half plane",
     remedy: Remedy | None = None,
 ) -> Found:
@@ -223,7 +216,6 @@ def prove_convergence(
         role: Which inequality it is.
         sizes: Of the states, (n,); as for `best_certificate`.
         subject: What in the description a refusal is about.
-        solver: Which interior-point solver to ask.
         hint, remedy: What to do where a cell is unstable by itself.
 
     Raises:
@@ -241,15 +233,15 @@ def prove_convergence(
     doubtful = (abscissa > -_DOUBTFUL * np.linalg.norm(M, axis=(1, 2))).any()
     no_input = np.zeros((M.shape[1], 0))
     numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
-    refutation, tried = refute(M, no_input, solver=solver, exact=numbers) if doubtful else None, tuple[int, ...]()
+    refutation, tried = refute(M, no_input, exact=numbers) if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
-        best = best_certificate(M, sizes=sizes, solver=solver) or _precisely(M, role, exact, sizes, solver)
+        best = best_certificate(M, sizes=sizes) or _precisely(M, role, exact, sizes)
         if best is not None:
             return best
         instead, tried = _polynomial(M, role, exact, sizes)
         if instead is not None:
             return instead
-        refutation = refutation or refute(M, no_input, solver=solver, exact=numbers)
+        refutation = refutation or refute(M, no_input, exact=numbers)
     if refutation is None:
         raise _undecided(claim, abscissa, cells, subject, tried)
     if not refutation.eigenvalues:
@@ -260,9 +252,7 @@ def prove_convergence(
     raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
 
 
-def _precisely(
-    M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None, solver: Solver
-) -> Certificate | None:
+def _precisely(M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None) -> Certificate | None:
     """Look for a P of all cells where that of the mean is so ill-conditioned that doubles do not hold it."""
     numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
     mean = sum((M_i.centre for M_i in numbers[1:]), numbers[0].centre) / len(numbers)
@@ -270,7 +260,7 @@ def _precisely(
         return None
     unit = np.ones(len(M[0])) if sizes is None else sizes
     at = Precise.of_stable(mean, square(unit))
-    return None if at is None else precise_certificate(at, role, numbers, np.eye(len(unit)), solver=solver)
+    return None if at is None else precise_certificate(at, role, numbers, np.eye(len(unit)))
 
 
 def _polynomial(

@@ -12,6 +12,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.control.bounds import Bounds, Channel, Form
+from pwatrack.control.trajectory import Preview
 from pwatrack.lmi.exact import unpacked
 from pwatrack.lmi.norm import root_above
 from pwatrack.rational import rational
@@ -57,6 +58,29 @@ def from_start(
         for signal, bound in zip(part.signals, part.ellipsoid.sizes, strict=True):
             if part.loop == "joint" or signal[0] == "estimate":  # the observer's loop has its half of others
                 most[signal] = np.minimum(most.get(signal, np.inf), bound * decay)
+    return most
+
+
+def from_preview(found: Sequence[Bounds], columns: Array, preview: Preview) -> dict[Form, float]:
+    """Return the most that each signal is where η is off by what is played back, from error 0; nothing else acts.
+
+    It drives e and not Δ, so that ellipsoids of e by itself do, and Δ stays 0.
+
+    Args:
+        found: Bounds whose ellipsoids are looked at.
+        columns: What 1 of each η is of e, in each cell, (l, n, p).
+        preview: By how much η is off.
+    """
+    most: dict[Form, float] = {}
+    for part in (part for bounds in found for part in bounds.parts):
+        if part.loop == "observer":
+            most |= {signal: 0.0 for signal in part.signals if signal[0] == "estimate"}
+            continue
+        Q, rest = part.ellipsoid, [0.0] * (len(part.ellipsoid.exponents) - columns.shape[1])
+        each = [[_norm(Q.integers, Q.exponents, np.append(column, rest)) for column in cell.T] for cell in columns]
+        size = preview.measured(np.array(each), Q.a / 2) * OVER_POWERS
+        for signal, bound in zip(part.signals, Q.sizes, strict=True):
+            most[signal] = 0.0 if signal[0] == "estimate" else min(most.get(signal, np.inf), bound * size)
     return most
 
 

@@ -11,7 +11,6 @@ from pwatrack.control.convergence import first_certificate, near_polynomial
 from pwatrack.control.task import Task
 from pwatrack.lmi.exact import Proof, prove_exactly
 from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import seems_impossible
 from pwatrack.lmi.polynomial import best_polynomial, degrees
 from pwatrack.lmi.presolve import distinct
@@ -19,23 +18,22 @@ from pwatrack.lmi.role import Role
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
-def common_P(role: Role, M: Sequence[BallMatrix], *, sizes: Array | None = None, solver: Solver) -> Proof | None:
+def common_P(role: Role, M: Sequence[BallMatrix], *, sizes: Array | None = None) -> Proof | None:
     """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found.
 
     Args:
         role: Which inequality it is.
         M: The matrices M_i.
         sizes: Of the states, as for `best_certificate`.
-        solver: Which interior-point solver to ask.
 
     Example:
         >>> from pwatrack.lmi.role import GENERATOR
         >>> M = BallMatrix.of([[-1.0, 1.0], [0.0, -2.0]])
-        >>> common_P(GENERATOR, [M], solver="clarabel").rate > 0, common_P(GENERATOR, [M, M - M], solver="clarabel")
+        >>> common_P(GENERATOR, [M]).rate > 0, common_P(GENERATOR, [M, M - M])
         (True, None)
     """
     exact = different(M)
-    found = first_certificate(stack(exact), sizes=sizes, solver=solver)
+    found = first_certificate(stack(exact), sizes=sizes)
     return None if found is None else prove_exactly(role, exact, found.P, found.rate)
 
 
@@ -75,7 +73,7 @@ def some_gain(task: Task, rate: float) -> Array | None:
         True
     """
     candidates = Candidates.of(task)
-    if seems_impossible(candidates.A, task.B, rate=rate, solver=task.solver):
+    if seems_impossible(candidates.A, task.B, rate=rate):
         return None
     for candidate in candidates.largest_margins(rate):
         found = None if candidate.P is None else task.reached(candidate.K, candidate.P, rate)

@@ -12,7 +12,6 @@ from pwatrack.control.refusal import conflict_text
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy, prove_dichotomy
 from pwatrack.lmi.exact_polynomial import Found
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.no_dichotomy import NoDichotomy, refute_dichotomy
 from pwatrack.lmi.role import GENERATOR
@@ -71,12 +70,11 @@ class TrajectoryGenerator:
         return T[:, :, : self.r], T[:, :, self.r :], -np.einsum("lij,lj->li", T, self.form.offset)
 
 
-def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel", preview: bool = True) -> TrajectoryGenerator:
+def trajectory_generator(form: NormalForm, *, preview: bool = True) -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17); or (17±), for a reference known beforehand.
 
     Args:
         form: The normal form (11).
-        solver: Which interior-point solver to ask.
         preview: Whether the reference is known beforehand.
 
     Raises:
@@ -91,11 +89,11 @@ def trajectory_generator(form: NormalForm, *, solver: Solver = "clarabel", previ
         b_eta=b_eta,
         B_eta=B_eta,
         shift=assumption_2_shift(A_eta, B_eta[:, :, : form.r]),
-        certificate=_proved(form, A_eta, solver, preview=preview),
+        certificate=_proved(form, A_eta, preview=preview),
     )
 
 
-def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) -> Found | Dichotomy:
+def _proved(form: NormalForm, A_eta: Array, *, preview: bool) -> Found | Dichotomy:
     """Return a proof of (17), or where cells are not stable by themselves of (17±); if all are, that is (17)."""
     exact = [GENERATOR.exact(X) for X in form.exact.A_eta]
     try:
@@ -106,7 +104,6 @@ def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) ->
             cells=form.plant.cell_names,
             role=GENERATOR,
             subject=(Part.CELLS,),
-            solver=solver,
             hint="the zero dynamics do not converge (non-minimum phase): another output may do",
             remedy=Remedy(Way.STATE_TRACKING),
         )
@@ -114,10 +111,10 @@ def _proved(form: NormalForm, A_eta: Array, solver: Solver, *, preview: bool) ->
         evidence = refusal.evidence
         if not preview or not (isinstance(evidence, Impossibility) and _stuck(evidence.refutation)):
             raise
-        found = prove_dichotomy(GENERATOR, exact, solver=solver)
+        found = prove_dichotomy(GENERATOR, exact)
         if found is not None:
             return found
-        against = refute_dichotomy(GENERATOR, exact, solver=solver)
+        against = refute_dichotomy(GENERATOR, exact)
         told = [problem.followed(_no_preview(against, form.plant.cell_names)) for problem in refusal.problems]
         if against is None:
             raise Undecided(*told) from None

@@ -22,6 +22,7 @@ from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
+from pwatrack.control.trajectory import Preview
 from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.exact import Proof, unsure
 from pwatrack.lmi.exact_polynomial import AnyProof
@@ -102,25 +103,17 @@ class Guarantees:
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
         return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
 
-    def left(self, columns: Array, rho: Array, times: Array, jumps: Array) -> float:
-        """Return a bound of |y − y_d| in the end where x_d is off: e' has more terms, and e jumps.
-
-        W, the measure of (8), has W' ≤ −rate W + Σ ρ_k ‖column_k‖, and grows by Σ jump_k ‖column_k‖ at most.
+    def left(self, columns: Array, preview: Preview) -> float:
+        """Return a bound of ‖y − y_d‖ where η is off by what is played back, from error 0.
 
         Args:
-            columns: What 1 of each of so many signals is of e, in each cell, (l, n, K).
-            rho: Sizes of those in e', (K,).
-            times, jumps: When e jumps, in s and in order, (J,), and sizes of the signals in it, (J, K).
+            columns: What 1 of each η is of e, in each cell, (l, n, p).
+            preview: By how much η is off.
         """
         found = []
         for c, size in zip(self.controller, self.output, strict=True):
             each = np.array([[c.gauge.driven(column) for column in cell.T] for cell in columns])
-            kicks, falls = (jumps @ each.T).max(axis=1, initial=0.0), np.exp(-c.rate * np.diff(times, prepend=0.0))
-            most = W = 0.0
-            for kick, fall in zip(kicks.tolist(), falls.tolist(), strict=True):
-                W = W * fall + kick
-                most = max(most, W)
-            found.append(size * (float((each @ rho).max()) / c.rate + most))
+            found.append(size * preview.measured(each, c.rate))
         return min(found) * OVER_POWERS
 
     @property

@@ -1,28 +1,14 @@
-"""What limits of the inputs leave for the controller: the feedforward's peak, and starts from which none is reached.
+"""What limits of the inputs leave for the controller: the feedforward's peak, and errors with which a run may begin."""
 
-As long as no limit is reached, the loop is the one without limits. So if in that one |u − u_ff| is at most what is left
-beside u_ff at all times, from a start, no limit is ever reached from there, and all that is proved holds with limits.
-"""
-
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import reduce
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, above
-from pwatrack.control.bounds import Loop, Loops
-from pwatrack.control.compensation import Compensation
-from pwatrack.control.synthesis import Design
 from pwatrack.control.within import Within
-from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.lmi.starts import Held, held
-from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 
-_ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 _LITTLE = 1e-3  # of a size: what any error may be at least
 OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
 _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
@@ -110,100 +96,8 @@ class Starts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Promise:
-    """By how much inputs differ from their feedforward at any time, from some starts, in the loop as designed.
-
-    Attributes:
-        starts: Which.
-        loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
-        inputs: Those that have limits.
-        held: The ellipsoid; None where no input is moved.
-        loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
-    """
-
-    starts: Starts
-    loop: Loop
-    inputs: tuple[int, ...]
-    held: Held | None
-    loads: tuple[float, ...]
-
-    def scale(self, left: Array) -> float:
-        """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
-
-        Args:
-            left: How far each input may be from its feedforward, (m,).
-        """
-        sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
-        moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
-        ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
-        return min(ratios, default=np.inf) * (1 - 1e-12)
-
-
-def promises(
-    plant: PWASystem,
-    design: Design,
-    proofs: Sequence[AnyProof],
-    left: Array,
-    starts: Sequence[Starts],
-    added: Compensation | None = None,
-    known: Mapping[str, Held] | None = None,
-) -> tuple[Promise, ...]:
-    """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
-
-    With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
-    are estimated the first is about a time when none acts, and its estimate is 0. The second is looked at where all are
-    constants s at inputs: then x_d does not depend on them, and with Δ of x̂ − x and σ = ŝ − s
-
-        u − u_ff = K (e + Δ) − ŝ = (K (e + Δ) − σ) − s,    u_ff without estimates.
-
-    Args:
-        plant: The system (1).
-        design: Its gains K and L.
-        proofs: What `prove_design` returned for them.
-        left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
-        starts: Which starts.
-        added: What estimates of loads add to the desired trajectory.
-        known: What was proved of starts before, by their kind: then nothing is searched.
-    """
-    K, L = design.exact
-    p = L.shape[0] - plant.exact.B.shape[0]
-    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
-    taken_off = added is not None and _taken_off(added, loops.at_inputs)
-    inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
-    for one in starts:
-        loop: Loop = "controller" if one.delta is None else "joint"
-        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not taken_off)):
-            continue
-        kind: Literal["drive", "input"] = "drive" if p and loop == "joint" else "input"
-        rows = reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
-        acting = np.zeros(p) if one.load is None else np.abs(one.load).sum(axis=1)
-        loads = tuple(
-            float(acting[np.array(loops.at_inputs, dtype=int) == k].sum()) if acting.any() else 0.0 for k in inputs
-        )
-        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
-        if not one.G.any() or not any(rows.centre.entries()):
-            found.append(promise)
-            continue
-        if known is not None:
-            found += [replace(promise, held=known[one.kind])] if one.kind in known else []
-            continue
-        tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
-        best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
-        found += [best] if best else []
-    return tuple(found)
-
-
-def _taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
-    """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
-    if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
-        return False
-    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at_inputs)]
-    return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limited:
-    """Limits of the inputs, and what the feedforward takes of them.
+class Room:
+    """Limits of the inputs, and what the feedforward takes of them: what it leaves is room for errors.
 
     Attributes:
         limits: Lower and upper limit of each input, (m, 2); infinite where there is none.
@@ -212,7 +106,6 @@ class Limited:
         peak: The same from the start of the generator in this run too; None where it could not be followed.
         ever: Whether it is within that after the run too; else no more than the run is spoken of.
         starts: Errors with which a run may begin.
-        promises: What is proved of some of them.
     """
 
     limits: Array
@@ -220,7 +113,6 @@ class Limited:
     peak: Peak | None
     ever: bool = False
     starts: tuple[Starts, ...] = ()
-    promises: tuple[Promise, ...] = ()
 
     @property
     def left(self) -> Array | None:
@@ -239,10 +131,3 @@ class Limited:
         members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
         return Within(starts=e[:, e.any(axis=0)], left=left)
-
-    def promising(self, plant: PWASystem, design: Design, proofs: Sequence[AnyProof], added: Compensation) -> "Limited":
-        """Return the same with what is proved of a design; see `promises`."""
-        left = self.left
-        if left is None:
-            return self
-        return replace(self, promises=promises(plant, design, proofs, left, self.starts, added))

@@ -16,7 +16,6 @@ from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.exact_polynomial import AnyProof, Found, exactly
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.polynomial import Polynomial
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
@@ -31,7 +30,6 @@ def prove_design(
     generator: TrajectoryGenerator | None,
     *,
     sizes: Sizes | None = None,
-    solver: Solver = "clarabel",
 ) -> tuple[AnyProof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
@@ -44,7 +42,6 @@ def prove_design(
         design: Its gains K and L.
         generator: That of output tracking.
         sizes: Those of the plant's signals; those that balance it by default.
-        solver: Which interior-point solver to ask.
 
     Raises:
         Undecided: If a certificate that holds in floating point could not be proved exactly.
@@ -61,11 +58,11 @@ def prove_design(
     ):
         task = Task.of(plant, role, sizes=sizes)
         closed, hull = task.exactly_closed(role.oriented(gain)), (plant if role is CONTROLLER else plant.model).hull
-        proofs += prove_inequality(role, closed, certificate, solver, hull=hull, sizes=task.scale.state)
+        proofs += prove_inequality(role, closed, certificate, hull=hull, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1] and not isinstance(generator.certificate, Dichotomy):
         form, M = generator.form, each(GENERATOR.exact, generator.form.exact.A_eta)
         internal = np.sqrt((form.T[0, generator.r :] ** 2) @ sizes.state**2)
-        proofs += prove_inequality(GENERATOR, M, generator.certificate, solver, hull=form.hull, sizes=1 / internal)
+        proofs += prove_inequality(GENERATOR, M, generator.certificate, hull=form.hull, sizes=1 / internal)
     return tuple(proofs)
 
 
@@ -73,7 +70,6 @@ def prove_inequality(
     role: Role,
     M: Sequence[BallMatrix],
     certificate: Found,
-    solver: Solver,
     *,
     hull: Sequence[int] | None = None,
     sizes: Array | None = None,
@@ -84,7 +80,6 @@ def prove_inequality(
         role: Which inequality it is.
         M: The matrices M_i of it.
         certificate: What shows it in floating point.
-        solver: Which interior-point solver to ask.
         hull: Places of some that have all in their hull: what is affine in M_i is proved for these. A polynomial has an
             N_i of its own for each.
         sizes: Of the states, (n,).
@@ -97,13 +92,11 @@ def prove_inequality(
                 message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
                 subject=(Part.DESIGN,),
                 hint="the case is marginal: ask for less, or try the other solver",
-                remedy=other_solver(solver),
+                remedy=other_solver(),
             )
         )
     if isinstance(certificate, Polynomial):
         return [best]
-    found = least_overshoot_certificate(
-        certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P, solver=solver
-    )
+    found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P)
     second = None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)
     return [best] if second is None else [best, second]

@@ -1,7 +1,6 @@
 """What is said where no gain was found for (8) or (9): the reason, the cells in conflict, how far it was."""
 
 from collections.abc import Sequence
-from typing import get_args
 
 import numpy as np
 
@@ -10,10 +9,10 @@ from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
 from pwatrack.lmi.between import Between
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER
+from pwatrack.lmi.solve import asked
 from pwatrack.rational import floats, unreachable
 
 _SEEN = 1e-9  # of the largest entry of a mode: what is smaller is rounding
@@ -36,7 +35,7 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         if np.isfinite(margin):
             message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
         hint = "another actuator or measured output may help, or the other solver"
-        remedy = other_solver(task.solver)
+        remedy = other_solver()
         return Undecided(Problem(message=message, subject=subject, hint=hint, remedy=remedy))
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
@@ -112,14 +111,14 @@ def _mean_text(mean: Between, task: Task) -> str:
     return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def other_solver(solver: Solver) -> Remedy:
-    """Return the advice to ask the solver that was not asked.
+def other_solver() -> Remedy:
+    """Return the advice to ask another solver: one that has not answered yet.
 
     Example:
-        >>> other_solver("clarabel").figures
+        >>> other_solver().figures
         ('cvxopt',)
     """
-    return Remedy(Way.OTHER_SOLVER, tuple(name for name in get_args(Solver) if name != solver))
+    return Remedy(Way.OTHER_SOLVER, ("clarabel" if asked() == "cvxopt" else "cvxopt",))
 
 
 def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:

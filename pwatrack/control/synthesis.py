@@ -17,7 +17,6 @@ from pwatrack.control.task import Task, reaches
 from pwatrack.control.within import Within
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.lmi.exact_polynomial import Found
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.precise import Precise, square
 from pwatrack.lmi.presolve import corners
@@ -69,7 +68,6 @@ def synthesize(
     observer: Goal = DEFAULT,
     sizes: Sizes | None = None,
     within: Within | None = None,
-    solver: Solver = "clarabel",
 ) -> Design:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
@@ -79,7 +77,6 @@ def synthesize(
         observer: What L is to achieve.
         sizes: Those of the plant's signals; those that balance it by default.
         within: What the inputs may do and from which errors, see `gain`.
-        solver: Which interior-point solver to ask.
 
     Raises:
         Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
@@ -93,8 +90,8 @@ def synthesize(
         (True, True)
     """
     sizes = sizes or Sizes.of(plant)
-    K, P_c = gain(Task.of(plant, CONTROLLER, solver, sizes=sizes), controller, within)
-    L_transposed, P_o = gain(Task.of(plant, OBSERVER, solver, sizes=sizes), observer)
+    K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
+    L_transposed, P_o = gain(Task.of(plant, OBSERVER, sizes=sizes), observer)
     return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
@@ -110,7 +107,7 @@ def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tupl
 
     Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
     from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
-    one without bounds: from which errors it keeps them is said by `control.limits`. Other goals say themselves what the
+    one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
     gain is to be.
 
     Args:
@@ -173,7 +170,6 @@ def given(task: Task, K: Array) -> tuple[Array, Found]:
         cells=task.cells,
         role=task.role,
         subject=(task.role.part, Part[letter]),
-        solver=task.solver,
         hint=f"mind the signs: u = K (x̂ − x_d) + u_ff, + L (ŷ − y); or leave {letter} out to have it designed",
     )
     return K, certificate
@@ -203,7 +199,7 @@ class Search:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
         if rate not in self._refutations:
             task = self.task
-            self._refutations[rate] = refute(task.A, task.B, rate=rate, solver=task.solver, exact=task.centres)
+            self._refutations[rate] = refute(task.A, task.B, rate=rate, exact=task.centres)
         return self._refutations[rate]
 
     def first(self, candidates: Iterable[Candidate], rate: float, *, soon: bool = False) -> Proved | None:
@@ -216,16 +212,14 @@ class Search:
         closed = self.task.unlike(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
-        certificate = best_certificate(
-            closed, start=candidate.P, sizes=self.task.scale.state, soon=soon, solver=self.task.solver
-        )
+        certificate = best_certificate(closed, start=candidate.P, sizes=self.task.scale.state, soon=soon)
         if certificate is None and candidate.P is not None:
             certificate = self.task.reached_exactly(candidate.K, candidate.P)
         return (candidate.K, certificate) if certificate is not None and reaches(certificate, rate) else None
 
     def regulator(self, rate: float) -> Proved | None:
         """Return the gain of the least cost, or of the largest margin where that has no proof."""
-        if seems_impossible(self.candidates.A, self.task.B, rate=rate, solver=self.task.solver) and self.refuted(rate):
+        if seems_impossible(self.candidates.A, self.task.B, rate=rate) and self.refuted(rate):
             return None
         costs = self.candidates.regulator(rate)
         found = self.first((c for c in (next(costs, None),) if c is not None), rate)
@@ -271,7 +265,7 @@ class Search:
         printed = short(K, digits)
         closed = different(self.task.exactly_closed(printed))
         start = np.eye(len(K.T)) if start is None else start
-        certificate = precise_certificate(at, self.task.role, closed, start, solver=self.task.solver)
+        certificate = precise_certificate(at, self.task.role, closed, start)
         return (printed, certificate) if certificate is not None and reaches(certificate, rate) else None
 
     def _turned(self, at: Precise, rate: float) -> Proved | None:
@@ -282,7 +276,6 @@ class Search:
             A=at.system([A[i] for i in chosen]),
             B=at.input(B),
             cells=[self.task.cells[i] for i in chosen],
-            solver=self.task.solver,
         )
         finite = np.isfinite(inside.A).all() and np.isfinite(inside.B).all()
         found = Search(inside).regulator(rate) if len(chosen) > 1 and finite else None

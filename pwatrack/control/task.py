@@ -11,7 +11,6 @@ from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import Part, Subject
 from pwatrack.lmi.certificate import Certificate, likely_rate, prove
 from pwatrack.lmi.exact import RATE_GIVEN, prove_exactly
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
@@ -33,7 +32,6 @@ class Task:
         cells: Names of the l cells.
         states: Names of the states of the plant, the first of the n.
         sizes: Those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
-        solver: Which interior-point solver to ask.
     """
 
     A: Array
@@ -43,16 +41,14 @@ class Task:
     cells: Sequence[str]
     states: Sequence[str] = ()
     sizes: Sizes | None = None
-    solver: Solver = "clarabel"
 
     @classmethod
-    def of(cls, plant: PWASystem, role: Role, solver: Solver = "clarabel", *, sizes: Sizes | None = None) -> "Task":
+    def of(cls, plant: PWASystem, role: Role, *, sizes: Sizes | None = None) -> "Task":
         """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here.
 
         Args:
             plant: The system (1).
             role: CONTROLLER or OBSERVER.
-            solver: Which interior-point solver to ask.
             sizes: Those of the plant's signals; those that balance it by default.
         """
         sizes, seen = sizes or Sizes.of(plant), plant.observed
@@ -65,7 +61,6 @@ class Task:
             cells=(plant if role is CONTROLLER else plant.model).cell_names,
             states=plant.states,
             sizes=sizes if role is CONTROLLER else sizes.dual(),
-            solver=solver,
         )
 
     @property

@@ -34,6 +34,22 @@ class Preview:
     jumps: Array
     lead: float | None
 
+    def measured(self, each: Array, rate: float) -> float:
+        """Return what residual and jumps leave of a measure W that has W' ≤ −rate W of what is off.
+
+        W' is at most Σ residual_k each_k more than that, and W grows by Σ jump_k each_k at most where η jumps.
+
+        Args:
+            each: W of what 1 of each η makes of x_d, in each cell, (l, p).
+            rate: In 1/s.
+        """
+        kicks = (self.jumps @ each.T).max(axis=1, initial=0.0)
+        most = W = 0.0
+        for kick, fall in zip(kicks.tolist(), np.exp(-rate * np.diff(self.times, prepend=0.0)).tolist(), strict=True):
+            W = W * fall + kick
+            most = max(most, W)
+        return float((each @ self.residual).max()) / rate + most
+
 
 @dataclass(frozen=True, kw_only=True)
 class DesiredTrajectory:

@@ -147,7 +147,7 @@ def _readme(c: CSource, vector: Vector) -> str:
     if c.given:
         reference = f"`ref` is, in this order: {', '.join(program.reference)}."
 
-    failed = f"Its run FAILED: {'; '.join(c.failed)}. " if c.failed else ""
+    failed = f"Its run FAILED: {'; '.join(c.file.failed)}. " if c.file.failed else ""
     return _README.format(
         name=c.name,
         title=c.file.name,

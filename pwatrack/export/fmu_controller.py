@@ -29,7 +29,7 @@ def controller_parts(c: CSource, duration: float, resources: dict[str, bytes]) -
         if c.unproved
         else " ".join(["Proved for the gains as printed.", *c.claims])
     )
-    failed = f"FAILED: {'; '.join(c.failed)}. " if c.failed else ""
+    failed = f"FAILED: {'; '.join(c.file.failed)}. " if c.file.failed else ""
     model = Model(
         identifier=f"{c.name}_controller",
         title=f"{c.file.name}: controller",

@@ -147,7 +147,7 @@ def mat_file(source: Source, vector: Vector) -> bytes:
         "controller": _content(source.file.model_dump()),
         "vector": {"y": vector.y, "ref": vector.w, "u": np.array(u), "origin": vector.origin},
         "not_proved": _content(list(source.unproved)),
-        "failed": _content(list(source.failed)),
+        "failed": _content(list(source.file.failed)),
     }
     found = BytesIO()
     savemat(found, known, long_field_names=True, do_compression=True)  # type: ignore[arg-type]  # a file will do

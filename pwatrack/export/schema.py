@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-FORMAT = "pwatrack controller 3"
+FORMAT = "pwatrack controller 4"
 
 
 def _visible(text: str) -> str:
@@ -171,9 +171,10 @@ class ControllerFile(Part):
     merged, else null.
     `sha256` is that of the rest: JSON with sorted keys, no white space, and the shortest decimals of each double.
     `proof` is the digest of certificate.json; `open` says what its theorems do not speak of.
+    `failed` says what its run did not achieve, in an export too; [] where it did all, or there was no run.
     """
 
-    format: Literal["pwatrack controller 3"]
+    format: Literal["pwatrack controller 4"]
     sha256: Digest
     name: Text
     spec_sha256: Digest
@@ -183,6 +184,7 @@ class ControllerFile(Part):
     claims: Texts
     practical: list[FinalBound] | None
     open: Texts
+    failed: Texts
     plant: Plant
     K: Matrix
     L: Matrix

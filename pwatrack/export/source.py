@@ -43,7 +43,6 @@ class Source:
         single: Whether in single floats.
         given: Whether the reference comes from outside.
         unproved: What is not proved of it, in sentences.
-        failed: What its run did not achieve, in sentences.
     """
 
     file: ControllerFile
@@ -51,7 +50,6 @@ class Source:
     single: bool
     given: bool
     unproved: tuple[str, ...]
-    failed: tuple[str, ...] = ()
 
     @property
     def real(self) -> Any:
@@ -133,7 +131,7 @@ class Source:
         lines = [
             part.name,
             "",
-            *(f"FAILED: {line}" for line in self.failed),
+            *(f"FAILED: {line}" for line in part.failed),
             f"Run once every {self.program.sampling.sample_time!r} s.",
             "Written by pwatrack. It belongs to its user: see LICENSE-EXCEPTION of pwatrack.",
             *proved,

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, up
+from pwatrack.arrays import Array
+from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Follows, Piece, Program, program
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -22,7 +23,13 @@ _SINGLE = float(np.finfo(np.float32).max)
 
 
 def content(
-    spec: Spec, controller: Controller, *, proof: str, generator: dict[str, Any] | None, start: dict[str, Any] | None
+    spec: Spec,
+    controller: Controller,
+    *,
+    proof: str,
+    generator: dict[str, Any] | None,
+    start: dict[str, Any] | None,
+    failed: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what controller.json holds.
 
@@ -32,6 +39,7 @@ def content(
         proof: The digest of certificate.json.
         generator: What generator.json holds.
         start: `x_hat` (with what it has of loads) and `eta_hat`, where they are known.
+        failed: What its run did not achieve, in sentences.
     """
     trajectory, conditions = controller.trajectory, spec.scenario.conditions
     found: dict[str, Any] = {
@@ -41,9 +49,10 @@ def content(
         "set": {name: str(value) for name, value in spec.overrides.items()},
         "tracking": spec.problem.tracking,
         "proof": proof,
-        "claims": claims(spec, controller),
-        "practical": _practical(spec, controller),
+        "claims": sentences(spec.words, controller),
+        "practical": ends_below(spec.words, controller) or None,
         "open": [] if trajectory.growth is None else [trajectory.growth.message],
+        "failed": list(failed),
         "plant": _plant(spec, controller),
         "K": controller.design.K.tolist(),
         "L": controller.design.L.tolist(),
@@ -261,36 +270,6 @@ def _plant(spec: Spec, controller: Controller) -> dict[str, Any]:
         "tracked_rows": plant.tracked.tolist(),
         "loads": loads,
     }
-
-
-def claims(spec: Spec, controller: Controller) -> list[str]:
-    """Return what is proved of the tracking error, in sentences: a summary and all that leaves say these."""
-    practical = _practical(spec, controller)
-    if practical is not None:
-        return [
-            f"the error of {one['signal']} ends below {up(one['below'])} {one['unit']}".rstrip()
-            + "; it need not go to 0"
-            for one in practical
-        ]
-    trajectory, names = controller.trajectory, controller.plant.tracked_names
-    desired = "x_d" if controller.generator is None else ", ".join(f"{name}_d" for name in names)
-    condition = "" if trajectory.bounded else ", as long as x_d stays bounded, which is not proved"
-    if trajectory.preview is not None:
-        units = {spec.problem.units.get(name, "") for name in names}
-        left = f"{up(controller.left_by_preview)} {units.pop() if len(units) == 1 else ''}".rstrip()
-        condition = f", but for what is played back, which leaves at most {left} of it"
-    return [f"all solutions track {desired} with error going to 0{condition}"]
-
-
-def _practical(spec: Spec, controller: Controller) -> list[dict[str, Any]] | None:
-    """Return below what each tracked signal ends, where that is all that is proved of it."""
-    if controller.practical is None:
-        return None
-    units, final = spec.problem.units, controller.practical.final
-    return [
-        {"signal": name, "below": final[controller.tracking, k], "unit": str(units.get(name, ""))}
-        for k, name in enumerate(controller.error_names)
-    ]
 
 
 def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:

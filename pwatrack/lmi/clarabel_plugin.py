@@ -21,7 +21,7 @@ from picos.modeling.solution import (
 from picos.solvers.solver import Solver
 from scipy import sparse
 
-from pwatrack.lmi.clarabel_solver import minimise
+from pwatrack.lmi.cone_program import minimise
 
 _STATUS = {
     clarabel.SolverStatus.Solved: (SS_OPTIMAL, SS_OPTIMAL, PS_FEASIBLE),

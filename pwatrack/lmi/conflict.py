@@ -9,7 +9,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.faces import faces, guessed_faces
-from pwatrack.lmi.inequality import Inequality, Solver
+from pwatrack.lmi.inequality import Inequality
 from pwatrack.lmi.multipliers import refutes, refutes_any_sign
 from pwatrack.lmi.program import least_violation
 from pwatrack.lmi.rounding import exact_multipliers
@@ -32,7 +32,6 @@ class _Faces:
         R: (n, ρ).
         N: N_i (k_i, n).
         bases: Orthonormal columns of the same spans, (n, k_i).
-        solver: Which interior-point solver to ask.
         proves: Whether multipliers by place prove something of matrices.
     """
 
@@ -40,7 +39,6 @@ class _Faces:
     exact_A: Sequence[Rational]
     R: Rational
     N: Sequence[Rational]
-    solver: Solver
     proves: Callable[[Sequence[Rational], Mapping[int, Rational], Rational], bool]
 
     @cached_property
@@ -49,7 +47,7 @@ class _Faces:
 
     def sought(self, cells: Sequence[int], gap: float) -> list[Array] | None:
         """Return what `sought` does for some cells."""
-        return sought(self.A[cells], [self.bases[i] for i in cells], floats(self.R), self.solver, gap=gap)
+        return sought(self.A[cells], [self.bases[i] for i in cells], floats(self.R), gap=gap)
 
     def proved(self, cells: Sequence[int]) -> dict[int, Rational] | None:
         """Return multipliers for some cells that are proved, by cell, or None."""
@@ -63,9 +61,7 @@ class _Faces:
         return dict(zip(cells, Z, strict=True))
 
 
-def conflict(
-    A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rational, solver: Solver
-) -> dict[int, Rational] | None:
+def conflict(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rational) -> dict[int, Rational] | None:
     """Return proved multipliers for several cells, none of which is stuck alone, by cell, or None.
 
     Where those cells that bear nearly all of the weight prove it alone, they do. Where multipliers are singular, they
@@ -74,7 +70,6 @@ def conflict(
     Args:
         A, B: (l, n, n) and (n, m), and
         exact_A, exact_B: the same exactly.
-        solver: Which interior-point solver to ask.
     """
     at = Coordinates.balanced(A, B)
     D = decimals(at.T)
@@ -84,20 +79,20 @@ def conflict(
     def proves(A: Sequence[Rational], Z: Mapping[int, Rational], kernel: Rational) -> bool:
         return refutes(A, exact_B, Z, kernel=kernel)
 
-    found = _found(_Faces(A=scaled, exact_A=exact_A, R=R, N=N, solver=solver, proves=proves))
+    found = _found(_Faces(A=scaled, exact_A=exact_A, R=R, N=N, proves=proves))
     return None if found is None else {i: D.inv() * Z_i * D.inv() for i, Z_i in found.items()}
 
 
-def alike(A: Array, exact_A: Sequence[Rational], solver: Solver) -> dict[int, Rational] | None:
+def alike(A: Array, exact_A: Sequence[Rational]) -> dict[int, Rational] | None:
     """Return proved multipliers against a P of any sign, by cell, or None: Σ (Z_i A_i + A_iᵀ Z_i) = 0 then.
 
     Args:
-        A, exact_A, solver: As for `conflict`.
+        A, exact_A: As for `conflict`.
 
     Example: what turns without growing has no P.
 
         >>> A = np.array([[0.0, 1.0], [-4.0, 0.0]])
-        >>> alike(A[None], [decimals(A)], "clarabel")[0].tolist() != [[0, 0], [0, 0]]
+        >>> alike(A[None], [decimals(A)])[0].tolist() != [[0, 0], [0, 0]]
         True
     """
     at = Coordinates.balanced(A, np.zeros((A.shape[1], 0)))
@@ -107,7 +102,7 @@ def alike(A: Array, exact_A: Sequence[Rational], solver: Solver) -> dict[int, Ra
     def proves(A: Sequence[Rational], Z: Mapping[int, Rational], _: Rational) -> bool:
         return refutes_any_sign(A, Z)
 
-    found = _found(_Faces(A=at.system(A), exact_A=exact_A, R=unit, N=[unit] * len(A), solver=solver, proves=proves))
+    found = _found(_Faces(A=at.system(A), exact_A=exact_A, R=unit, N=[unit] * len(A), proves=proves))
     return None if found is None else {i: D.inv() * Z_i * D.inv() for i, Z_i in found.items()}
 
 
@@ -131,7 +126,7 @@ def _found(inside: _Faces) -> dict[int, Rational] | None:
     return None
 
 
-def sought(A: Array, bases: Sequence[Array], blind: Array, solver: Solver, *, gap: float) -> list[Array] | None:
+def sought(A: Array, bases: Sequence[Array], blind: Array, *, gap: float) -> list[Array] | None:
     """Look for Z_i = Q_i U_i Q_iᵀ ⪰ 0 with S R = 0 and S ⪰ t I on the complement of R, S = Σ (Z_i A_i + A_iᵀ Z_i).
 
     They are the multipliers of Q_iᵀ (A_i P + P A_iᵀ) Q_i ⪯ t I with the least t, where P ⪰ 0 is asked on that
@@ -141,7 +136,6 @@ def sought(A: Array, bases: Sequence[Array], blind: Array, solver: Solver, *, ga
         A: (l, n, n).
         bases: Q_i (n, k_i), orthonormal.
         blind: R (n, ρ).
-        solver: Which interior-point solver to ask.
         gap: Of t: with a large one the U_i are well inside, and can be rounded; with a small one as singular as at the
             least t.
 
@@ -160,7 +154,7 @@ def sought(A: Array, bases: Sequence[Array], blind: Array, solver: Solver, *, ga
         inequalities.append(
             Inequality(L=L, R=Q, M=nothing[:, :, :0], N=np.zeros((len(some), n, order)), constant=nothing)
         )
-    found = solve(least_violation(inequalities, n - rank), solver, gap=gap, against=0.0)
+    found = solve(least_violation(inequalities, n - rank), gap=gap, against=0.0)
     if found is None or found.multipliers is None or found.objective < 0:
         return None
     places = [i for some in cells.values() for i in some]

@@ -17,7 +17,7 @@ from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import exponents_of, left_side, margin_of, unpacked, whole
-from pwatrack.lmi.inequality import Inequality, Solver, lyapunov
+from pwatrack.lmi.inequality import Inequality, lyapunov
 from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import Program, of_P
 from pwatrack.lmi.role import Role
@@ -50,13 +50,12 @@ class Dichotomy:
         return unpacked(self.integers, self.exponents)
 
 
-def prove_dichotomy(role: Role, M: Sequence[BallMatrix], *, solver: Solver = "clarabel") -> Dichotomy | None:
+def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
     """Find such a P and prove it exactly, or return None.
 
     Args:
         role: Which inequality it takes the place of.
         M: The matrices M_i of it.
-        solver: Which interior-point solver to ask.
 
     Example: two saddles with one P, diag(1, −1).
 
@@ -67,11 +66,11 @@ def prove_dichotomy(role: Role, M: Sequence[BallMatrix], *, solver: Solver = "cl
         >>> prove_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)]) is None  # no P: their numbers differ
         True
     """
-    proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M]), solver))
+    proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M])))
     return next((proof for proof in proofs if proof is not None), None)
 
 
-def _candidates(M: Array, solver: Solver) -> Iterator[Array]:
+def _candidates(M: Array) -> Iterator[Array]:
     """Yield matrices P: that of the mean of the cells, then one of a large margin where that one is diag(±1)."""
     mean = M.mean(axis=0)
     start = _hyperbolic(mean)
@@ -84,7 +83,7 @@ def _candidates(M: Array, solver: Solver) -> Iterator[Array]:
     T, inverse = vectors * np.sqrt(np.abs(values)), (vectors / np.sqrt(np.abs(values))).T
     at = inverse @ extreme(M) @ T
     speed = float(np.linalg.norm(at, 2, axis=(1, 2)).max())
-    found = solve(_largest_margin(lyapunov(at / speed)), solver, gap=_NEAR)
+    found = solve(_largest_margin(lyapunov(at / speed)), gap=_NEAR)
     if found is not None:
         yield T @ found.P @ T.T
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, symmetric_part
 
-Solver = Literal["clarabel", "cvxopt"]
+Solver = Literal["structured", "clarabel", "cvxopt"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
 
 
 def weighted(M: Array, W: Array) -> Inequality:
-    """M_i P + P M_iᵀ + W ⪯ 0: P bounds the integral of a quadratic form (see `control.cost`).
+    """M_i P + P M_iᵀ + W ⪯ 0: P bounds the integral of a quadratic form (see `claims.cost`).
 
     Args:
         M: (l, n, n).

@@ -10,7 +10,6 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.between import Between, seems_stuck_between, stuck_between
 from pwatrack.lmi.conflict import conflict, sought
 from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.multipliers import whole
 from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.presolve import corners
@@ -66,7 +65,6 @@ def refute(
     B: Array,
     *,
     rate: float = 0.0,
-    solver: Solver = "clarabel",
     exact: tuple[Sequence[Rational], Rational] | None = None,
 ) -> Refutation | None:
     """Prove that no P ≻ 0, Y have A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ≺ 0 for all cells, or return None.
@@ -75,7 +73,6 @@ def refute(
         A: (l, n, n).
         B: (n, m); m = 0 where the gain is given.
         rate: In 1/s, exactly as printed.
-        solver: Which interior-point solver to ask for multipliers.
         exact: The matrices A_i and B that the proof is about, where they are not the decimals that A and B print as.
 
     Example: an integrator cannot be stabilised from nowhere.
@@ -94,17 +91,17 @@ def refute(
     mean = stuck_between(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
     if mean is not None:
         return Refutation(Z={}, eigenvalues={}, between=mean.of(at))
-    found = conflict(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B, solver)
+    found = conflict(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
     if found is None:
         return None
     return Refutation(Z=whole({at[i]: Z_i for i, Z_i in found.items()}), eigenvalues={})
 
 
-def seems_impossible(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = "clarabel") -> bool:
+def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
     """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one.
 
     Args:
-        A, B, rate, solver: As for `refute`.
+        A, B, rate: As for `refute`.
 
     Example:
         >>> unstable = np.array([[[0.1]]])
@@ -118,4 +115,4 @@ def seems_impossible(A: Array, B: Array, *, rate: float = 0.0, solver: Solver = 
     if seems_stuck_between(A + rate * np.eye(A.shape[1]), B):
         return True
     scaled = at.system(A + rate * np.eye(A.shape[1]))
-    return sought(scaled, [seen] * len(A), orth(at.input(B)), solver, gap=_HINT) is not None
+    return sought(scaled, [seen] * len(A), orth(at.input(B)), gap=_HINT) is not None

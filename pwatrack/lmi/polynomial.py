@@ -22,13 +22,12 @@ P + N_0 has the same V, and the difference in sym(P 𝒜_i) is half of d/dt mᵀ
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 from scipy.linalg import eigh
 
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.lmi.clarabel_solver import minimise, positive
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.monomials import Monomials, symmetric_of, upper
+from pwatrack.lmi.solve import semidefinite
 
 DEGREES = (4, 6, 8, 10)  # that are tried
 MOST_ROWS = 1200  # of a program: one takes half a second then, its time grows as their cube
@@ -154,15 +153,13 @@ class _Sought:
         ]
         for k in range(cells):
             G[2 + k, :, 1 + self.size + k * free : 1 + self.size + (k + 1) * free] = self.nothing
-        h = np.concatenate([np.zeros(self.size), self.one, np.zeros(cells * self.size)])
+        h = np.zeros((cells + 2, self.size))
+        h[1] = self.one
         cost = np.zeros(G.shape[2])
         cost[0] = -1.0
-        rows = sparse.csc_matrix(G.reshape(-1, len(cost)))
-        try:
-            answer = minimise(cost, rows, h, [positive(self.order)] * (cells + 2))
-        except ArithmeticError:
+        x = semidefinite(cost, G, h, self.order)
+        if x is None:
             return None
-        x = np.array(answer.x)
         P = symmetric_of(x[1 : 1 + self.size], self.order)
         y = x[1 + self.size :].reshape(cells, free)
         N = symmetric_of((self.nothing @ y.T).T, self.order)

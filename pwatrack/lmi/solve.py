@@ -1,35 +1,96 @@
-"""Which method solves a program. What comes back proves nothing before it is looked at."""
+"""Who is asked for a solution. What comes back proves nothing before it is looked at."""
 
-from pwatrack.lmi import primal_dual
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeVar
+
+from pwatrack.arrays import Array
+from pwatrack.lmi import cone_program, primal_dual
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.program import Program, Solution
 
+Found = TypeVar("Found")
+
+_asked: ContextVar[Solver] = ContextVar("asked", default="structured")
+_answered: ContextVar[Counter[str] | None] = ContextVar("answered", default=None)
+
+
+@contextmanager
+def asking(solver: Solver) -> Iterator[None]:
+    """Have a solver asked for all programs within: no inequality, and no search, needs to know which one it is.
+
+    Args:
+        solver: "structured" is `primal_dual`, and Clarabel for what it gives up. "clarabel" and "cvxopt" are asked
+            through PICOS, and nobody else.
+
+    Example:
+        >>> import numpy as np
+        >>> from pwatrack.lmi.inequality import lyapunov
+        >>> from pwatrack.lmi.program import largest_margin
+        >>> with asking("cvxopt"), answers() as answered:
+        ...     found = solve(largest_margin(lyapunov(-np.eye(2)[None])))
+        >>> dict(answered)
+        {'cvxopt': 1}
+    """
+    token = _asked.set(solver)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+@contextmanager
+def answers() -> Iterator[Counter[str]]:
+    """Count who answers the programs within; "nobody" where nothing was found."""
+    token = _answered.set(counted := Counter[str]())
+    try:
+        yield counted
+    finally:
+        _answered.reset(token)
+
+
+def asked() -> Solver:
+    """Return who is asked here."""
+    return _asked.get()
+
 
 def solve(
-    program: Program,
-    solver: Solver = "clarabel",
-    *,
-    gap: float = 1e-6,
-    against: float | None = None,
-    after: Solution | None = None,
+    program: Program, *, gap: float = 1e-6, against: float | None = None, after: Solution | None = None
 ) -> Solution | None:
     """Return a minimiser of a program, or None if nothing was found.
 
-    The method of `primal_dual` is asked first, unless CVXOPT is wanted; what it gives up is for Clarabel.
-
     Args:
         program: What is asked.
-        solver: Which solver PICOS asks.
         gap: Share of the objective that may be missed; PICOS' solvers miss less.
         against: It is enough to know whether the objective can be below this number: see `primal_dual`.
         after: The answer to a program that differs little, as the one before it in a sequence.
     """
     if not program.finite:
         return None
-    if solver == "clarabel":
+    if asked() == "structured":
         found = primal_dual.solve(program, gap=gap, against=against, after=after)
         if found is not None:
-            return found
+            return _by("structured", found)
     from pwatrack.lmi import picos_model  # imports PICOS, which takes a while
 
-    return picos_model.solve(program, solver)
+    other: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
+    return _by(other, picos_model.solve(program, other))
+
+
+def semidefinite(cost: Array, rows: Array, sides: Array, order: int) -> Array | None:
+    """Return the answer to a program that is no inequality in P and Y: see `cone_program`, which has the arguments.
+
+    `primal_dual` does not know such programs: Clarabel is asked in its place.
+    """
+    solver: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
+    return _by(solver, cone_program.semidefinite(cost, rows, sides, order, solver))
+
+
+def _by(solver: Solver, found: Found | None) -> Found | None:
+    """Return an answer, counted."""
+    counted = _answered.get()
+    if counted is not None:
+        counted[solver if found is not None else "nobody"] += 1
+    return found

@@ -84,9 +84,9 @@ class Profile:
     end: float | None
 
     def signal(self, r: int) -> Signal:
-        """Return the signal; with `smooth` it has r continuous derivatives."""
-        averages = r if self.continuous else r + 1
-        course = self.corners if self.smooth is None or not averages else smoothed(self.corners, self.smooth, averages)
+        """Return the signal; with `smooth` it has r continuous derivatives, and corners are rounded whatever r is."""
+        averages = max(r, 1) if self.continuous else r + 1
+        course = self.corners if self.smooth is None else smoothed(self.corners, self.smooth, averages)
         return Signal.piecewise_polynomial(course, self.end)
 
 

@@ -1,7 +1,7 @@
 """What controller.json says of a design, with the digest of its proof."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,15 +33,16 @@ class Written:
     controller: dict[str, Any] | None
 
 
-def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None) -> Written:
-    """Return a design as its files tell it; `start` as for `stored.content`."""
+def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None, failed: Sequence[str] = ()) -> Written:
+    """Return a design as its files tell it; `start` and `failed` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
     if not has_tables(controller):
         return Written(certificate, None, None)
     generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
     proof = hashlib.sha256(certificate.encode()).hexdigest()
     known = None if start is None else dict(start)
-    return Written(certificate, generator, content(spec, controller, proof=proof, generator=generator, start=known))
+    told = content(spec, controller, proof=proof, generator=generator, start=known, failed=failed)
+    return Written(certificate, generator, told)
 
 
 def has_tables(controller: Controller) -> bool:

@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -12,26 +11,27 @@ import numpy as np
 
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
-from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.again import check_same, with_gains
 from pwatrack.export.c_project import write_c
 from pwatrack.export.c_source import CSource, prefix
 from pwatrack.export.matlab import write_matlab
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector
-from pwatrack.export.stored import parsed, read
+from pwatrack.export.stored import digest, parsed, read
 from pwatrack.export.structured_text import write_structured_text
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
+from pwatrack.report.files import missed
+from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.required import required
-from pwatrack.report.run_folder import SPEC, json_text, named_spec, read_index
-from pwatrack.report.verify import CERTIFICATE, verify
+from pwatrack.report.run_folder import json_text, read_index
+from pwatrack.report.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.study import pipeline
 
-CONTROLLER = "controller.json"
 _STEPS = 1000  # of a test vector
 Target = Literal["c", "st", "mat"]
 _Code = TypeVar("_Code", bound=Source)
@@ -45,7 +45,6 @@ class Subject:
         unproved: What of it is not proved.
         vector: What it reads in a test.
         spec: Its spec, if that is there.
-        failed: What its run did not achieve; () too where there was none.
     """
 
     file: ControllerFile
@@ -53,11 +52,10 @@ class Subject:
     unproved: tuple[str, ...]
     vector: Vector
     spec: Spec | None
-    failed: tuple[str, ...] = ()
 
     def source(self, kind: type[_Code], name: str, *, given: bool, single: bool = False) -> _Code:
         """Return what its code is written from."""
-        return kind(file=self.file, name=name, single=single, given=given, unproved=self.unproved, failed=self.failed)
+        return kind(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
 
     @property
     def beside(self) -> dict[str, str]:
@@ -127,12 +125,12 @@ def subject_of(
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
     if stored(target, parameters, sample_time):
         path = target / CONTROLLER if target.is_dir() else target
-        found = replace(_stored(path, given), failed=tuple(_missed(read_index(path.parent) or {})))
+        found = _stored(path, given)
     else:
         found = of_spec(load_spec(target, parameters), sample_time, given)
     against = [
         ("not proved", found.unproved, "--unproved", unproved),
-        ("its run failed", found.failed, "--failed", failed),
+        ("its run failed", found.file.failed, "--failed", failed),
     ]
     problems = [
         Problem(
@@ -147,15 +145,6 @@ def subject_of(
     if problems:
         raise CheckFailed(*problems)
     return found
-
-
-def _missed(index: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a run did not achieve, as its index says it."""
-    if index.get("exit") != ExitCode.CHECK_FAILED:
-        return
-    missed = [asked["said"] for asked in index.get("requirements", ()) if not asked["met"]]
-    said = (index.get("simulation") or {}).get("said") or f"it ended with exit {ExitCode.CHECK_FAILED:d}"
-    yield from missed or [said]
 
 
 def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
@@ -186,8 +175,9 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
     if not spec.requirements:
         return found
     result = pipeline.simulate(spec, controller)
-    missed = [checked.text for checked in required(spec, controller, result) if not checked.met]
-    return replace(found, failed=(*missed, *([result.outcome.text] if result.outcome.code else [])))
+    failed = missed(required(spec, controller, result), result)
+    told = found.file.model_dump() | {"failed": failed}
+    return replace(found, file=parsed(told | {"sha256": digest(told)}, spec.path))
 
 
 def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: bool, steps: int) -> Subject:
@@ -261,10 +251,7 @@ def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
 
 
 def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
-    """Return the spec that the run in a folder was made from: the file if it is as it was, else the copy of it."""
-    for path in (named_spec(read_index(folder) or {}, folder), folder / SPEC):
-        missing = (OSError, InvalidSpec) if path.name == SPEC else (OSError,)  # tables that it refers to do not move
-        with suppress(*missing):
-            if hashlib.sha256(path.read_bytes()).hexdigest() == file.spec_sha256:
-                return load_spec(path, file.set)
-    return None
+    """Return the spec that the run in a folder was made from, as it was then; None where that is not at hand."""
+    path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
+    spec = None if path is None else load(path, file.set)
+    return spec if spec is not None and spec.sha256 == file.spec_sha256 else None

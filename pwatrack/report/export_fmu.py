@@ -11,7 +11,8 @@ from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.fmu_description import Version
 from pwatrack.export.fmu_plant import plant_parts
 from pwatrack.export.stored import read
-from pwatrack.report.export import CONTROLLER, its_spec, stored, subject_of, unwritable
+from pwatrack.report.export import its_spec, stored, subject_of, unwritable
+from pwatrack.report.verify import CONTROLLER
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 

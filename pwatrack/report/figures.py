@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
-from pwatrack.report.wording import load_kind
+from pwatrack.control.words import load_kind
 from pwatrack.simulation.region import Box, Region
 from pwatrack.study.result import Result
 from pwatrack.study.variation import EnsembleResult
@@ -17,11 +16,12 @@ from pwatrack.study.variation import EnsembleResult
 
 def measures(result: Result) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
-    steady_state = result.steady_state
+    steady_state, figures = result.steady_state, asdict(result.figures)
+    del figures["sampled"]
     if steady_state is None:
-        return asdict(result.figures)
+        return figures
     largest = float(np.abs(steady_state.multipliers).max())
-    return asdict(result.figures) | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
+    return figures | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
 
 
 def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,6 +54,7 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
                 ("mode_changes", kept.mode_changes),
             )
         },
+        "sampled": sorted({name for figures in many.figures for name in figures.sampled}),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
         "outcomes": dict(Counter(outcome.kind for outcome in many.outcomes)),
         "failed": [number + 1 for number in many.failed],
@@ -71,26 +72,6 @@ def member_figures(many: EnsembleResult) -> dict[str, Array]:
         for signal in dict.fromkeys(signal for values in found for signal in values):
             columns[f"{name}_{signal}"] = np.array([values.get(signal, np.nan) for values in found])
     return columns
-
-
-def gain_figures(controller: Controller) -> dict[str, float]:
-    """Return the figures of a design for run.json: sizes of the gains, and what is proved of them."""
-    guarantees = controller.guarantees
-    robust_rate, of_K, of_L = guarantees.robust
-    norm_K, norm_L = controller.sizes.norms(controller.design.K, controller.design.L)
-    promised = {}
-    for part in ("controller", "observer", "generator"):
-        if proved := getattr(guarantees, part):
-            promised[f"{part}_rate"] = max(p.rate for p in proved)
-    return {
-        "norm_K": norm_K,
-        "norm_L": norm_L,
-        **promised,
-        "rate": guarantees.rate,
-        "robust_rate": robust_rate,
-        "robust_share_K": of_K,
-        "robust_share_L": of_L,
-    }
 
 
 def load_content(result: Result) -> dict[str, dict[str, Any]]:

@@ -4,36 +4,38 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.claims.bounds import BOUNDS
+from pwatrack.claims.cost import Costs
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.registry import figures
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import Controller
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.report.bounds import BOUNDS, bound_content
+from pwatrack.report.bounds import bound_content
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.drawing import begin
 from pwatrack.report.figures import (
     ensemble_measures,
     figure_content,
-    gain_figures,
     load_content,
     measures,
     member_figures,
 )
 from pwatrack.report.how_far import content as how_far_content
-from pwatrack.report.limits import limit_content
-from pwatrack.report.practical import practical_content
-from pwatrack.report.preview import preview_content
+from pwatrack.report.kept_spec import keep
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, SPEC, Plots, RunFolder, run_folder
-from pwatrack.report.uncertain import box_figures, largest_content, robust_content
+from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
+from pwatrack.report.uncertain import box_figures, largest_content
 from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
@@ -42,7 +44,6 @@ from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
-from pwatrack.spec.values import WRITTEN
 from pwatrack.study.how_far import HowFar
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
@@ -53,6 +54,27 @@ from pwatrack.version import versions
 _ROWS = 10_000  # that are turned to text at a time
 
 
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What a run took.
+
+    Attributes:
+        seconds: Time spent, by step.
+        answered: How many programs each solver answered; what is proved while files are written is counted too.
+    """
+
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    answered: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What the index says of it, when it is written."""
+        return {"seconds": self.seconds, "answered": self.answered}
+
+
+NONE = Effort()
+
+
 def write_design(
     spec: Spec,
     controller: Controller,
@@ -61,7 +83,7 @@ def write_design(
     fronts: Sequence[Front] = (),
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
 
@@ -71,7 +93,7 @@ def write_design(
         folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
         fronts: What `pareto` returned for controller and observer.
         broken: Why a simulation of it broke off, if it did.
-        seconds: Time spent, by step, for run.json.
+        effort: What it took, for run.json.
 
     Returns:
         The folder.
@@ -86,21 +108,23 @@ def write_design(
         >>> sorted(path.name for path in write_design(spec, design(spec), mkdtemp()).iterdir())[:3]
         ['bounds.json', 'certificate.json', 'controller.json']
     """
+    checked = required(spec, controller)
+    said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
+    why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        _design_files(run, spec, controller, known_start(spec, controller))
+        _design_files(run, spec, controller, known_start(spec, controller), [*missed(checked), *why])
         if fronts:
             _fronts(run, spec, fronts)
-        index = _index(spec, seconds) | proved_content(spec, controller) | preview_content(controller)
+        index = _index(spec, effort) | proved_content(spec, controller)
         index["remarks"] = [
             *controller.plant.remarks,
             *reference_remarks(spec, controller.form),
             *sampling_remarks(controller, spec.scenario.conditions),
         ]
-        index |= _requirements(required(spec, controller))
+        index |= _requirements(checked)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
-            said = "; ".join(problem.message for problem in broken.problems)
             index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
         run.commit(index)
     return Path(folder)
@@ -111,7 +135,7 @@ def write_result(
     folder: str | Path,
     *,
     many: EnsembleResult | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
@@ -121,7 +145,7 @@ def write_result(
         result: What `simulate(spec)` returned.
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
-        seconds: As for `write_design`.
+        effort: As for `write_design`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         executor: Who draws them, but for ensemble.png, in other processes while tables are written.
 
@@ -135,12 +159,13 @@ def write_result(
         True
     """
     code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
-    index = _index(result.spec, seconds) | {"exit": int(code)} | _result_content(result)
+    index = _index(result.spec, effort) | {"exit": int(code)} | _result_content(result)
     if many:
         index["ensemble"] = ensemble_measures(many)
-    index |= _requirements(required(result.spec, result.controller, result, many))
+    checked = required(result.spec, result.controller, result, many)
+    index |= _requirements(checked)
     with run_folder(folder) as run:
-        _design_files(run, result.spec, result.controller, starts(result))
+        _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
         pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
@@ -157,14 +182,14 @@ def _result_content(result: Result) -> dict[str, Any]:
     proved = proved_content(result.spec, result.controller)
     content: dict[str, Any] = proved | {
         "figures": proved["figures"] | figure_content(measures(result)),
-        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text},
+        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text}
+        | {"sampled": list(result.figures.sampled)},
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         "tracked": _tracked_content(result),
-        **preview_content(result.controller),
     }
-    if (robust := result.controller.robust) is not None:
+    for robust in result.controller.claims_of(Robust) if result.w is not None else ():
         content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
     return content
 
@@ -175,30 +200,33 @@ def _tracked_content(result: Result) -> dict[str, Any]:
     return {"sizes": sizes, "unit": error_unit(result)}
 
 
-def _practical(spec: Spec, controller: Controller) -> dict[str, Any]:
-    """Return what the index says of practical tracking: a verdict of its own."""
-    if controller.practical is None:
-        return {}
-    found = practical_content(spec, controller.practical, watched=controller.plant.watched is not None)
-    return {"verdict": "practical", "practical": found}
-
-
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     """Return what the index says of requirements; one that is missed is a check that failed."""
     missed = {"exit": int(ExitCode.CHECK_FAILED)} if not all(each.met for each in checked) else {}
     return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
-def _design_files(run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None) -> None:
-    _keep_spec(run, spec)
-    run.json("gains.json", gain_content(controller.design.K, controller.design.L, controller.costs))
-    made = written(spec, controller, start)
+def missed(checked: Sequence[Checked], result: Result | None = None, many: EnsembleResult | None = None) -> list[str]:
+    """Return what a run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
+    found = [each.text for each in checked if not each.met]
+    found += [result.outcome.text] if result is not None and result.outcome.code else []
+    return found + ([many.failure] if many is not None and many.failed else [])
+
+
+def _design_files(
+    run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None, failed: Sequence[str]
+) -> None:
+    keep(run, spec)
+    costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
+    run.json("gains.json", gain_content(controller.design.K, controller.design.L, costs))
+    made = written(spec, controller, start, failed)
     run.text("certificate.json", made.certificate)
     run.json(BOUNDS, bound_content(spec, controller))
     if made.generator is not None:
         run.json("generator.json", made.generator)
-    if controller.practical is not None and isinstance(controller.practical.evidence, Impossibility):
-        run.json(REFUSAL, refusal_certificate(spec, controller.practical.evidence))
+    for practical in controller.claims_of(Practical):
+        if isinstance(practical.evidence, Impossibility):
+            run.json(REFUSAL, refusal_certificate(spec, practical.evidence))
     if made.controller is not None:
         run.json("controller.json", made.controller)
 
@@ -211,28 +239,14 @@ def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, An
 
 def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     """Return what of run.json follows from the spec and the proofs: nothing in it is simulated, or found on the way."""
-    index = {
+    return {
         "name": spec.name,
         "spec_sha256": spec.sha256,
         "parameters": dict(spec.parameters),
         "verdict": "proved",
         "solver": spec.objectives.solver,
-        "figures": gain_figures(controller),
-        **limit_content(spec, controller),
+        **figures(spec.words, controller),
     }
-    if controller.robust is not None:
-        index["uncertain"] = robust_content(spec, controller.robust)
-    return index | _practical(spec, controller)
-
-
-def _keep_spec(run: RunFolder, spec: Spec) -> None:
-    """Put what was read of the spec beside its run: the file may change, and the folder may be moved."""
-    if spec.text is not None:
-        run.text(WRITTEN, spec.text)
-        return
-    with suppress(PwatrackError):  # it has gone, or was changed since
-        if hashlib.sha256(content := spec_bytes(spec.path)).hexdigest() == spec.sha256:
-            run.place(SPEC).write_bytes(content)
 
 
 def write_refusal(
@@ -242,7 +256,7 @@ def write_refusal(
     path: Path,
     parameters: Mapping[str, float | str],
     spec: Spec | None = None,
-    seconds: Mapping[str, float] | None = None,
+    effort: Effort = NONE,
     far: HowFar | None = None,
 ) -> bool:
     """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
@@ -253,7 +267,7 @@ def write_refusal(
         path: The spec file.
         parameters: What was set from outside the file.
         spec: Its content, if it could be read.
-        seconds: As for `write_design`.
+        effort: As for `write_design`.
         far: How far away it is, if that was looked for.
 
     Returns:
@@ -264,9 +278,9 @@ def write_refusal(
     """
     proof = None
     if spec is None:
-        index = _unread(path, parameters, seconds)
+        index = _unread(path, parameters, effort)
     else:
-        index = _index(spec, seconds) | {"remarks": list(spec.problem.plant.remarks)}
+        index = _index(spec, effort) | {"remarks": list(spec.problem.plant.remarks)}
         if isinstance(refusal.evidence, Impossibility):
             proof = refusal_certificate(spec, refusal.evidence)
     reasons = [
@@ -281,19 +295,19 @@ def write_refusal(
         if proof is not None:
             run.json(REFUSAL, proof)
         if spec is not None:
-            _keep_spec(run, spec)
+            keep(run, spec)
         run.commit(index | ending)
     return proof is not None
 
 
-def _unread(path: Path, parameters: Mapping[str, float | str], seconds: Mapping[str, float] | None) -> dict[str, Any]:
+def _unread(path: Path, parameters: Mapping[str, float | str], effort: Effort) -> dict[str, Any]:
     """Return what run.json says of a spec that could not be read."""
     return {
         "name": path.stem,
         "spec": str(path),
         "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest(),
         "parameters": dict(parameters),
-        "seconds": dict(seconds or {}),
+        **effort.content,
         "versions": versions(),
     }
 
@@ -404,7 +418,7 @@ def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> None:
         run.place("ensemble.png").write_bytes(png(fan(many)))
 
 
-def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
+def _index(spec: Spec, effort: Effort) -> dict[str, Any]:
     """Return what the index says of any run that was proved."""
     return {
         "name": spec.name,
@@ -415,6 +429,6 @@ def _index(spec: Spec, seconds: Mapping[str, float] | None) -> dict[str, Any]:
         "simulation": None,
         "exit": int(ExitCode.DONE),
         "solver": spec.objectives.solver,
-        "seconds": dict(seconds or {}),
+        **effort.content,
         "versions": versions(),
     }

@@ -1,13 +1,14 @@
 """What a spec requires of its run, held against the figures that came out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, isfinite
 from typing import Any
 
+from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import Controller
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.report.figures import gain_figures, measures
+from pwatrack.report.figures import measures
 from pwatrack.report.wording import error_unit
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
@@ -89,17 +90,21 @@ def required(
         elif asked.quantity.of == "design":
             members = [gain_figures(controller)]
         elif result is not None:
-            members = [measures(result)]
+            members = [measures(result) | {"sampled": result.figures.sampled}]
         if not members:
             continue
         values = dict(_values(asked, members))
+        sampled = {k for k, figures in enumerate(members) if asked.figure in figures.get("sampled", ())}
         if not values:
             signal = f" of {asked.signal}" if asked.signal else ""
             message = f"{'.'.join(map(str, asked.subject))}: there is no {asked.figure}{signal}"
             message += f": {_ABSENT[asked.figure]}" if asked.figure in _ABSENT else ""
             problems.append(Problem(message=message, subject=asked.subject, hint="leave it out"))
         nominal = result or (many.nominal if many else None)
-        found += [_checked(asked, signal, each, _unit(spec, nominal, asked, signal)) for signal, each in values.items()]
+        found += [
+            _checked(asked, signal, each, _unit(spec, nominal, asked, signal), sampled)
+            for signal, each in values.items()
+        ]
     if problems:
         with spec.located():
             raise InvalidSpec(*problems)
@@ -118,13 +123,16 @@ def _values(asked: Requirement, members: Sequence[Figures]) -> Iterator[tuple[st
         yield name, {k: values[name] for k, values in found if name in values}
 
 
-def _checked(asked: Requirement, signal: str, values: Mapping[int, float], unit: str) -> Checked:
-    """Hold the figure of each member against what is asked."""
+def _checked(
+    asked: Requirement, signal: str, values: Mapping[int, float], unit: str, sampled: Container[int]
+) -> Checked:
+    """Hold the figure of each member against what is asked; one at the samples alone keeps no limit."""
     best = asked.quantity.best
     worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
-    kept = sum(map(asked.met, values.values()))
+    kept = sum(asked.met(value) and k not in sampled for k, value in values.items())
     label = f"{asked.subject[-1]} of {signal}" if signal else asked.figure
     came, limit = _texts(values[worst], asked.limit, unit)
+    came += " at the samples, not known between them" * (worst in sampled)
     if asked.share is None:
         text, met = f"{label}: {came}, {best} {limit} required", kept == 1
     else:

@@ -37,7 +37,7 @@ _NAMES = re.compile(  # the files that a run can have: nothing else is ever remo
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
     rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|"
     r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
-    r"portrait_[1-9]\d*\.png"
+    r"portrait_[1-9]\d*\.png|table_[1-9]\d*\.csv"
 )
 _PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index
 _STAGE = ".pwatrack-"
@@ -218,25 +218,6 @@ def read_index(path: str | Path) -> dict[str, Any] | None:
         return left.index
     index = _index(Path(path))
     return index if index.get("verdict") != INCOMPLETE and index else None
-
-
-def named_spec(index: Mapping[str, Any], folder: Path) -> Path:
-    """Return the path of the spec that a run was made from: the file that is as the run read it, if one is.
-
-    It is looked for from here, then from the folder of the run and those that it is in: wherever the command was given,
-    that was mostly one of them. If it is nowhere the folder's own copy is meant. One from Python is in the folder.
-
-    Example:
-        >>> [named_spec({"spec": spec}, Path("runs/a")).as_posix() for spec in ("b/c.yaml", "from_python.yaml")]
-        ['b/c.yaml', 'runs/a/from_python.yaml']
-    """
-    path = Path(str(index.get("spec", "")))
-    if path == Path(WRITTEN):
-        return folder / path
-    there = [place for place in (path, *(above / path for above in folder.resolve().parents)) if place.is_file()]
-    same = [place for place in there if _record(place)["sha256"] == index.get("spec_sha256")]
-    copy = [folder / SPEC] if (folder / SPEC).is_file() else []
-    return next(iter([*same, *there, *copy]), path)
 
 
 def stamp(path: Path) -> tuple[int, int] | None:

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -21,11 +21,13 @@ from pwatrack.export.stored import read
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.solve import answers, asking
 from pwatrack.report import files, summary
+from pwatrack.report.files import Effort
 from pwatrack.report.how_far import texts
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
-from pwatrack.report.terminal import console
+from pwatrack.report.terminal import compiling, console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
@@ -94,18 +96,19 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
-    with console(stderr=True).status("Reading the spec") as status:
+    screen = console(stderr=True)
+    with (
+        answers() as made.answered,
+        screen.status("Reading the spec") as status,
+        compiling(screen, meant=shown in ("summary", "more")),
+    ):
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
-            result = None
-            if simulated:
-                status.update("Simulating the closed loop")
-                with made.timed("simulate"):
-                    result = pipeline.simulate(spec, controller, made.runs)
-                if members:
-                    with made.timed("ensemble"):
-                        many = members.of(result, _shown(status, members.count))
-            else:
+            result = made.simulated(spec, controller, status) if simulated else None
+            if result is not None and members:
+                with made.timed("ensemble"):
+                    many = members.of(result, _shown(status, members.count))
+            elif not simulated:
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):
                     found = _fronts(spec, controller) if fronts else []
@@ -115,9 +118,9 @@ def run(
             raise
         status.update("Writing the files")
         if result is not None:
-            files.write_result(result, folder, many=many, seconds=made.seconds, plots=plots, executor=drawing)
+            files.write_result(result, folder, many=many, effort=made.effort, plots=plots, executor=drawing)
         else:
-            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, seconds=made.seconds)
+            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, effort=made.effort)
     made.tell(folder, result, many, checked, shown)
     _check(spec, result, many, checked)
 
@@ -135,6 +138,12 @@ class _Made:
     controller: Controller | None = None
     runs: Program | None = None
     largest: LargestBox | None = None
+    answered: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def effort(self) -> Effort:
+        """What it took so far."""
+        return Effort(seconds=self.seconds, answered=self.answered)
 
     def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
         with self.timed("load"):
@@ -156,6 +165,11 @@ class _Made:
         self.controller = controller
         return spec, controller
 
+    def simulated(self, spec: Spec, controller: Controller, status: Status) -> Result:
+        status.update("Simulating the closed loop")
+        with self.timed("simulate"):
+            return pipeline.simulate(spec, controller, self.runs)
+
     def _scaled(self, spec: Spec, controller: Controller) -> tuple[LargestBox, Controller]:
         """Return the largest box, and the design with the proof for the one of the spec."""
         box, subject = spec.objectives.uncertain, ("design", "uncertain")
@@ -166,7 +180,7 @@ class _Made:
             if largest.factor < 1:
                 message = f"the proof for the uncertain parameters is undecided; {largest_text(largest)}"
                 raise Undecided(Problem(message=message, subject=subject, hint="give these intervals"))
-        return largest, replace(controller, robust=pipeline.prove_for_box(spec, controller, box))
+        return largest, pipeline.proved_for(spec, controller)
 
     @contextmanager
     def timed(self, step: str) -> Iterator[None]:
@@ -201,14 +215,14 @@ class _Made:
 
     def keep(self, refusal: PwatrackError, folder: Path, status: Status, *, printed: bool) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
-        spec, controller, seconds = self.spec, self.controller, self.seconds
+        spec, controller = self.spec, self.controller
         if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
             if read_index(folder) is not None:
                 refusal.add_note(f"  the earlier results in {folder!s} are as they were")
             return
         try:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-                files.write_design(spec, controller, folder, broken=refusal, seconds=seconds)
+                files.write_design(spec, controller, folder, broken=refusal, effort=self.effort)
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
@@ -216,7 +230,7 @@ class _Made:
             for text in () if found is None else texts(found):
                 refusal.add_note(f"  how far: {text}")
             if files.write_refusal(
-                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, seconds=seconds, far=found
+                refusal, folder, path=self.path, parameters=self.parameters, spec=spec, effort=self.effort, far=found
             ):
                 refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
         except InvalidSpec as unwritable:
@@ -226,7 +240,7 @@ class _Made:
         """Return how far away an inequality is that is proved to have no solution, where that can be looked for."""
         if self.spec is None or not isinstance(refusal.evidence, Impossibility):
             return None
-        with self.timed("how far"), suppress(PwatrackError):
+        with self.timed("how far"), asking(self.spec.objectives.solver), suppress(PwatrackError):
             return how_far(
                 self.spec, refusal.evidence, lambda what: status.update(f"Looking how far away it is: {what}")
             )
@@ -263,9 +277,9 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 def _fronts(spec: Spec, controller: Controller) -> list[Front]:
     gains, plant = controller.design, controller.plant
-    solver, sizes = spec.objectives.solver, controller.sizes
-    with spec.located():
+    sizes = controller.sizes
+    with spec.located(), asking(spec.objectives.solver):
         return [
-            pareto(Task.of(plant, CONTROLLER, solver, sizes=sizes), gains.K, gains.controller.rate),
-            pareto(Task.of(plant, OBSERVER, solver, sizes=sizes), gains.L.T, gains.observer.rate),
+            pareto(Task.of(plant, CONTROLLER, sizes=sizes), gains.K, gains.controller.rate),
+            pareto(Task.of(plant, OBSERVER, sizes=sizes), gains.L.T, gains.observer.rate),
         ]

@@ -7,8 +7,9 @@ import sys
 import traceback
 import unicodedata
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from pwatrack.compilation import while_compiling
 from pwatrack.errors import ExitCode, Problem, PwatrackError
 from pwatrack.interruption import ended_by
 from pwatrack.report.annotation import annotations, as_json, excerpt
@@ -27,6 +29,18 @@ STYLE: ContextVar[Style] = ContextVar("how refusals are said", default="text")
 _MOST_LINES = 10  # of a refusal
 _MOST_FAULTS = 20  # of a file: its writer wants to see them all
 _LONGEST = 2_000  # characters of one message
+
+
+@contextmanager
+def compiling(screen: Console, *, meant: bool = True) -> Iterator[None]:
+    """Say on a console that the simulation is compiled, if that takes a while; not where refusals are for machines."""
+    with while_compiling(partial(_say, screen)) if meant and STYLE.get() == "text" else nullcontext():
+        yield
+
+
+def _say(screen: Console, kept: bool) -> None:
+    left = "once: it is kept for later runs" if kept else "as in each run: no folder is writable that would keep it"
+    screen.print(f"Compiling the simulation, {left}")
 
 
 def visible(text: str) -> str:

@@ -6,23 +6,14 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import up
+from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Form
-from pwatrack.control.controller import Controller
-from pwatrack.control.robust import Robust
-from pwatrack.report.bounds import cause, limit_texts
-from pwatrack.report.wording import down, signal_text, sized
+from pwatrack.control.words import sized
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
-from pwatrack.spec.spec import Spec
 from pwatrack.study.bands import covered
 from pwatrack.study.largest_box import LargestBox
 from pwatrack.study.result import Result
-
-
-def robust_content(spec: Spec, robust: Robust) -> dict[str, Any]:
-    """Return what run.json says of uncertain parameters: their intervals; bounds.json has those of signals."""
-    box = {interval.name: [float(interval.low), float(interval.high)] for interval in spec.objectives.uncertain}
-    return {"parameters": box, "inequalities": robust.count, "rate": robust.rate}
 
 
 def since(result: Result) -> tuple[int, float]:
@@ -42,7 +33,7 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
 
     Returns:
         For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
-        time of `since` on, and `seen`, its largest size at the samples of the last tenth of the run.
+        time of `since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
     """
     assert result.w is not None
     seen, late = dict[Form, float](), 0.9 * result.end
@@ -53,7 +44,8 @@ def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
             size = float(np.abs(errors[kind][last, k]).max(initial=0.0))
             seen[kind, k] = max(size, seen.get((kind, k), 0.0))
     reached = robust.reached(result.w[since(result)[0] :].max(axis=0))
-    return {signal_text(result.spec, s)[0]: {"bound": size, "seen": seen[s]} for s, size in reached.items()}
+    bound, words = result.controller.with_left(reached), result.spec.words
+    return {words.signal(form)[0]: {"bound": bound[form], "seen": seen[form]} for form in bound}
 
 
 def largest_content(largest: LargestBox) -> dict[str, Any]:
@@ -69,30 +61,18 @@ def largest_text(largest: LargestBox) -> str:
     return f"proved for the box scaled by {largest.factor:g}: {box}{end}"
 
 
-def box_rows(spec: Spec, controller: Controller) -> Iterator[str]:
-    """Yield what is proved for all of a box."""
-    robust = controller.robust
-    if robust is None:
-        return
-    box = ", ".join(interval.text for interval in spec.objectives.uncertain)
-    order = 2 * len(controller.plant.B)
-    yield (
-        f"for every plant with {box}, also where they change with time: {robust.count} inequalities of order {order} "
-        f"proved; errors go to their bounds at least as fast as e^(−{down(robust.rate)} t)"
-    )
-    yield "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end adds up"
-    for bounds in robust.bounds:
-        _, on, unit = cause(spec, bounds.channel, uncertain=True)
-        yield f"{', '.join(limit_texts(spec, bounds.sizes.items()))} per {unit or '1'} of {on}"
-
-
 def run_rows(result: Result) -> Iterator[str]:
     """Yield what a box can do along the x_d of a run, and what was seen of it where the run is one of the box."""
-    robust = result.controller.robust
-    if robust is None:
-        return
+    for robust in result.controller.claims_of(Robust):
+        if result.w is None:
+            yield "how large w is along the x_d of this run took too long to enclose: of this run nothing is said"
+        else:
+            yield _along_text(result, robust)
+
+
+def _along_text(result: Result, robust: Robust) -> str:
     found = box_figures(result, robust)
-    units = dict(signal_text(result.spec, signal) for signal in robust.bounds[0].sizes)
+    units = dict(result.spec.words.signal(form) for form in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
     start = since(result)[1]
     window = f" from t = {start:.6g} s on" if start else ""
@@ -102,7 +82,7 @@ def run_rows(result: Result) -> Iterator[str]:
         for name, unit, f in shown:
             late = ", not yet" if f["seen"] > f["bound"] else ""
             texts.append(f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}{late}")
-        yield f"the plant of this run is one of them; {while_small}, and in the last tenth here: {'; '.join(texts)}"
-    else:
-        texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}" for name, unit, f in shown]
-        yield f"this run is not one of them; {while_small}: {', '.join(texts)}"
+        here = f"and at the samples of the last tenth here: {'; '.join(texts)}"
+        return f"the plant of this run is one of them; {while_small}, {here}"
+    texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}" for name, unit, f in shown]
+    return f"this run is not one of them; {while_small}: {', '.join(texts)}"

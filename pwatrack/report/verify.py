@@ -7,6 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from pwatrack.claims.bounds import BOUNDS
+from pwatrack.claims.exact_text import decimals
+from pwatrack.claims.registry import STATEMENT
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
@@ -14,19 +17,31 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.reading import number, parsed
 from pwatrack.lmi.audit.shape import refuses
-from pwatrack.report.bounds import BOUNDS, bound_content
-from pwatrack.report.certificate import CLAIM, decimals, subject_content
+from pwatrack.report.bounds import bound_content
+from pwatrack.report.certificate import subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.files import gain_content, proved_content
-from pwatrack.report.run_folder import INDEX, REFUSAL, json_text, named_spec
+from pwatrack.report.kept_spec import load, spec_of
+from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.report.told import CLOSE, merged_as_told, told_design, told_gains
-from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import spec_sizes
 
-CERTIFICATE = "certificate.json"
+CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
 _ALONE = (  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
-    *("format", "spec", "simulation", "exit", "seconds", "versions", "remarks", "requirements", "conditions", "files"),
+    *(
+        "format",
+        "spec",
+        "simulation",
+        "exit",
+        "seconds",
+        "answered",
+        "versions",
+        "remarks",
+        "requirements",
+        "conditions",
+        "files",
+    ),
     *("estimates", "tracked", "preview", "ensemble", "largest_box"),
 )
 _PARTLY = {"figures": (), "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys; () any
@@ -41,7 +56,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 
     Args:
         path: certificate.json, or the folder it is in.
-        spec: The spec it should belong to; without it, the one that run.json names, if that is still there.
+        spec: The spec it should belong to; without it, that of `spec_of`.
 
     Returns:
         What was checked, in sentences.
@@ -56,19 +71,20 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     if not faults:
         content, folder = parsed(text), file.parent
         faults += _misnamed(content, file)
+        _tell_failed(file, said, faults)
     if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
-        named = spec or _named_spec(_json(folder / INDEX), folder)
+        named, other = (spec, "") if spec else spec_of(_json(folder / INDEX) or {}, folder, content["spec_sha256"])
         try:
             if named is None:
                 said.append("not compared with a spec: none is at hand; name it with --spec")
                 if file.name != REFUSAL:
                     _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults)
             else:
-                described = load_spec(named, content["set"])
+                described = load(named, content["set"])
                 faults += _against_spec(content, described)
                 changed = " with " * bool(content["set"]) + ", ".join(f"{k} = {v}" for k, v in content["set"].items())
-                said.append(f"it belongs to {named}{changed}: same plant, gains and goals")
+                said += [f"it belongs to {named}{changed}: same plant, gains and goals", *filter(None, [other])]
                 if not faults and not refuses(content):
                     _against_folder(content, folder, described, said, faults)
         except (Fault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -88,9 +104,18 @@ def _certificate_in(folder: Path) -> Path:
     return refusal if refusal.is_file() and not certificate.is_file() else certificate
 
 
+def _tell_failed(file: Path, said: list[str], faults: list[str]) -> None:
+    """Add what a controller beside a certificate, in a run or an export, says that its run did not achieve."""
+    told = (_json(file.parent / CONTROLLER) or {}).get("failed", []) if file.name == CERTIFICATE else []
+    if isinstance(told, list) and all(isinstance(line, str) and line.isprintable() for line in told):
+        said += [f"its run failed: {line}" for line in told]
+    else:
+        faults.append(f"'failed' in {CONTROLLER} is no list of texts on one line")
+
+
 def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
     """Return what keeps a file from being the certificate or the refusal of a run."""
-    if content["claim"] != CLAIM:
+    if content["claim"] != STATEMENT:
         return ["'claim' is not what a certificate of this format proves"]
     if file.name in (REFUSAL, CERTIFICATE) and refuses(content) != (file.name == REFUSAL):
         return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
@@ -157,10 +182,10 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults, exactly=True)
     _compare(BOUNDS, folder, bound_content(spec, controller), said, faults)
     _compare("generator.json", folder, made.generator, said, faults)
-    if made.controller is not None and (told := _json(folder / "controller.json")) is not None:
-        again = made.controller | {"sha256": digest(told)}
+    if made.controller is not None and (told := _json(folder / CONTROLLER)) is not None:
+        again = made.controller | {"sha256": digest(told), "failed": told.get("failed")}
         other = spec.scenario.conditions.sampling is None and told.get("program") is not None  # that of another file
-        _compare("controller.json", folder, again, said, faults, ["program"] * other)
+        _compare(CONTROLLER, folder, again, said, faults, ["program"] * other)
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
@@ -220,11 +245,6 @@ def _largest(values: Any) -> float:
     if isinstance(values, list):
         return max(map(_largest, values), default=0.0)
     return abs(values) if isinstance(values, float) else 0.0
-
-
-def _named_spec(index: Any, folder: Path) -> Path | None:
-    named = named_spec(index, folder) if isinstance(index, dict) else Path()
-    return named if named.is_file() else None
 
 
 def _json(path: Path) -> Any:

@@ -13,7 +13,6 @@ from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Infeasible, Problem, Undecided
 from pwatrack.lmi.exact_polynomial import exactly
-from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
@@ -43,7 +42,6 @@ def bounded_response(
     trajectory: DesiredTrajectory,
     *,
     horizon: float,
-    solver: Solver = "clarabel",
     subject: Subject = (),
 ) -> DesiredTrajectory:
     """Return the trajectory with whether x_d is proved bounded, or refuse it where x_d is seen to grow.
@@ -55,7 +53,6 @@ def bounded_response(
         plant: The system (1).
         trajectory: From `input_trajectory`, with a start or, for the periodic solution, without.
         horizon: Duration of the run in s.
-        solver: For (7).
         subject: What in the description the start is.
 
     Raises:
@@ -63,7 +60,7 @@ def bounded_response(
             and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs
             end, and there is no longer run, the cell at the end must be unstable instead.
     """
-    if _convergent(plant, solver):
+    if _convergent(plant):
         return trajectory
     unproved = replace(trajectory, bounded=False)
     if trajectory.eta0 is None:
@@ -113,12 +110,12 @@ def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, hori
         return True
 
 
-def _convergent(plant: PWASystem, solver: Solver) -> bool:
+def _convergent(plant: PWASystem) -> bool:
     """Whether (7) is proved."""
     if np.linalg.eigvals(plant.A).real.max() >= 0:
         return False
     try:
-        found = prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names, solver=solver)
+        found = prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names)
     except (Infeasible, Undecided):
         return False
     exact = [A_i.transpose() for A_i in different(plant.exact.A)]

@@ -31,7 +31,7 @@ _SHORT = 0.5  # ‖F s‖ for the length s from which on there is doubling
 _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the length than it gains
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
-_MOST_PIECES = 3_000_000  # of a call: after half a minute what is said stays true but is less close
+MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
 _OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
@@ -97,15 +97,14 @@ class Range:
     """What signals are within.
 
     Attributes:
-        low, high: Bounds, at most 1e-7 of the largest |signal| off, or within rounding, (q,).
-        complete: Whether they are; else it took too long, and they are bounds that may be further off.
+        low, high: Bounds, at most 1e-7 of the largest |signal| off, or within rounding, (q,); infinite where finding
+            them took too long.
         inner: A value near each that is attained, (q, 2).
         times: When that is, in s, (q, 2); of peaks that differ by less than 1e-6 of that the first one.
     """
 
     low: Array
     high: Array
-    complete: bool
     inner: Array
     times: Array
 
@@ -221,7 +220,7 @@ class Enclosing:
     """
 
     def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Turns] | None = None) -> None:
-        self._rows, self._norm, self._left = rows, norm, _MOST_PIECES
+        self._rows, self._norm, self._left = rows, norm, MOST_PIECES
         self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
         self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows
@@ -267,12 +266,13 @@ class Enclosing:
             first = int(np.append(np.flatnonzero(np.diff(t) > 2 * self._step), len(t) - 1)[0]) + 1
             top = values[:first].max()
             times[k] = t[np.argmax(values[:first] >= top - 1e-12 * abs(top))]
-        inner, complete, q = self._best, self._left >= 0, len(highs) // 2
+        inner, q = self._best, len(highs) // 2
+        highs = highs if self._left >= 0 else np.full_like(highs, np.inf)
         if self._norm:  # from below there is 0
             inner, times, highs, q = *(np.append(part, 0.0) for part in (inner, times, highs)), 1
         inner, times = (np.column_stack([part[q:], part[:q]]) for part in (inner, times))
         inner[:, 0] *= -1
-        return Range(low=-highs[q:], high=highs[:q], complete=complete, inner=inner, times=times)
+        return Range(low=-highs[q:], high=highs[:q], inner=inner, times=times)
 
     @property
     def _least(self) -> Array:

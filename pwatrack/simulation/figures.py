@@ -22,7 +22,7 @@ _RISES = 0.1, 0.9  # of the way
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Measures of a run: the first, second and fourth at all times, to 1e-7 from above, the others at its samples.
+    """Measures of a run: sizes of errors and inputs at all times, to 1e-7 from above, the others at its samples.
 
     The last move of an output y begins at the last time t_s (s) before which its reference y_d was at rest, at 0 if
     it never was before it came to rest for good; y_d is at rest where it changes by less than 1e-9 of the signals.
@@ -43,6 +43,7 @@ class Figures:
         rise_time: How long each output takes from 10 % of h to 90 % of it, in s; infinite where it does not get there.
             Only where the reference comes to rest, and h is not 0.
         overshoot: How far each output goes beyond y_∞, as a share of |h|. Likewise.
+        sampled: Which sizes are at the samples only, by the names above: to enclose them took too long.
     """
 
     final_error: float
@@ -56,6 +57,7 @@ class Figures:
     settling_time: Mapping[str, float]
     rise_time: Mapping[str, float]
     overshoot: Mapping[str, float]
+    sampled: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -232,19 +234,22 @@ class Measuring:
         for block in blocks:
             for k, move in enumerate(self._moves):
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
-        if self.loop is not None:
-            inputs, error, late = (within.range() for within in (self._inputs, self._error, self._late))
-            self._input = np.maximum(self._input, np.maximum(inputs.high, -inputs.low))
-            self._largest, self._final = max(self._largest, float(error.high[0])), max(self._final, float(late.high[0]))
-            sizes = [np.maximum(r.high, -r.low) for r in (within.range() for within in self._signals)]
-            self._each = np.maximum(self._each, sizes or np.array([[self._final], [self._largest]]))
+        sizes = {
+            "final_error": np.array([self._final]),
+            "largest_error": np.array([self._largest]),
+            "final_errors": self._each[0],
+            "largest_errors": self._each[1],
+            "largest_input": self._input,
+        }
+        known = self._enclosed()
+        sizes |= {name: np.maximum(sizes[name], size) for name, size in known.items()}
         return Figures(
-            final_error=self._final,
-            largest_error=self._largest,
-            final_errors=dict(zip((*self.outputs, *self.states), self._each[0].tolist(), strict=True)),
-            largest_errors=dict(zip((*self.outputs, *self.states), self._each[1].tolist(), strict=True)),
+            final_error=float(sizes["final_error"][0]),
+            largest_error=float(sizes["largest_error"][0]),
+            final_errors=dict(zip((*self.outputs, *self.states), sizes["final_errors"].tolist(), strict=True)),
+            largest_errors=dict(zip((*self.outputs, *self.states), sizes["largest_errors"].tolist(), strict=True)),
             final_observer_error=self._observer,
-            largest_input=dict(zip(self.inputs, self._input.tolist(), strict=True)),
+            largest_input=dict(zip(self.inputs, sizes["largest_input"].tolist(), strict=True)),
             mode_changes=self._changes,
             joint_modes=len(self._visited),
             settling_time={name: move.settled - move.start for name, move in moves.items()},
@@ -254,4 +259,18 @@ class Measuring:
                 if move.distance
             },
             overshoot={name: move.overshoot for name, move in moves.items() if move.distance},
+            sampled=tuple(name for name in sizes if name not in known),
         )
+
+    def _enclosed(self) -> dict[str, Array]:
+        """Return which sizes are no larger between samples than what; those of which that is not known are left out."""
+        if self.loop is None:
+            return {}
+        late, error = self._late.range(), self._error.range()
+        each = [within.range() for within in self._signals] or [late, error]
+        names = ("final_error", "largest_error", "final_errors", "largest_errors", "largest_input")
+        sizes = {
+            name: np.maximum(found.high, -found.low)
+            for name, found in zip(names, (late, error, *each, self._inputs.range()), strict=True)
+        }
+        return {name: size for name, size in sizes.items() if np.isfinite(size).all()}

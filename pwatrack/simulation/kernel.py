@@ -32,12 +32,15 @@ import numpy as np
 from numba import njit
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.compilation import listen
 
 SAME_TIME = 1e-12  # relative, or in s before t = 1 s
 MOST_IDLE = 1000  # crossings without progress in time
 PIECES = 32  # of a step: more than how often it is halved
 _FINEST = 2.0**-26  # a piece so short that a polynomial without monotony on it stays within rounding of 0
 _VAGUE = 2.0**-22, 2.0**-30  # times known to this part of the finest step, or of a sample time, are known
+
+listen()
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -46,6 +49,7 @@ _R = TypeVar("_R")
 def _jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
     compiler: Any = njit  # its types do not know every option
     kept = not function.__name__.startswith("_")  # what Python calls is kept on disk, with all that it calls
+    options |= {"no_cpython_wrapper": not kept, "no_cfunc_wrapper": True}  # by which nobody calls, and which take time
     try:
         compiled: Callable[_P, _R] = compiler(cache=kept, nogil=True, **options)(function)
     except RuntimeError:  # no folder for the cache is writable
@@ -65,13 +69,21 @@ def _as_written(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return _jitted(function, fastmath=False)  # said, or Numba takes that of whoever calls it
 
 
-def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Compile a part of the walk, which allocates nothing.
+def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile the walk, which allocates nothing.
 
-    Without that, counting references to the arrays of `Room` took twice as long as the steps themselves, and handing
-    them over a third of it.
+    Counting references to the arrays of `Room` took twice as long as the steps themselves.
     """
-    return _jitted(function, fastmath=_FUSED, _nrt=False, forceinline=True)
+    return _jitted(function, fastmath=_FUSED, _nrt=False)
+
+
+def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Put a part of the walk where it is called, before anything is compiled.
+
+    Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each
+    by, that was half of the time to compile. Handing over the arrays of `Room` took a third of that of the steps.
+    """
+    return _jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
 
 
 class Field(NamedTuple):
@@ -291,6 +303,34 @@ class Room(NamedTuple):
     sides: IntArray
 
 
+def room_for(N: int, K: int, most: int) -> Room:
+    """Return room to work in for a state (N,), K guards and so many Taylor terms."""
+    return Room(
+        np.empty((most, N)),
+        np.empty(most),
+        np.empty((PIECES, most + 2)),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(N),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty((2, K)),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K),
+        np.empty(K, np.int64),
+    )
+
+
 STATE = np.dtype(
     [
         ("base", np.int64),  # number of the first sample that the log has room for
@@ -301,6 +341,7 @@ STATE = np.dtype(
         ("tries", np.int64),  # how often that has been tried
         ("m", np.int64),  # number of the mode
         ("d", np.int64),  # doublings of the last step
+        ("fresh", np.bool_),  # `room.now` are the guards at z
         ("resets", np.int64),  # resets carried out
         ("events", np.int64),
         ("nears", np.int64),
@@ -311,7 +352,7 @@ STATE = np.dtype(
         ("left", np.int64),  # steps that may yet be taken
     ]
 )
-DONE, NEW_MODE, FULL, STUCK, SPENT, TICK = range(6)  # why the walk stops
+DONE, NEW_MODE, FULL, STUCK, SPENT = range(5)  # why the walk stops
 RAN, ENDED, REFUSED = 0, 1, -1  # what comes of running the controller
 
 
@@ -715,34 +756,6 @@ def matters(span: float, t: float, field: Field) -> bool:
     return span > least and span * field.h > SAME_TIME * max(1.0, t)
 
 
-@_compiled
-def _room(N: int, K: int, most: int) -> Room:
-    return Room(
-        np.empty((most, N)),
-        np.empty(most),
-        np.empty((PIECES, most + 2)),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty((2, K)),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K, np.int64),
-    )
-
-
 @_inlined
 def _sample(field: Field, at: Trajectory, log: Log) -> None:
     """Write down state and mode where this is the time of a sample."""
@@ -816,13 +829,12 @@ def _settle(field: Field, modes: Modes, known: int, at: Trajectory, log: Log, ro
 
 
 @_inlined
-def _stride(field: Field, modes: Modes, free: int, fresh: bool, at: Trajectory, room: Room) -> bool:
+def _stride(field: Field, modes: Modes, free: int, at: Trajectory, room: Room) -> bool:
     """Take the longest step on the grid that meets neither guard nor reset, and say whether there is one.
 
     Args:
         field, modes, at: As for `walk`.
         free: Whole finest steps until something happens that is known beforehand.
-        fresh: Whether `room.now` are the guards at z; afterwards they are if a step was taken.
         room: To work in.
     """
     s, m, z = at.state[0], at.state[0].m, at.z
@@ -831,7 +843,7 @@ def _stride(field: Field, modes: Modes, free: int, fresh: bool, at: Trajectory, 
     d = min(s.d + 1, modes.longest[m])
     while d >= 0 and (s.k & ((1 << d) - 1) != 0 or 1 << d > free):
         d -= 1
-    if not fresh:
+    if not s.fresh:
         _apply(field.guards, z, room.now)
     careful = False
     while d >= 0:
@@ -849,7 +861,7 @@ def _stride(field: Field, modes: Modes, free: int, fresh: bool, at: Trajectory, 
         if stays_clear(modes.sides[m], room.beyond, room.slopes, first, room.speed, second, room.bend, 1 << d):
             break
         d -= 1
-    s.d = max(d, 0)
+    s.d, s.fresh = max(d, 0), d >= 0
     if d < 0:
         return False
     for i in range(len(z)):
@@ -1108,7 +1120,7 @@ def tick(routine: Routine, memory: Array, counts: IntArray, room: Array, y: Arra
     return status
 
 
-@_compiled
+@_inlined
 def _run(ticks: Ticks, at: Trajectory) -> None:
     """Measure, and run the controller."""
     y, z, memory = at.y, at.z, at.memory
@@ -1140,38 +1152,30 @@ def _reset(resets: Resets, at: Trajectory) -> None:
     s.resets, s.settling = r, True
 
 
-@_compiled
-def walk(field: Field, modes: Modes, known: int, resets: Resets, ticks: Ticks, at: Trajectory, log: Log) -> int:
+@_uncounted
+def walk(
+    field: Field, modes: Modes, known: int, resets: Resets, ticks: Ticks, at: Trajectory, log: Log, room: Room
+) -> int:
     """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 
     Args:
         field, modes, resets, ticks: What is given; `known` modes are filled in.
         at: The trajectory; `at.cells` is left as the mode that must be filled in first.
         log: What is written down.
+        room: To work in, see `room_for`.
 
     Returns:
         DONE, NEW_MODE, FULL (no room for events), STUCK or SPENT (no steps are left).
     """
-    room = _room(len(at.z), len(at.crossed), modes.degree[:known].max() + 1)
-    while True:
-        stop = _to_tick(field, modes, known, resets, at, log, room)
-        if stop != TICK:
-            return stop
-        _run(ticks, at)
-
-
-@_compiled
-def _to_tick(field: Field, modes: Modes, known: int, resets: Resets, at: Trajectory, log: Log, room: Room) -> int:
-    """Do what `walk` does up to the next time at which the controller runs, and return TICK there."""
     s, K = at.state[0], len(at.crossed)
     end = (s.base + len(log.z) - 1) << field.doublings
-    fresh = False  # `room.now` are the guards at z
+    s.fresh = False
     while True:
         due = resets.step[s.resets] if s.resets < len(resets.step) else np.inf
         if not (s.k < end or s.settling or due <= end):
             return DONE
         if s.settling:
-            fresh = False
+            s.fresh = False
             if s.breaks == len(log.break_time):
                 return FULL
             if not _settle(field, modes, known, at, log, room):
@@ -1183,22 +1187,20 @@ def _to_tick(field: Field, modes: Modes, known: int, resets: Resets, at: Traject
             return SPENT
         s.left -= 1
         if not s.inside:
-            free = min(end - s.k, int(np.floor(min(due - s.k, 2.0**53))))
-            fresh = _stride(field, modes, free, fresh, at, room)
-            if not fresh:
+            if not _stride(field, modes, min(end - s.k, int(np.floor(min(due - s.k, 2.0**53)))), at, room):
                 s.inside, s.done = True, 0.0
                 continue
         else:  # up to the first crossing, reset or the end of a finest step
-            fresh, falls = False, due < s.k + 1
-            length = (max(s.done, due - s.k) if falls else 1.0) - s.done
-            if _cross(field, modes, length, at, log, room):
+            s.fresh, falls = False, due < s.k + 1
+            if _cross(field, modes, (max(s.done, due - s.k) if falls else 1.0) - s.done, at, log, room):
                 if s.idle > MOST_IDLE:
                     return STUCK
                 continue
-            if falls and resets.row[s.resets] < 0:
-                return TICK
             if falls:
-                _reset(resets, at)
+                if resets.row[s.resets] < 0:
+                    _run(ticks, at)
+                else:
+                    _reset(resets, at)
                 continue
             s.k, s.done, s.inside = s.k + 1, 0.0, False
         _sample(field, at, log)

@@ -46,8 +46,8 @@ def feedforward_peak(
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     duration = duration if system.end is None else min(duration, system.end)
     segments: Iterable[Segments]
-    if not trajectory.u_ff[:, :, :p].any() and not (trajectory.u_ff - trajectory.u_ff[0]).any():
-        segments = [_of_w(trajectory, duration)]  # neither η̂ nor the cell matters
+    if w_alone(trajectory):
+        segments = [_of_w(trajectory, duration)]
     elif start is None and p:
         return None
     else:
@@ -57,7 +57,15 @@ def feedforward_peak(
         found = enclosed(segments, lambda mode: trajectory.u_ff[mode[0]])
     except (CheckFailed, Undecided):
         return None
-    return Peak(low=found.low, high=found.high, times=found.times) if found.complete else None
+    return (
+        Peak(low=found.low, high=found.high, times=found.times) if np.isfinite([found.low, found.high]).all() else None
+    )
+
+
+def w_alone(trajectory: DesiredTrajectory) -> bool:
+    """Say whether neither η̂ nor the cell of x_d matters to u_ff."""
+    gains = trajectory.u_ff
+    return not gains[:, :, : trajectory.rate.shape[1]].any() and not (gains - gains[0]).any()
 
 
 def _of_w(trajectory: DesiredTrajectory, duration: float) -> Segments:

@@ -244,7 +244,9 @@ class Walk:
         """Walk to the end of the log, with a stop wherever a new mode is entered or more room is needed."""
         kernel, field, modes = self.kernel, self.propagator.field, self.propagator.modes
         while True:
-            stop = kernel.walk(field, *modes.known(), self.resets, self.propagator.ticks, self._at, self.log)
+            arrays, known = modes.known()
+            room = kernel.room_for(len(self.z), len(self.near_since), int(arrays.degree[:known].max()) + 1)
+            stop = kernel.walk(field, arrays, known, self.resets, self.propagator.ticks, self._at, self.log, room)
             if stop == kernel.DONE:
                 return self._check_bounded()
             if stop == kernel.NEW_MODE:

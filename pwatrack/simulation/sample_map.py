@@ -30,7 +30,7 @@ def unstable_cell(controller: Controller, conditions: Conditions) -> "tuple[str,
         The words, the maps of one sample, and the longest time (s) found at which no cell is unstable by itself.
     """
     sampling, plant = conditions.sampling, conditions.plant or controller.plant
-    if controller.practical is not None:  # cells that are merged need not be stable by themselves
+    if controller.running is not controller.plant:  # cells that are merged need not be stable by themselves
         plant = controller.plant
     if sampling is None:
         return None

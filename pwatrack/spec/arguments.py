@@ -151,7 +151,7 @@ def problem(
         observer: Likewise of L (n, q).
         estimate: Unknown loads by name, or "input".
         uncertain: Intervals of parameters, by name.
-        solver: "clarabel" or "cvxopt".
+        solver: "structured", "clarabel" or "cvxopt"; see `lmi.solve`.
         require: Limits that figures of design and run have to keep.
         name, description: Title of the problem, and a text that goes with it.
 

@@ -11,8 +11,9 @@ a facet that does not move, then holds for all p where it holds at the corners.
 from itertools import product
 
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Undecided
+from pwatrack.model.box import Box
 from pwatrack.model.pwa import Matrices, PWASystem
-from pwatrack.spec.box import SUBJECT, Box
+from pwatrack.spec.box import SUBJECT
 from pwatrack.spec.dependence import Dependence
 from pwatrack.spec.parametric import ParametricPlant
 
@@ -35,7 +36,7 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
     Example:
         >>> from pwatrack import load_spec
         >>> from pwatrack.real import Real
-        >>> from pwatrack.spec.box import Uncertain
+        >>> from pwatrack.model.box import Uncertain
         >>> problem = load_spec("specs/two_mass_backlash.yaml").problem
         >>> mass = Uncertain(name="m1", nominal=Real.of(1), low=Real.of("0.8"), high=Real.of("1.25"))
         >>> [float(X.B.floats[1, 0]) for X in corners(problem.parametric, problem.plant, (mass,))]

@@ -16,6 +16,7 @@ from pwatrack.spec.table import FINEST, Folder, read_table
 
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
+_AT_ONCE = 1e-12  # of half of what is rounded: that begins at t = 0, but for rounding
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
 
 
@@ -118,9 +119,10 @@ def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
 
 
 def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Profile:
-    """Return the corners of as many trapezoids as the horizon holds."""
+    """Return the corners of as many trapezoids as the horizon holds; what is rounded begins at the start, too."""
     period = shape.rise + shape.hold + shape.fall + shape.rest
-    span = horizon - shape.start
+    start = shape.start + (shape.smooth or 0.0) / 2
+    span = horizon - start
     if span / period > _MOST_PERIODS:
         message = f"{path_text(subject)}: {span / period:.3g} trapezoids until t = {horizon:g} s"
         raise _refused(message, subject, f"at most {_MOST_PERIODS:,} are built; shorten the simulation")
@@ -129,10 +131,10 @@ def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Pro
         _check_fine(f"{name}: {getattr(shape, name):g} s", getattr(shape, name), horizon + abs(shape.start), subject)
     margin = 1.0 + (shape.smooth or 0.0)
     count = max(0, int(np.ceil((span + margin) / period)))
-    begins = shape.start + period * np.arange(count)
+    begins = start + period * np.arange(count)
     marks = begins[:, None] + np.cumsum([0.0, shape.rise, shape.hold, shape.fall])
-    first = min(0.0, shape.start) - margin
-    last = max(horizon, float(marks[-1, -1]) if count else horizon) + margin + shape.rest + abs(shape.start)
+    first = min(0.0, start) - margin
+    last = max(horizon, float(marks[-1, -1]) if count else horizon) + margin + shape.rest + abs(start)
     times = np.concatenate([[first], marks.ravel(), [last]])
     values = np.concatenate([[shape.low], np.tile([shape.low, shape.high, shape.high, shape.low], count), [shape.low]])
     kept = np.append(True, np.diff(times) > 0)
@@ -154,9 +156,30 @@ def _polyline(section: PolylineSection, horizon: float, subject: Subject) -> Pro
             f"points {k + 1} and {k + 2}, {after - before:.3g} s apart,", after - before, span, (*subject, k + 1)
         )
     _check_rounding(section.smooth, span, subject)
-    margin = 1.0 + span + (section.smooth or 0.0)
-    course = polyline([times[0] - margin, *times, times[-1] + margin], [values[0], *values, values[-1]])
+    margin, before = 1.0 + span + (section.smooth or 0.0), values[0]
+    if times[0] == 0.0 and len(times) > 1:  # nothing is before t = 0, so there is no corner either
+        before -= (values[1] - values[0]) / times[1] * margin
+        times, values = times[1:], values[1:]
+        course = polyline([-margin, *times, times[-1] + margin], [before, *values, values[-1]])
+    else:
+        course = polyline([times[0] - margin, *times, times[-1] + margin], [before, *values, values[-1]])
+    _check_first(course, section, subject)
     return Profile(corners=course, continuous=True, smooth=section.smooth, end=None)
+
+
+def _check_first(course: "scipy.interpolate.PPoly", section: PolylineSection, subject: Subject) -> None:
+    """Refuse a corner that is rounded from before t = 0 to after it."""
+    half = (section.smooth or 0.0) / 2
+    for t, kink in zip(course.x[1:-1].tolist(), np.diff(course.c[0]).tolist(), strict=True):
+        if kink and abs(t) < half * (1 - _AT_ONCE):
+            k = [row[0] for row in section.points].index(t)
+            raise _refused(
+                f"{path_text((*subject, k))}: the corner at t = {t:g} s is rounded from t = {t - half:.6g} s on, "
+                "before t = 0",
+                (*subject, k),
+                f"let the first corner be at t = {half:g} s or later, or round less; a line that begins at t = 0 has "
+                "no corner there",
+            )
 
 
 def _check_fine(what: str, length: float, span: float, subject: Subject) -> None:

@@ -66,6 +66,6 @@ class DesignSection(Section):
     controller: ControllerSection = ControllerSection()
     observer: ObserverSection = ObserverSection()
     estimate: Estimate | None = None
-    solver: Solver = "clarabel"
+    solver: Solver = "structured"
     uncertain: dict[Name, ShareOrInterval] = {}
     """Parameters that are known to lie in an interval, or within a share of their value."""

@@ -248,10 +248,17 @@ def referenced_files(path: str | Path) -> tuple[Path, ...]:
     """
     path = Path(path)
     try:
-        document, _ = _read(path)
+        return tuple(path.parent / name for name in referenced_names(spec_bytes(path)))
     except PwatrackError:
         return ()
-    return tuple(path.parent / name for name in dict.fromkeys(_files(document.data)))
+
+
+def referenced_names(text: bytes) -> tuple[str, ...]:
+    """Return the names of the files that the text of a spec refers to, each once; none where it cannot be read."""
+    try:
+        return tuple(dict.fromkeys(_files(parse_yaml(text.decode("utf-8"), "").data)))
+    except (PwatrackError, UnicodeDecodeError):
+        return ()
 
 
 def _files(data: object) -> Iterator[str]:

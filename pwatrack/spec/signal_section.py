@@ -47,7 +47,10 @@ class StepSection(Section):
 
 
 class TrapezoidSection(Section):
-    """Rise from low to high, hold, fall, rest, and again; times in s, corners rounded over `smooth`."""
+    """Rise from low to high, hold, fall, rest, and again; times in s, corners rounded over `smooth`.
+
+    It leaves `low` at `start`, where it is rounded too.
+    """
 
     low: Number = 0.0
     high: Number
@@ -60,7 +63,10 @@ class TrapezoidSection(Section):
 
 
 class PolylineSection(Section):
-    """Straight lines through points (t in s, y), corners rounded over `smooth`; constant before and after."""
+    """Straight lines through points (t in s, y), corners rounded over `smooth`; constant before and after.
+
+    A line that begins at t = 0 has no corner there.
+    """
 
     points: Annotated[list[Point], Field(min_length=1)]
     smooth: Positive | None = None

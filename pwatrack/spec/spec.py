@@ -9,14 +9,15 @@ from typing import Any, Literal
 from pwatrack.arrays import Array, amount
 from pwatrack.causes import Subject
 from pwatrack.control.goal import Goal
+from pwatrack.control.words import Words
 from pwatrack.errors import Place, PwatrackError
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
+from pwatrack.model.box import Box
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
-from pwatrack.spec.box import Box
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.requirement import Requirement
@@ -158,6 +159,13 @@ class Spec:
         (n, m), plant = self.problem.plant.B.shape, self.problem.plant
         cells = amount(len(plant.A), "cell")
         return f"<spec {self.name!r}: {self.problem.tracking} tracking, {cells}, n = {n}, m = {m}>"
+
+    @property
+    def words(self) -> Words:
+        """What its signals are called, and what is asked of its gains."""
+        problem, goals = self.problem, self.objectives.goals
+        conditions, sizes = self.scenario.conditions, problem.sizes
+        return Words(plant=problem.plant, units=problem.units, sizes=sizes, conditions=conditions, goals=goals)
 
     @property
     def measured(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.robust import Robust
+from pwatrack.claims.robust import Robust
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.enclosure import Enclosing, Segments
 from pwatrack.simulation.flow import Mode

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pwatrack.arrays import OVER_SUMS, Array
+from pwatrack.arrays import Array
 from pwatrack.control.bounds import Channel, Form
-from pwatrack.control.envelope import from_start, with_acting
+from pwatrack.control.controller import Seen
+from pwatrack.model.box import Box, inside
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.spec.box import Box, inside
 
 
 def covered(box: Box, conditions: Conditions) -> bool:
@@ -31,41 +31,20 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
         box: The parameters that are uncertain.
         w: How large each entry of w is so far, (K, n), where there are some.
     """
-    conditions, controller = loop.conditions, loop.controller
+    conditions, controller, first = loop.conditions, loop.controller, response
     free = replace(conditions, limits=None) if not _limited(loop, response) else conditions
-    with_noise = replace(free, disturbance=None, noise=None)
-    n, first = len(controller.plant.B), response
     start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], _estimates_off(loop, response)])
-    if with_noise.nominal:
-        most = from_start(controller.bounds, controller.starts, start, response.t, states=n)
-        _with_norms(most, loop, response, start)
-        found = with_acting(most, controller.bounds, _acting(loop, response))
-        if controller.practical is None:
-            return found
-        left = controller.practical.final  # what merged cells leave comes on top
-        return {form: values + left[form] for form, values in found.items() if form in left}
-    robust = controller.robust
-    if robust is None or w is None or not covered(box, free):
-        return {}
-    most = from_start(robust.bounds, (), start, response.t, states=n)
-    acting: dict[Channel, Array] = {bounds.channel: w[:, bounds.channel[1]] for bounds in robust.bounds}
-    return with_acting(most, robust.bounds, acting)
-
-
-def _with_norms(most: dict[Form, Array], loop: ClosedLoop, response: Response, start: Array) -> None:
-    """Lower the bounds of errors to what the norms of (8) and (9) say of them."""
-    promised, sizes, n = loop.controller.guarantees, loop.controller.sizes.state, len(loop.controller.plant.B)
-    if start[2 * n :].any():
-        return  # they are about loads that are known
-    output = loop.controller.tracking == "output"
-    tracking = promised.tracking_error(response.t, start[:n], start[n : 2 * n], output=output)
-    observer, counted = promised.observer_error(response.t, start[n : 2 * n]), sizes if n > 1 else np.ones(1)
-    for form in list(most):
-        kind, k = form
-        if kind in ("output", "state"):
-            most[form] = np.minimum(most[form], tracking * loop.controller.error_sizes[k] * OVER_SUMS)
-        elif kind == "estimate" and k < n:
-            most[form] = np.minimum(most[form], observer * counted[k] * OVER_SUMS)
+    seen = Seen(
+        t=response.t,
+        start=start,
+        acting=_acting(loop, response),
+        designed=replace(free, disturbance=None, noise=None).nominal,
+        w=w if covered(box, free) else None,
+    )
+    found = dict[Form, Array]()
+    for claim in controller.claims:
+        found |= claim.allows(controller, seen)
+    return controller.with_left(found)
 
 
 def _limited(loop: ClosedLoop, response: Response) -> bool:

@@ -87,8 +87,9 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
     Example: the springs of the example made stiffer, both at once: (17) ends at k2 = k3 = 0.69 N/m.
 
         >>> from pwatrack import design, load_spec
+        >>> from pwatrack.claims.practical import Practical
         >>> spec = load_spec("specs/gallery/stiff_springs.yaml", {"k3": "k2"})
-        >>> found = how_far(spec, design(spec).practical.evidence)
+        >>> found = how_far(spec, design(spec).claim(Practical).evidence)
         >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
         ('k2', 0.69)
     """
@@ -131,7 +132,7 @@ class _Inequality:
     def __init__(self, spec: Spec, evidence: Impossibility) -> None:
         self._spec, self._role, self._rate = spec, evidence.role, evidence.rate
         self._any_sign = isinstance(evidence.refutation, NoDichotomy)
-        self._sizes, self._solver = spec_sizes(spec), spec.objectives.solver
+        self._sizes = spec_sizes(spec)
         goal = spec.objectives.goals.get(evidence.role)
         self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
         self._left, self._spent, self.ended = 0, 0, False
@@ -222,9 +223,9 @@ class _Inequality:
         return plant is not None and some_gain(self._task(plant), _ROOM * self._rate) is not None
 
     def _has_P(self, M: list[BallMatrix]) -> bool:
-        if common_P(self._role, M, solver=self._solver) is not None:
+        if common_P(self._role, M) is not None:
             return True
-        return self._any_sign and prove_dichotomy(self._role, M, solver=self._solver) is not None
+        return self._any_sign and prove_dichotomy(self._role, M) is not None
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
@@ -239,7 +240,7 @@ class _Inequality:
             return None
 
     def _task(self, plant: PWASystem) -> Task:
-        return Task.of(plant, self._role, self._solver, sizes=self._sizes)
+        return Task.of(plant, self._role, sizes=self._sizes)
 
     def _matrices(self, name: str, value: float) -> list[BallMatrix] | None:
         """Return the M_i of (17), or of (8) or (9) with the gain that is given; None where there are none."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from pwatrack.control.controller import Controller
 from pwatrack.errors import OutsideTheory, Undecided
+from pwatrack.model.box import Box
 from pwatrack.real import Real
-from pwatrack.spec.box import Box
 from pwatrack.spec.spec import Spec
 from pwatrack.study.pipeline import prove_for_box
 
@@ -43,7 +43,7 @@ def largest_box(spec: Spec, controller: Controller) -> LargestBox:
 
         >>> from dataclasses import replace
         >>> from pwatrack import design, load_spec
-        >>> from pwatrack.spec.box import Uncertain
+        >>> from pwatrack.model.box import Uncertain
         >>> spec = load_spec("specs/two_mass_backlash.yaml")
         >>> k1 = Uncertain(name="k1", nominal=Real.of(1), low=Real.of("0.95"), high=Real.of("1.05"))
         >>> wide = replace(spec, objectives=replace(spec.objectives, uncertain=(k1,)))

@@ -4,22 +4,23 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import OFF, Limited, Peak, Starts
+from pwatrack.control.limits import OFF, Peak, Room, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.certificate import Certificate
 from pwatrack.model.sizes import Sizes
-from pwatrack.simulation.peak import feedforward_peak
+from pwatrack.simulation.peak import feedforward_peak, w_alone
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.study.starting import generator_start, plant_start, starts_of
 
 _STILL = 1e-12  # of the terms of w': what is less is rounding
+_INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does
 
 
 def room_within_limits(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
-) -> Limited | None:
+) -> Room | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
     Args:
@@ -47,7 +48,7 @@ def room_within_limits(
     system, duration, given = trajectory.exosystem, spec.scenario.duration, trajectory.eta0
     if given is None and generator is not None:
         given = generator_start(spec, trajectory, generator)
-    if not trajectory.names:  # it has no past
+    if not trajectory.names or w_alone(trajectory):  # it has no past
         duration = system.period or duration
     peak = feedforward_peak(plant, trajectory, given, duration)
     steady = _steady(trajectory, generator)
@@ -57,35 +58,46 @@ def room_within_limits(
         peak = None if peak is None else peak.with_also(lasting)
     x = plant_start(spec, trajectory, generator, trajectory.eta0)
     starts = (*Starts.within(sizes), *starts_of(spec, trajectory, x, given, sizes))
-    off = None if steady is None or given is None else given - steady
-    ever = peak is not None and _goes_on(trajectory, generator, peak, off, spec.scenario.duration)
-    return Limited(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
+    ends = None if steady is None or given is None else (given, steady)
+    ever = peak is not None and _goes_on(trajectory, generator, peak, ends, spec.scenario.duration)
+    return Room(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
 
 
 def _goes_on(
-    trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, peak: Peak, off: Array | None, duration: float
+    trajectory: DesiredTrajectory,
+    generator: TrajectoryGenerator | None,
+    peak: Peak,
+    ends: tuple[Array, Array] | None,
+    duration: float,
 ) -> bool:
     """Say whether u_ff is within its peak after the run too, not only in it.
 
-    It is if the reference has no piece to come, and u_ff repeats or is at rest; where a generator has a state, if that
-    is so close to its steady state by then that u_ff cannot differ by what the peak is known to, by the P of (17).
+    It is if the reference has no piece to come, and u_ff repeats or is at rest; where a state of the generator matters,
+    if that is so close to its steady state by then that u_ff cannot differ by what the peak is known to, by the P of
+    (17), or if it rests from the start on, inside of a cell.
 
     Args:
         trajectory: What makes u_ff.
         generator: That of output tracking.
         peak: What was found in the run, and in a period.
-        off: η̂(0) less that of the steady state, where there is one.
+        ends: η̂(0), and that of the steady state, where there is one.
         duration: Of the run, in s.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if system.end is not None or any(reset.t > duration for reset in system.resets):
         return False
-    if not p:
+    if not p or w_alone(trajectory):
         w = system.states(np.array([duration]))[0]
         at_rest = np.abs(system.S @ w) <= _STILL * (np.abs(system.S) @ np.abs(w))
         return bool(at_rest.all()) or (system.period is not None and not system.resets)
-    if off is None or generator is None or system.resets or any(generator.form.piecewise):
-        return False  # in the last case u_ff jumps: however close, it may be of another cell
+    if ends is None or generator is None or system.resets:
+        return False
+    off = ends[0] - ends[1]
+    if system.constant and not off.any():
+        s = np.concatenate([ends[1], system.w0, [1.0]])
+        return bool((np.abs(trajectory.guards @ s) > _INSIDE * (np.abs(trajectory.guards) @ np.abs(s))).all())
+    if any(generator.form.piecewise):
+        return False  # u_ff jumps: however close, it may be of another cell
     if not isinstance(generator.certificate, Certificate):
         return False
     P, gains = generator.certificate.P, trajectory.u_ff[:, :, :p]

@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from pwatrack.arrays import up
+from pwatrack.claims.practical import Practical, deviation_bounds, least_merges
 from pwatrack.control.applicability import exact_is_open, practical_is_open
 from pwatrack.control.controller import Controller
 from pwatrack.control.modes import check_modes
-from pwatrack.control.practical import Practical, deviation_bounds, least_merges
 from pwatrack.control.route import Facts
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
@@ -82,7 +82,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     Args:
         spec: What is asked.
         refusal: Why exact tracking is refused.
-        designed: Designs and proves for a spec, whatever its plant.
+        designed: Designs for a spec, whatever its plant, without claims.
     """
     plant, failed = spec.problem.plant, list[PwatrackError]()
     form = scalar_form(plant)
@@ -141,8 +141,7 @@ def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> 
 
 def tracked_bound(controller: Controller) -> float:
     """Return below what the tracking error ends, of several entries in sizes."""
-    assert controller.practical is not None
-    return controller.practical.norm(controller.tracking, controller.error_sizes.tolist())
+    return controller.claim(Practical).leaves_norm(controller.tracking, controller.error_sizes.tolist())
 
 
 def _solve(spec: Spec) -> None:
@@ -153,7 +152,7 @@ def _solve(spec: Spec) -> None:
         message = "the merged plant has the form (11) but for rounding"
         raise OutsideTheory(Problem(message=message))
     goals = spec.objectives
-    synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec), solver=goals.solver)
+    synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec))
 
 
 def _bounded(
@@ -184,5 +183,4 @@ def _bounded(
     sizes = reference_sizes(spec, controller).tolist()
     ends = (((controller.tracking, k), size) for k, size in enumerate(sizes) if size)
     practical = replace(practical, beyond={form: size for form, size in ends if not practical.final[form] < size})
-    limited = controller.limited  # from which starts no limit is reached is not proved where deviations act too
-    return replace(controller, practical=practical, limited=None if limited is None else replace(limited, promises=()))
+    return replace(controller, running=true, claims=(practical,))

@@ -9,14 +9,16 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from pwatrack.arrays import EPS, Array
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Channel, Form
-from pwatrack.control.envelope import from_start
-from pwatrack.control.robust import Robust
+from pwatrack.control.controller import Seen
 from pwatrack.errors import ExitCode
+from pwatrack.model.box import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.spec.box import Box
 from pwatrack.study.along import Along
 from pwatrack.study.bands import covered
 
@@ -122,7 +124,7 @@ class Watch:
         self._first: Response | None = None
         self._end = 0.0  # time of the last sample so far in s
         self._broken = ""
-        robust = loop.controller.robust if box else None
+        robust = next(iter(loop.controller.claims_of(Robust)), None)
         self._robust = robust if covered(box, loop.conditions) else None
         self._along = None if robust is None else Along(loop, robust, samples)
 
@@ -148,8 +150,11 @@ class Watch:
 
     @property
     def w(self) -> Array | None:
-        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n)."""
-        return None if self._along is None else self._along.w
+        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n).
+
+        None where it could not be enclosed.
+        """
+        return None if self._along is None or not np.isfinite(self._along.w).all() else self._along.w
 
     def outcome(self, figures: Figures) -> Outcome:
         """Say how the run went, the worst first.
@@ -182,14 +187,17 @@ class Watch:
 
     def _above_that_of_the_box(self, robust: Robust, block: Response) -> str:
         """Likewise of what is proved of all plants of a box, of which this is one."""
-        assert self._first is not None
-        assert self.w is not None
-        first, n = self._first, block.x.shape[1]
+        if self._first is None or self.w is None:
+            return ""
+        first, controller = self._first, self._loop.controller
         start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]])
-        most, reached = from_start(robust.bounds, (), start, block.t, states=n), robust.reached(self.w.max(axis=0))
+        w = np.broadcast_to(self.w.max(axis=0), block.x.shape)
+        seen = Seen(t=block.t, start=start, acting={}, designed=False, w=w)
+        allowed = controller.with_left(robust.allows(controller, seen))
         for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
-            signal: Form = (self._tracked, k)
-            error, bound = np.abs(block.tracking_error[:, k]), most[signal] + reached[signal]
+            if (self._tracked, k) not in allowed:
+                continue
+            error, bound = np.abs(block.tracking_error[:, k]), allowed[self._tracked, k]
             if len(above := np.flatnonzero(error > bound + rounding)):
                 return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
         return ""
@@ -213,10 +221,9 @@ class Watch:
         late and is the largest so far, and does not grow without bound.
         """
         signal: Form = (self._tracked, k)
-        return sum(
-            bounds.sizes.get(signal, 0.0) * self._acting.get(bounds.channel, 0.0)
-            for bounds in (self._loop.controller.bounds if any(self._acting.values()) else ())
-        )
+        claims = self._loop.controller.claims_of(SignalBounds) if any(self._acting.values()) else ()
+        each = (bounds for claim in claims for bounds in claim.acting)
+        return sum(bounds.sizes.get(signal, 0.0) * self._acting.get(bounds.channel, 0.0) for bounds in each)
 
     def _growing(self) -> Outcome | None:
         """Say which error grows. Of a loop as designed, but for disturbances and noise, or of a box none does."""
@@ -237,15 +244,15 @@ class Watch:
 
     def _practical(self, figures: Figures) -> Outcome | None:
         """Say that the error is below what it is proved to end below, where cells are merged and it is."""
-        practical = self._loop.controller.practical
+        practical = next(iter(self._loop.controller.claims_of(Practical)), None)
         if practical is None or self._loop.beyond_the_proofs:
             return None
-        bound = practical.norm(self._tracked, self._loop.controller.error_sizes.tolist())
+        bound = practical.leaves_norm(self._tracked, self._loop.controller.error_sizes.tolist())
         if figures.final_error > bound:
             return None
         final, worst = self._norms(figures)
         text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "
-        text += f"{self._norm_name} at most {final} in the last tenth of the time ({worst} at worst)"
+        text += f"{self._norm_name} at most {final}{_seen(figures)} in the last tenth of the time ({worst} at worst)"
         return Outcome(kind="within its bound", text=text)
 
     def _settled(self, figures: Figures) -> Outcome:
@@ -253,13 +260,15 @@ class Watch:
         error = self._error.largest
         last, largest, seen = error[9], error.max(axis=0), " at the samples"
         if len(self._names) == 1:
-            last, largest, seen = np.array([figures.final_error]), np.array([figures.largest_error]), ""
+            last, largest = np.array([figures.final_error]), np.array([figures.largest_error])
+            seen = _seen(figures)
         size = np.where(self._expected > 0, self._expected, largest)
         allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
             final, worst = self._norms(figures)
-            return Outcome(kind="tracks", text=f"tracks: {self._norm_name} at most {final} {when} ({worst} at worst)")
+            text = f"tracks: {self._norm_name} at most {final}{_seen(figures)} {when} ({worst} at worst)"
+            return Outcome(kind="tracks", text=text)
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]
         late, worst, usual = (self._with_unit(v, name) for v in (last[k], largest[k], expected))
@@ -315,6 +324,11 @@ def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     )
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
+
+
+def _seen(figures: Figures) -> str:
+    """Say that an error was looked at at the samples only, where it was."""
+    return " at the samples" if {"final_error", "largest_error"} & set(figures.sampled) else ""
 
 
 def _share(ratio: float) -> str:

@@ -1,37 +1,39 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.registry import proved
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import Controller
-from pwatrack.control.cost import cost_bound
-from pwatrack.control.goal import LeastCost
+from pwatrack.control.goal import Given
+from pwatrack.control.limits import Room
 from pwatrack.control.program import Program
 from pwatrack.control.proof import prove_design
-from pwatrack.control.robust import Robust, prove_box
-from pwatrack.control.synthesis import Design, synthesize
-from pwatrack.control.task import Task
+from pwatrack.control.synthesis import synthesize
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
-from pwatrack.model.sizes import Sizes
+from pwatrack.lmi.solve import asking
+from pwatrack.model.box import Box
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
+from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.sampled_runs import check_sample_time
 from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.box import Box
-from pwatrack.spec.corners import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.study.limiting import room_within_limits
-from pwatrack.study.merged import may_merge, not_worth, practical_design
+from pwatrack.study.merged import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.study.outcome import Watch
+from pwatrack.study.proving import asked_of
 from pwatrack.study.result import Result
 from pwatrack.study.sizing import spec_sizes
 from pwatrack.study.starting import generator_start, initial_values, plant_start
@@ -61,17 +63,25 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         >>> controller.generator.shift.round(12).tolist()
         [[1.0, 0.0], [0.0, 0.0]]
     """
+    with asking(spec.objectives.solver):
+        return _exact_or_practical(spec, growing)
+
+
+def _exact_or_practical(spec: Spec, growing: bool) -> Controller:
+    """Design for exact tracking, or with cells merged where that is refused."""
     try:
         return _designed(spec, growing)
     except PwatrackError as refusal:
         if not may_merge(spec, refusal):
             raise
-        found = practical_design(spec, refusal, lambda merged: _designed(merged, growing))
+        found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing)[0])
         remark = f"; practical tracking is asked for, and not found: {found}"
         if isinstance(found, Controller):
-            little = "" if found.practical is None else not_worth(spec, found.practical)
+            practical = found.claim(Practical)
+            little = not_worth(spec, practical)
             if spec.objectives.practical or not little:
-                return found
+                less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
+                return proved(found, asked_of(less, _room(less, found)))
             remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
         elif not spec.objectives.practical:
             raise
@@ -81,37 +91,56 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
 
 def _designed(spec: Spec, growing: bool) -> Controller:
     """Design for exact tracking."""
+    controller, room = _with_gains(spec, growing)
+    with spec.located():
+        return proved(controller, asked_of(spec, room))
+
+
+def _with_gains(spec: Spec, growing: bool) -> tuple[Controller, Room | None]:
+    """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave."""
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
-        goals, solver = spec.objectives, spec.objectives.solver
-        sizes = spec_sizes(spec)
-        limited = room_within_limits(spec, trajectory, generator, sizes)
+        goals, sizes = spec.objectives, spec_sizes(spec)
+        room = room_within_limits(spec, trajectory, generator, sizes)
         gains = synthesize(  # (8), (9)
             plant,
             controller=goals.controller,
             observer=goals.observer,
             sizes=sizes,
-            within=None if limited is None else limited.within(sizes.state),
-            solver=solver,
+            within=None if room is None else room.within(sizes.state),
         )
         check_breaks(spec, trajectory, generator, gains)
-        proofs = prove_design(plant, gains, generator, sizes=sizes, solver=solver)
-        controller = Controller(  # (18), (19)
+        proofs = prove_design(plant, gains, generator, sizes=sizes)
+        return Controller(  # (18), (19)
             plant=plant,
+            running=plant,
             design=gains,
             trajectory=trajectory,
             generator=generator,
             proofs=proofs,
             sizes=sizes,
-            costs=_costs(spec, gains, sizes),
-        )
-        if limited is not None:
-            promising = limited.promising(plant, gains, proofs, controller.compensation)
-            controller = replace(controller, limited=promising)
-    box = goals.uncertain
-    return replace(controller, robust=prove_for_box(spec, controller, box)) if box else controller
+        ), room
+
+
+def _room(spec: Spec, controller: Controller) -> Room | None:
+    return room_within_limits(spec, controller.trajectory, controller.generator, controller.sizes)
+
+
+def sampling_known(spec: Spec) -> tuple[str, ...]:
+    """Say what sampling makes of the loop in each cell, as far as that is known before gains are sought.
+
+    With K and L given it is what `sampling_remarks` says of the design; else that it depends on them.
+    """
+    sampling, goals = spec.scenario.conditions.sampling, spec.objectives
+    if sampling is None:
+        return ()
+    if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
+        with suppress(PwatrackError):  # `design` says what
+            return sampling_remarks(design(spec, growing=True), spec.scenario.conditions)
+    said = "depends on its gains: `design` looks at it in each cell"
+    return (f"what sampling every {sampling.sample_time:g} s makes of the loop {said}",)
 
 
 def simulate(spec: Spec, controller: Controller | None = None, runs: Program | None = None) -> Result:
@@ -232,25 +261,12 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
 
 def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:
     """Prove a design for all plants of a box: see `corners` and `prove_box`, which say what they refuse."""
-    problem, proofs = spec.problem, controller.proofs
-    with spec.located():
-        found = corners(problem.parametric, controller.plant, box)
-        return prove_box(
-            controller.plant,
-            controller.design,
-            proofs,
-            found,
-            output=problem.tracking == "output",
-            solver=spec.objectives.solver,
-        )
+    asked = replace(spec, objectives=replace(spec.objectives, uncertain=box))
+    with spec.located(), asking(spec.objectives.solver):
+        return next(Robust.prove(controller, asked_of(asked, None)))
 
 
-def _costs(spec: Spec, gains: Design, sizes: Sizes) -> dict[str, Array]:
-    """Return the proved bounds of the costs that were asked for."""
-    plant, goals = spec.problem.plant, spec.objectives
-    parts = ((CONTROLLER, goals.controller, gains.K), (OBSERVER, goals.observer, gains.L))
-    return {
-        role.name: cost_bound(Task.of(plant, role, goals.solver, sizes=sizes), role.oriented(gain), goal.Q, goal.R)
-        for role, goal, gain in parts
-        if isinstance(goal, LeastCost)
-    }
+def proved_for(spec: Spec, controller: Controller) -> Controller:
+    """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
+    with spec.located(), asking(spec.objectives.solver):
+        return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller)))

@@ -40,7 +40,7 @@ class Result:
             or None if it has none.
         spool: All samples and events of a run of which `response` has not all.
         w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
-            enclosed: see `study.along`, (10, n).
+            enclosed: see `study.along`, (10, n). None where that took too long.
     """
 
     spec: Spec

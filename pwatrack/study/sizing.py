@@ -10,20 +10,24 @@ from pwatrack.causes import Remedy, Way
 from pwatrack.control.controller import Controller
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
+from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError
 from pwatrack.model.merging import widest
 from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.region import Box
+from pwatrack.simulation.steady_state import periodic_state
+from pwatrack.simulation.visits import blocks, desired_flow
 from pwatrack.spec.spec import Spec
 
 _SPAN = 20.0  # time constants in a run, for a plant that has no speed of its own: what decays so is over long before
 _TIMES = 4096  # at which a reference is looked at, beside its breaks
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are even over [0, 1] and in step with no period
 _BRIEF = 0.05  # of the time of a run: a signal that moves no longer does so in spikes
-_STILL = 1e-9  # of the largest value: what moves less is a constant, but for rounding
+_STILL = 1e-9  # of the largest value, or of a size: what moves less is a constant, or 0, but for rounding
 
 Known = tuple[str, float, Origin]
 
@@ -98,15 +102,31 @@ def reference_sizes(spec: Spec, controller: Controller) -> Array:
     """Return how large the reference of each signal of the tracking error is, never more than it is, (q,).
 
     That is half of its swing in a run, and of one that rests its size; at samples, so a swing is a little more. It is 0
-    where the reference rests at 0 or is not known beforehand: there is nothing to compare an error with.
+    where the reference rests at 0, or is a response to given inputs that cannot be followed: there is nothing to
+    compare an error with.
     """
     trajectory, plant = controller.trajectory, controller.plant
     p, of_state = len(trajectory.names), controller.tracking == "state"
     rows = trajectory.x_d[0] if of_state else plant.tracked @ trajectory.x_d[0]
     if of_state and p:  # the response to given inputs
-        return np.zeros(len(rows))
+        try:
+            moves = _moves(_response(plant, trajectory, spec.scenario.duration))
+            return np.where(moves > _STILL * controller.sizes.state, moves, 0.0)
+        except PwatrackError:
+            return np.zeros(len(rows))
     t = _times(trajectory.exosystem, spec.scenario.duration)
     return _moves(trajectory.exosystem.states(t) @ rows[:, p:-1].T + rows[:, -1])
+
+
+def _response(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> Array:
+    """Return x_d of given inputs at samples, from its start, or over a period of its periodic solution, (T, n)."""
+    system, p = trajectory.exosystem, len(trajectory.names)
+    eta = np.zeros(p) if trajectory.eta0 is None else trajectory.eta0
+    z0 = np.concatenate([eta, system.w0, [1.0]])
+    if trajectory.eta0 is not None:
+        return np.concatenate([trace.z[:, :p] for trace in blocks(plant, trajectory, z0, duration)])
+    period = duration if system.constant or system.period is None else system.period
+    return np.asarray(periodic_state(desired_flow(plant, trajectory), z0, free=p, period=period).z[:, :p])
 
 
 def _given(spec: Spec) -> Iterator[Known]:

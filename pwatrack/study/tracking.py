@@ -71,14 +71,14 @@ def desired_trajectory(
     spec: Spec, growing: bool, form: NormalForm | None = None
 ) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
     """Return the desired trajectory, and for output tracking the generator it comes from, in a form that is known."""
-    plant, reference, solver = spec.problem.plant, spec.problem.reference, spec.objectives.solver
+    plant, reference = spec.problem.plant, spec.problem.reference
     if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
         if not isinstance(reference, InputReference):
             return trajectory, None
         horizon = spec.scenario.duration
         try:
-            return bounded_response(plant, trajectory, horizon=horizon, solver=solver, subject=where), None
+            return bounded_response(plant, trajectory, horizon=horizon, subject=where), None
         except CheckFailed as growth:
             if not growing:
                 raise
@@ -105,7 +105,7 @@ def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGe
         PwatrackError: As `trajectory_generator`; state tracking is advised where no eigenvalue decides against it.
     """
     try:
-        return trajectory_generator(form, solver=spec.objectives.solver, preview=known)
+        return trajectory_generator(form, preview=known)
     except PwatrackError as refusal:
         raise advised(refusal, spec) from None
 

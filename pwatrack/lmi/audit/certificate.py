@@ -34,6 +34,7 @@ DECIDED = {  # each claim of `shape.PROOFS`
     "no P, by unstable modes": no_P_by_modes,
 }
 ACTS = ("disturbance", "noise", "start")  # what bounds are of, in this order
+ANEW = "write it anew with 'pwatrack design', or check it with the version that wrote it"
 _MOST_BYTES = 2**28  # of the file
 
 
@@ -43,7 +44,7 @@ def audit(text: str) -> tuple[list[str], list[str]]:
         with counted(len(text)):
             content = parsed(text)
             if content["format"] != FORMAT:
-                return [], [f"the format is '{ascii(content['format'])[1:-1][:80]}', this program reads '{FORMAT}'"]
+                raise Fault(f"the format is {_shown(content['format'])}, this program reads '{FORMAT}': {ANEW}")
             fit(content["proofs"], REFUSAL["proofs"], "proofs")
             fit(content, REFUSAL if refuses(content) else DESIGN, "the certificate")
             return judged(content)
@@ -52,6 +53,11 @@ def audit(text: str) -> tuple[list[str], list[str]]:
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         return [], [f"not a certificate: {missing}"[:200]]
+
+
+def _shown(name: Any) -> str:
+    """Return what a file calls its format, as it may be printed."""
+    return f"'{ascii(name)[1:-1][:80]}'" if isinstance(name, str) else "none that is known"
 
 
 def judged(content: Any) -> tuple[list[str], list[str]]:

@@ -68,5 +68,6 @@ def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str]
     faults += [f"entry {entry['channel'][1] + 1}: {f}" for entry in content["bounds"] for f in box.faults(entry)]
     distinct([name for name, _, _ in content["parameters"]], "a parameter")
     names = ", ".join(name for name, _, _ in content["parameters"])
+    faults += [] if names else ["none is named, and there are bounds for them"]
     count = len(box.matrices("joint"))
     return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {box.count()} corners"

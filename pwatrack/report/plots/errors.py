@@ -62,6 +62,7 @@ def tracking_error(result: Result) -> Figure:
     ]
     unit = error_unit(result)
     title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
+    title += ", at the samples" * ("final_error" in result.figures.sampled)
     bound = result.bands.get(panels[0].form) if len(panels) == 1 else result.tracking_bound
     figure, drawn = _panels(result, title, panels, response.error_sizes)
     if len(panels) == 1:

@@ -20,6 +20,7 @@ def fan(many: EnsembleResult) -> Figure:
     largest = f"{max(figures.final_error for figures in many.figures):.1e} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
+    title += ", at the samples" * any("final_error" in figures.sampled for figures in many.figures)
     last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
     figure, (linear, logarithmic) = canvas(result, title, [[0], [1]], height=6.2)
     floor = ROUNDING * np.abs(result.response.x).max()

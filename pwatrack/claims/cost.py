@@ -1,25 +1,110 @@
 """A proved bound of the quadratic cost of a gain, or of what white noise does to the observer, for any switching."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.causes import Part
+from pwatrack.claims.exact_text import decimals as texts_of
+from pwatrack.claims.exact_text import doubles
+from pwatrack.control.controller import Asked, Claim, Controller
+from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
+from pwatrack.control.words import Words
 from pwatrack.errors import Problem, Undecided
+from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import extreme
 from pwatrack.lmi.program import least_trace
+from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite, scalar
 
 _SLACK = 1e-9  # of the mean weight, beside weights that may be 0: what is minimised is then definite
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costs(Claim):
+    """Bounds of the costs that were asked for.
+
+    Attributes:
+        goals: What was asked, by the role of the gain.
+        X: The proved bounds, (n, n) each: see `cost_bound`.
+    """
+
+    goals: Mapping[Role, LeastCost]
+    X: Mapping[Role, Array]
+
+    statement: ClassVar[str] = "X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0."
+
+    @classmethod
+    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Costs"]:
+        """Yield the bounds where a gain was asked for by its cost."""
+        goals = _least(asked)
+        gains = {CONTROLLER: controller.K, OBSERVER: controller.L}
+        X = {
+            role: cost_bound(_task(role, controller, asked), role.oriented(gains[role]), goal.Q, goal.R)
+            for role, goal in goals.items()
+        }
+        if goals:
+            yield cls(goals=goals, X=X)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Costs"]:
+        """Yield what was proved."""
+        goals, proofs = _least(asked), read_costs(content)
+        if proofs:
+            yield cls(goals=goals, X={role: proofs[role.name] for role in goals if role.name in proofs})
+
+    def data(self, controller: Controller) -> dict[str, Any]:
+        """Return X, beside the weights that it is for."""
+        goals = self.goals
+        return {
+            "proofs": [
+                {"of": role.name, "X": texts_of(X), "Q": texts_of(goals[role].Q), "R": texts_of(goals[role].R)}
+                for role, X in self.X.items()
+            ]
+        }
+
+    def texts(self, role: Role, words: Words, controller: Controller) -> Iterator[str]:
+        """Yield what the bound of the cost of one gain means."""
+        if role not in self.X:
+            return
+        X, goal = self.X[role], self.goals[role]
+        if role is CONTROLLER:
+            yield (
+                "∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from x̂(0) = x(0), for any switching; e = x − x_d, v = u − u_ff, "
+                "X in gains.json"
+            )
+        elif len(different(words.plant.exact.A)) == 1:
+            yield "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
+        else:
+            level = noise_level(X, controller.design.L, goal.Q, goal.R)
+            yield (
+                f"E[Δᵀ X⁻¹ W X⁻¹ Δ] ≤ {up(level)} 1/s under the white noise given, averaged over a long time, for any "
+                "switching; Δ = x̂ − x, W = Q + L R Lᵀ, X in gains.json"
+            )
+
+
+def read_costs(content: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the bounds of costs that a certificate holds, by what they are of."""
+    return {proof["of"]: doubles(proof["X"]) for proof in content["proofs"] if kind(proof) == "cost"}
+
+
+def _least(asked: Asked) -> dict[Role, LeastCost]:
+    return {role: goal for role, goal in asked.words.goals.items() if isinstance(goal, LeastCost)}
+
+
+def _task(role: Role, controller: Controller, asked: Asked) -> Task:
+    return Task.of(asked.words.plant, role, sizes=controller.sizes)
 
 
 def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
@@ -64,7 +149,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))
     inside = at.driven(weight + slack)
     size = float(np.linalg.norm(inside, 2))
-    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)), task.solver)
+    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)))
     if candidate is not None:
         X = at.matrix(candidate.P) * size / at.speed
         for room in _ROOM:

@@ -16,22 +16,27 @@ bounds every signal, as in `bounds`; p may change with time, in any way. The des
 plant, and does not depend on p.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text
-from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
 from pwatrack.causes import Part, Remedy, Way
+from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
+from pwatrack.control.controller import Asked, Claim, Controller, Row, Seen
 from pwatrack.control.convergence import best_certificate
+from pwatrack.control.envelope import from_start, with_acting
 from pwatrack.control.synthesis import Design
+from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, Problem, Undecided
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.lmi.inequality import Solver
+from pwatrack.model.box import Box
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity
 
@@ -39,10 +44,11 @@ _CLAIM = "the proof for the uncertain parameters"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robust:
+class Robust(Claim):
     """The proof for a box.
 
     Attributes:
+        box: The parameters that are uncertain.
         plant: The plant of the design.
         corners: The matrices at the corners.
         count: How many inequalities of order 2 n each ellipsoid satisfies.
@@ -50,10 +56,75 @@ class Robust:
             plant of the box; one for each entry that is not 0.
     """
 
+    box: Box
     plant: PWASystem
     corners: tuple[Matrices, ...]
     count: int
     bounds: tuple[Bounds, ...]
+
+    statement: ClassVar[str] = (
+        "Under uncertain: for every plant whose A, b and B are a mean of those of the corners, with the same weights "
+        "in all cells, and may change with time: what 1 at most in an entry of w = f_p(x_d) - f(x_d) + (B_p - B) u_ff "
+        "can make of each signal from x = x_hat = x_d on; entries without a bound are 0."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"uncertain": None}
+
+    @classmethod
+    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Robust"]:
+        """Yield the proof where parameters are uncertain; see `prove_box`."""
+        if asked.box:
+            plant, output = controller.plant, controller.tracking == "output"
+            corners = asked.corners(plant)
+            yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Robust"]:
+        """Yield what was proved, for the corners that the box has."""
+        told = content["uncertain"]
+        if told is not None and asked.box:
+            plant, corners = controller.plant, tuple(asked.corners(controller.plant))
+            count = len(joint_matrices(plant.exact, corners, *controller.design.exact))
+            bounds = tuple(read_bounds(entry) for entry in told["bounds"])
+            yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
+
+    def data(self, controller: Controller) -> dict[str, Any]:
+        """Return the corners, and the bounds of entries of w."""
+        intervals = [[one.name, *(text(end.centre) for end in (one.low, one.high))] for one in self.box]
+        bounds = [bounds_content(bounds) for bounds in self.bounds]
+        corners = [corner_content(corner) for corner in self.corners]
+        return {"uncertain": {"parameters": intervals, "corners": corners, "bounds": bounds}}
+
+    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+        """Return the intervals; bounds.json has what is proved of signals."""
+        box = {interval.name: [float(interval.low), float(interval.high)] for interval in self.box}
+        return {"uncertain": {"parameters": box, "inequalities": self.count, "rate": self.rate}}
+
+    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+        """Yield what is proved for all of the box."""
+        box, order = ", ".join(interval.text for interval in self.box), 2 * len(self.plant.B)
+        yield (
+            "uncertain",
+            f"for every plant with {box}, also where they change with time: {self.count} inequalities of order {order} "
+            f"proved; errors go to their bounds at least as fast as e^(−{down(self.rate)} t)",
+        )
+        said = "w = f_p(x_d) − f(x_d) + (B_p − B) u_ff, f_p and B_p of that plant: what its entries leave in the end "
+        said += "adds up"
+        if controller.beside:
+            left = ((form, controller.leaves(form)) for form in self.bounds[0].sizes)
+            texts = words.limits((form, size) for form, size in left if size is not None)
+            said += f"{controller.beside}: {', '.join(texts)} for all of them"
+        yield "", said
+        for bounds in self.bounds:
+            _, on, unit = words.cause(bounds.channel, uncertain=True)
+            yield "", f"{', '.join(words.limits(bounds.sizes.items()))} per {unit or '1'} of {on}"
+
+    def allows(self, controller: Controller, seen: Seen) -> dict[Form, Array]:
+        """Return how large each signal may be for a plant of the box, from its start and for w as large as it is."""
+        if seen.w is None or seen.designed:
+            return {}
+        most = from_start(self.bounds, (), seen.start, seen.t, states=len(self.plant.B))
+        acting: dict[Channel, Array] = {bounds.channel: seen.w[:, bounds.channel[1]] for bounds in self.bounds}
+        return with_acting(most, self.bounds, acting)
 
     @property
     def rate(self) -> float:
@@ -114,7 +185,7 @@ def prove_box(
     corners: Sequence[Matrices],
     *,
     output: bool,
-    solver: Solver = "clarabel",
+    box: Box = (),
 ) -> Robust:
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
@@ -124,7 +195,7 @@ def prove_box(
         proofs: What `prove_design` returned for them.
         corners: The matrices at the corners, with the same cells.
         output: Whether outputs are tracked, else states.
-        solver: Which interior-point solver to ask for a common P.
+        box: The parameters that they are the corners of.
 
     Raises:
         OutsideTheory: If loads are estimated too.
@@ -146,7 +217,7 @@ def prove_box(
         )
     matrices = np.array([X.floats for X in M])
     worst = float(np.linalg.eigvals(matrices).real.max())
-    found = best_certificate(matrices, solver=solver) if worst < 0 else None
+    found = best_certificate(matrices) if worst < 0 else None
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
     n = len(plant.B)
@@ -160,7 +231,17 @@ def prove_box(
         if not parts:
             raise _undecided(len(M), order, worst)
         bounds.append(Bounds(channel=channel, sizes=sizes, parts=parts))
-    return Robust(plant=plant, corners=tuple(corners), count=len(M), bounds=tuple(bounds))
+    return Robust(box=box, plant=plant, corners=tuple(corners), count=len(M), bounds=tuple(bounds))
+
+
+def corner_content(corner: Matrices) -> dict[str, Any]:
+    """Return the matrices at a corner in exact numbers."""
+    return {
+        "A": [X.texts for X in corner.A],
+        "b": [X.texts for X in corner.b],
+        "B": corner.B.texts,
+        "radius": {"A": radii(corner.A), "b": radii(corner.b), "B": corner.B.radius_texts},
+    }
 
 
 def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:

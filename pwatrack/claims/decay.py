@@ -1,0 +1,264 @@
+"""(8), (9) and (17): how fast errors go to 0, by how much the gains may change, and what follows by Theorem 2 or 3."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pwatrack.arrays import Array, number_text, up
+from pwatrack.claims.cost import Costs
+from pwatrack.claims.exact_text import decimal, decimals, double, doubles, packed, whole
+from pwatrack.claims.limits import Limited
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.preview import PlayedBack
+from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.control.generator import TrajectoryGenerator
+from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
+from pwatrack.control.guarantees import Contraction
+from pwatrack.control.words import Words, all_cells, down, load_kind
+from pwatrack.lmi.audit.shape import kind
+from pwatrack.lmi.dichotomy import Dichotomy
+from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
+
+_NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
+_ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decay(Claim):
+    """The proofs of (8), (9) and (17) or (17±) for the printed gains, with what they promise."""
+
+    statement: ClassVar[str] = (
+        "Exactly, for the numbers as they are written here (decimals, fractions): the cells cover the state space, the "
+        "field is continuous and, for output tracking, the plant has the form (11). For them and, where a radius is "
+        "given, for every value within it of the entry: controller: M_i = A_i + B K; observer: M_i = (A_i + L C)^T, "
+        "where loads are estimated with [A_i, E; 0, S] and [C, 0] in place of A_i and C; "
+        "generator: M_i = A_eta_i^T, the tracking dynamics of this plant; P > 0 and -(M_i P + P M_i^T) - 2 rate P - "
+        "margin I > 0 for every cell i, P_jk = integers_jk 2^(exponents_j + exponents_k). A plant with elements is A x "
+        "+ b + B u and the sum of direction function(row x + constant); its cells are all combinations of segments, "
+        "the last element's first. Bounded both ways: the same without a rate and without P > 0, so that the generator "
+        "has one bounded solution, which is played back; with estimates s_hat of loads eta + H s_hat, H = "
+        "eta_with_loads, so that no load acts on eta in any cell. With a degree 2 d: the monomials m of degree d of z "
+        "= T e have m' = F_i m for e' = M_i e (controller) or M_i^T e; P > 0 and -(P F_i + F_i^T P) - 2 d rate P - N_i "
+        "> 0 for every different M_i, and m^T N_i m = 0 for all z."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"proofs": []}
+
+    @classmethod
+    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Decay"]:
+        """Yield the claim: a controller has its proofs."""
+        yield cls()
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Decay"]:
+        """Yield the claim; `read_proofs` gives the proofs."""
+        yield cls()
+
+    def data(self, controller: Controller) -> dict[str, Any]:
+        """Return the proofs."""
+        found, generator = list[AnyProof | Dichotomy](controller.proofs), controller.generator
+        if generator is not None and isinstance(generator.certificate, Dichotomy):
+            found.append(generator.certificate)
+        return {"proofs": [_content(proof) for proof in found]}
+
+    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+        """Return the sizes of the gains, and what is proved of them."""
+        return {"figures": gain_figures(controller)}
+
+    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+        """Yield what is proved for which gains, and what follows for the errors."""
+        yield from _gain_rows(words, controller)
+        plant, practical = controller.plant, controller.claims_of(Practical)
+        if plant.loads is not None:
+            named = ", ".join(f"{load.name} ({load_kind(load)})" for load in plant.loads.each)
+            end = "end below the bounds said here" if practical else "go to 0 as said here"
+            yield "loads", f"{named}: estimated and compensated; errors {end} whatever their size"
+        if controller.generator is not None:
+            yield from _generator_rows(words, controller, controller.generator)
+        else:
+            until = controller.trajectory.until
+            end = "" if until is None else f" up to t = {until:.6g} s, the end of the run"
+            yield "Assumption 1", f"x_d and u_ff satisfy (3){end}"
+        if not practical:
+            theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
+            yield from ((theorem, sentence) for sentence in sentences(words, controller))
+        yield from _promise_rows(controller, practical=bool(practical))
+
+
+def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:
+    """Return the proofs of (8), (9) and (17) that a certificate holds."""
+    return [_read(proof) for proof in content["proofs"] if kind(proof) != "cost"]
+
+
+def ends_below(words: Words, controller: Controller) -> list[dict[str, Any]]:
+    """Return below what each tracked signal ends, where that is all that is proved of it; else nothing."""
+    return [
+        {"signal": name, "below": practical.final[controller.tracking, k], "unit": str(words.units.get(name, ""))}
+        for practical in controller.claims_of(Practical)
+        for k, name in enumerate(controller.error_names)
+    ]
+
+
+def sentences(words: Words, controller: Controller) -> list[str]:
+    """Return what is proved of the tracking error: a summary and all that leaves the tool say these."""
+    if below := ends_below(words, controller):
+        return [
+            f"the error of {one['signal']} ends below {up(one['below'])} {one['unit']}".rstrip()
+            + "; it need not go to 0"
+            for one in below
+        ]
+    trajectory, names = controller.trajectory, controller.plant.tracked_names
+    desired = "x_d" if controller.generator is None else ", ".join(f"{name}_d" for name in names)
+    condition = "" if trajectory.bounded else ", as long as x_d stays bounded, which is not proved"
+    for played in controller.claims_of(PlayedBack):
+        left = f"{up(played.error)} {words.unit_of_tracked()}".rstrip()
+        condition = f", but for what is played back, which leaves at most {left} of it"
+    return [f"all solutions track {desired} with error going to 0{condition}"]
+
+
+def gain_figures(controller: Controller) -> dict[str, float]:
+    """Return the figures of a design: sizes of the gains, and what is proved of them."""
+    promised = controller.guarantees
+    robust_rate, of_K, of_L = promised.robust
+    norm_K, norm_L = controller.sizes.norms(controller.design.K, controller.design.L)
+    loops = {"controller": promised.controller, "observer": promised.observer, "generator": promised.generator}
+    return {
+        "norm_K": norm_K,
+        "norm_L": norm_L,
+        **{f"{name}_rate": max(p.rate for p in proved) for name, proved in loops.items() if proved},
+        "rate": promised.rate,
+        "robust_rate": robust_rate,
+        "robust_share_K": of_K,
+        "robust_share_L": of_L,
+    }
+
+
+def _gain_rows(words: Words, controller: Controller) -> Iterator[Row]:
+    design, plant, promised = controller.design, controller.plant, controller.guarantees
+    norm_K, norm_L = controller.sizes.norms(design.K, design.L)
+    for role, proved, run, through, gain, norm in (
+        (CONTROLLER, promised.controller, plant, plant.B, design.K, f"{norm_K:.4g}"),
+        (OBSERVER, promised.observer, plant.model, plant.C, design.L.T, f"{norm_L:.4g} 1/s"),
+    ):
+        goal = words.goals[role]
+        yield f"{role.claim} {role.name}", f"proved for {all_cells(len(run.cell_names))}{_rate(proved)}"
+        origin = _origin(goal) if through.any() or isinstance(goal, Given) else _NO_GAIN[role.letter]
+        within = role is CONTROLLER and bool(plant.B.any()) and _within_limits(goal, controller)
+        size = f"‖{role.letter}‖ = {norm} in sizes, {origin}{' within the limits' * within}"
+        yield "", f"{role.letter}{'ᵀ' * role.transposed} = {_matrix(gain)}, {size}"
+        for costs in () if controller.claims_of(Practical) else controller.claims_of(Costs):
+            yield from (("", text) for text in costs.texts(role, words, controller))
+
+
+def _generator_rows(words: Words, controller: Controller, generator: TrajectoryGenerator) -> Iterator[Row]:
+    proved, played = controller.guarantees.generator, controller.claims_of(PlayedBack)
+    if played:
+        for k, text in enumerate(played[0].texts(words)):
+            yield "" if k else "(17±) preview", text
+    elif not proved:
+        yield "(17) generator", "none needed: relative degree = number of states"
+    else:
+        yield "(17) generator", f"proved{_rate(proved)}; η = {', '.join(generator.form.eta_names)}"
+        if generator.shift is not None:
+            yield "Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}"
+        else:
+            reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
+            yield "Assumption 2", f"holds for no shift; {reason}"
+
+
+def _promise_rows(controller: Controller, *, practical: bool) -> Iterator[Row]:
+    """Yield how fast errors go to 0, and by how much the gains may change."""
+    promised = controller.guarantees
+    if practical:
+        ends = "from every start errors go to these bounds at least as fast as"
+        yield "promise", f"{ends} e^(−{down(promised.rate)} t), for any switching"
+        return
+    errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
+    error = f"{errors} and x − x_d go" if controller.tracking == "output" else "x − x_d goes"
+    ends = "what is played back leaves of it" if controller.claims_of(PlayedBack) else "0"
+    text = f"from every start {error} to {ends} at least as fast as e^(−{down(promised.rate)} t), for any switching"
+    if promised.generator:
+        own = down(max(p.rate for p in promised.generator))
+        text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"
+    rate, of_K, of_L = promised.robust
+    yield "promise", text
+    if any(part.degree > 2 for part in (*promised.controller, *promised.observer)):
+        yield "", "by how much K and L may change is not proved: a polynomial stands for a common P"
+        return
+    yield (
+        "",
+        f"at least as fast as e^(−{down(rate)} t) with K and L changed in every entry by less than "
+        f"{down(100 * of_K)} % and {down(100 * of_L)} % of it, the plant as designed",
+    )
+
+
+def _within_limits(goal: Goal, controller: Controller) -> bool:
+    """Say whether a gain was to keep limits, and is proved to from all starts that it was designed for."""
+    for limited in controller.claims_of(Limited):
+        left = limited.room.left
+        if left is not None and isinstance(goal, AtLeast | Fastest):
+            wanted = "members" if any(one.kind == "members" for one in limited.room.starts) else "exact"
+            return any(p.starts.kind == wanted and p.scale(left) >= 1 for p in limited.promises)
+    return False
+
+
+def _origin(goal: Goal) -> str:
+    """Say where a gain is from."""
+    match goal:
+        case Given():
+            return "given"
+        case LeastCost():
+            return "designed for the cost asked"
+        case Smallest(rate=rate):
+            asked = [f"rate {rate}", "gain smallest"]
+        case Fastest(bound=bound):
+            asked = ["rate largest"] + [f"gain {bound}"] * bool(np.isfinite(bound))
+        case AtLeast(rate=rate, bound=bound):
+            asked = [f"rate {rate}"] * bool(rate) + [f"gain {bound}"] * bool(np.isfinite(bound))
+    return f"designed for {', '.join(asked)}" if asked else "designed"
+
+
+def _rate(proved: Sequence[Contraction]) -> str:
+    """Say the best rate that one inequality is proved for, and by which polynomial if it is by one."""
+    best = max(proved, key=lambda p: p.rate)
+    by = f" by a polynomial of degree {best.degree}" if best.degree > 2 else ""
+    return f"{by}, rate {down(best.rate)} 1/s"
+
+
+def _matrix(X: Array) -> str:
+    rows = [" ".join(number_text(v) for v in row) for row in X]
+    return "[" + "; ".join(rows) + "]"
+
+
+def _content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
+    P = packed(proof.integers, proof.exponents)
+    if isinstance(proof, PolynomialProof):
+        N = [packed(N, proof.N_exponents) for N in proof.N]
+        rate = decimal(proof.rate)
+        return {"of": proof.role.name, "degree": proof.degree, "rate": rate, "T": decimals(proof.T), "P": P, "N": N}
+    if isinstance(proof, Dichotomy):
+        return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
+    told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}
+    return {"of": proof.role.name, **told, "P": P}
+
+
+def _read(proof: Any) -> AnyProof | Dichotomy:
+    role, P = _ROLES[proof["of"]], whole(proof["P"])
+    if kind(proof) == "polynomial":
+        each = [whole(N) for N in proof["N"]]
+        return PolynomialProof(
+            role=role,
+            degree=int(proof["degree"]),
+            rate=double(proof["rate"]),
+            T=doubles(proof["T"]),
+            N=tuple(N["integers"] for N in each),
+            N_exponents=each[0]["exponents"],
+            **P,
+        )
+    if kind(proof) == "P of any sign":
+        return Dichotomy(role=role, margin=double(proof["margin"]), **P)
+    rate, margin, radius = (double(proof[name]) for name in ("rate", "margin", "radius"))
+    return Proof(role=role, rate=rate, margin=margin, radius=radius, **P)

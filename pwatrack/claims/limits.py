@@ -1,0 +1,296 @@
+"""From which starts no limit of an input is reached: what is searched, proved, stored and said of it.
+
+As long as no limit is reached, the loop is the one without limits. So if in that one |u − u_ff| is at most what is left
+beside u_ff at all times, from a start, no limit is ever reached from there, and all that is proved holds with limits.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from pwatrack.arrays import Array, number_text
+from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.claims.exact_text import decimal, decimals, double, doubles, packed, read_signals, signals, whole
+from pwatrack.control.bounds import Loop, Loops
+from pwatrack.control.compensation import Compensation
+from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.control.limits import Peak, Room, Starts
+from pwatrack.control.synthesis import Design
+from pwatrack.control.words import Words, down
+from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.starts import Held, held
+from pwatrack.model.pwa import PWASystem
+
+_ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
+_CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """By how much inputs differ from their feedforward at any time, from some starts, in the loop as designed.
+
+    Attributes:
+        starts: Which.
+        loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
+        inputs: Those that have limits.
+        held: The ellipsoid; None where no input is moved.
+        loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
+    """
+
+    starts: Starts
+    loop: Loop
+    inputs: tuple[int, ...]
+    held: Held | None
+    loads: tuple[float, ...]
+
+    def scale(self, left: Array) -> float:
+        """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
+
+        Args:
+            left: How far each input may be from its feedforward, (m,).
+        """
+        sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
+        moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
+        ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
+        return min(ratios, default=np.inf) * (1 - 1e-12)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limited(Claim):
+    """Limits of the inputs: what the feedforward takes of them, and from which starts none is reached.
+
+    Attributes:
+        room: What the feedforward leaves.
+        promises: What is proved of some starts.
+    """
+
+    room: Room
+    promises: tuple[Promise, ...] = ()
+
+    statement: ClassVar[str] = (
+        "Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d = starts v with "
+        "x_hat = x, loads and their estimates at 0, how far u may be from u_ff at any time; drive: with constant loads "
+        "at inputs (x - x_d, x_hat - x, s_hat - s) = starts v, u_ff without estimates, and u + s for u."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"limits": []}
+
+    @classmethod
+    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Limited"]:
+        """Yield what is known of limits where there are some; of starts only where nothing else acts."""
+        room = asked.room
+        if room is None:
+            return
+        alone = controller.running is controller.plant  # else what is merged acts too
+        proved = promises(controller, room.left, room.starts) if alone and room.left is not None else ()
+        yield cls(room=room, promises=proved)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Limited"]:
+        """Yield the same from what was proved before."""
+        room, entries = asked.room, {entry["of"]: entry for entry in content["limits"]}
+        if room is None:
+            return
+        if room.left is None or controller.running is not controller.plant:
+            yield cls(room=room)
+            return
+        known = {
+            of: Held(
+                **whole(entry["Q"]),
+                weights=tuple(map(double, entry["weights"])),
+                sizes=tuple(size for _, size in read_signals(entry["signals"])),
+            )
+            for of, entry in entries.items()
+        }
+        starts = [_nearby(one, entries) for one in room.starts]
+        yield cls(room=room, promises=promises(controller, room.left, starts, known))
+
+    def data(self, controller: Controller) -> dict[str, Any]:
+        """Return the ellipsoids."""
+        return {"limits": [_content(promise, promise.held) for promise in self.promises if promise.held is not None]}
+
+    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+        """Return by input what the feedforward takes and leaves, and by which scale starts may be off."""
+        room, left, names = self.room, self.room.left, words.plant.inputs
+        inputs = {
+            names[k]: {
+                "limits": [float(v) if np.isfinite(v) else None for v in room.limits[k]],
+                "feedforward": None if room.peak is None else _peak(room.peak, k),
+                "lasting": None if room.lasting is None else _peak(room.lasting, k),
+                "left": None if left is None else float(left[k]),
+            }
+            for k in _finite(room)
+        }
+        said = [
+            {
+                "starts": p.starts.kind,
+                "scale": float(p.scale(left)) if np.isfinite(p.scale(left)) else None,
+                "inputs": _named(names, p, p.held.sizes if p.held else [0.0] * len(p.inputs)),
+                "loads": _named(names, p, p.loads),
+            }
+            for p in self.promises
+            if left is not None
+        ]
+        return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
+
+    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+        """Yield what the limits leave beside the feedforward, and from which starts none is reached."""
+        texts = [*self._takes(words), *self._reaches(loads=controller.plant.loads is not None)]
+        yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
+
+    def _takes(self, words: Words) -> Iterator[str]:
+        """Yield what the feedforward takes of each limit."""
+        room = self.room
+        for k in _finite(room):
+            name, unit = words.plant.inputs[k], words.units.get(words.plant.inputs[k], "")
+            low, high = (number_text(float(v), "g") for v in room.limits[k])
+            said = f"{name} from {low} to {high} {unit}".rstrip()
+            if room.peak is None:
+                yield f"{said}: x_d takes too long to follow, so what its feedforward takes is not known"
+                continue
+            takes = f"its feedforward takes {_range(room.peak, k, unit)}"
+            if any(input_ == k for input_, _ in room.peak.beyond(room.limits)):
+                after = (
+                    "" if room.lasting is None else f"; once that start is forgotten {_range(room.lasting, k, unit)}"
+                )
+                yield f"{said}: {takes}, more than that, from where the generator starts{after}"
+            else:
+                over = float(room.peak.left(room.limits)[k])
+                left = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit: nothing is left"
+                yield f"{said}: {takes}, which {left} for what is off"
+
+    def _reaches(self, *, loads: bool) -> Iterator[str]:
+        """Yield from which starts no limit is reached: ever, or in this run where more may be taken after it."""
+        left = self.room.left
+        if left is None:
+            return
+        never = "no limit is ever reached" if self.room.ever else "no limit is reached in this run"
+        for promise in self.promises:
+            scale, kind = promise.scale(left), promise.starts.kind
+            much = f"up to {down(scale)} times its size" if np.isfinite(scale) else "whatever it is"
+            if kind == "exact":
+                idle = ", while no load acts" if loads else ""
+                starts = f"each |x_k − x_dk| {much} and x̂ = x{idle}"
+            elif kind == "sizes":
+                acting = "" if promise.starts.load is None else " and each load"
+                starts = f"each |x_k − x_dk| and |x̂_k − x_k|{acting} {much}"
+            else:
+                starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
+                starts += " with its loads" if promise.starts.load is not None else ""
+                starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
+                starts += " with x̂ = x" * (kind == "members")
+            yield f"in the loop as designed {never} from {starts}"
+        if not self.promises:
+            yield f"from which starts {never} could not be proved"
+
+
+def promises(
+    controller: Controller, left: Array, starts: Sequence[Starts], known: Mapping[str, Held] | None = None
+) -> tuple[Promise, ...]:
+    """Prove from which starts inputs stay near their feedforward, for a controller; see `inputs_stay`."""
+    plant, design, added = controller.plant, controller.design, controller.compensation
+    return inputs_stay(plant, design, controller.proofs, left, starts, added, known)
+
+
+def inputs_stay(
+    plant: PWASystem,
+    design: Design,
+    proofs: Sequence[AnyProof],
+    left: Array,
+    starts: Sequence[Starts],
+    added: Compensation | None = None,
+    known: Mapping[str, Held] | None = None,
+) -> tuple[Promise, ...]:
+    """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
+
+    With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
+    are estimated the first is about a time when none acts, and its estimate is 0. The second is looked at where all are
+    constants s at inputs: then x_d does not depend on them, and with Δ of x̂ − x and σ = ŝ − s
+
+        u − u_ff = K (e + Δ) − ŝ = (K (e + Δ) − σ) − s,    u_ff without estimates.
+
+    Args:
+        plant: The system (1).
+        design: Its gains K and L.
+        proofs: What `prove_design` returned for them.
+        left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
+        starts: Which starts.
+        added: What estimates of loads add to the desired trajectory.
+        known: What was proved of starts before, by their kind: then nothing is searched.
+    """
+    K, L = design.exact
+    p = L.shape[0] - plant.exact.B.shape[0]
+    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
+    taken_off = added is not None and _taken_off(added, loops.at_inputs)
+    inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
+    for one in starts:
+        loop: Loop = "controller" if one.delta is None else "joint"
+        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not taken_off)):
+            continue
+        kind: Literal["drive", "input"] = "drive" if p and loop == "joint" else "input"
+        rows = reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
+        acting = np.zeros(p) if one.load is None else np.abs(one.load).sum(axis=1)
+        loads = tuple(
+            float(acting[np.array(loops.at_inputs, dtype=int) == k].sum()) if acting.any() else 0.0 for k in inputs
+        )
+        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
+        if not one.G.any() or not any(rows.centre.entries()):
+            found.append(promise)
+            continue
+        if known is not None:
+            found += [replace(promise, held=known[one.kind])] if one.kind in known else []
+            continue
+        tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
+        best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
+        found += [best] if best else []
+    return tuple(found)
+
+
+def _taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
+    """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
+    if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
+        return False
+    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at_inputs)]
+    return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
+
+
+def _nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
+    """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
+    G, n, N = starts.G, len(starts.e), 0 if starts.delta is None else len(starts.e)
+    told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
+    if told.shape != G.shape or not np.allclose(told, G, rtol=_CLOSE, atol=_CLOSE * np.abs(G).max(initial=0.0)):
+        return starts
+    delta, load = told[n : n + N] if N else None, None if starts.load is None else told[n + N :]
+    return replace(starts, e=told[:n], delta=delta, load=load)
+
+
+def _content(promise: Promise, around: Held) -> dict[str, Any]:
+    kind: Literal["drive", "input"] = "input" if promise.starts.load is None else "drive"
+    return {
+        "of": promise.starts.kind,
+        "loop": promise.loop,
+        "starts": decimals(promise.starts.G),
+        "weights": [decimal(w) for w in around.weights],
+        "Q": packed(around.integers, around.exponents),
+        "signals": signals(((kind, k), size) for k, size in zip(promise.inputs, around.sizes, strict=True)),
+    }
+
+
+def _named(names: Sequence[str], promise: Promise, values: Sequence[float]) -> dict[str, float]:
+    return dict(zip((names[k] for k in promise.inputs), values, strict=True))
+
+
+def _peak(peak: Peak, k: int) -> dict[str, list[float]]:
+    return {"range": [float(peak.low[k]), float(peak.high[k])], "times": peak.times[k].tolist()}
+
+
+def _range(peak: Peak, k: int, unit: str) -> str:
+    (first, last), low, high = peak.times[k].tolist(), float(peak.low[k]), float(peak.high[k])
+    ends = f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
+    return f"{ends} (t = {first:.4g} s, {last:.4g} s)"
+
+
+def _finite(room: Room) -> list[int]:
+    return [int(k) for k in np.flatnonzero(np.isfinite(room.limits).any(axis=1))]

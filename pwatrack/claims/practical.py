@@ -1,0 +1,370 @@
+"""Practical tracking: where cells are merged, errors end below a bound that is proved for every signal.
+
+Let f = f̃ + Σ E_k w_k with |w_k| ≤ w̄_k at every x (see `model.merging`), and let (8), (9) and (17) hold for f̃. Generator
+and feedforward run f̃, the plant is f. With e = x − x_d and Δ = x̂ − x, and an observer that runs f̃ too,
+
+    (e, Δ)' = M (e, Δ) + Σ (E_k, −E_k) w_k,      M ∈ conv{M_ij},  M_ij = [Ã_i + B K, B K; 0, Ã_j + L C],
+
+for f̃(x) − f̃(x_d) = Â e and f̃(x̂) − f̃(x) = Ã Δ with Â and Ã in conv{Ã_i}. It is linear in its start and in all w_k
+together: what the start leaves goes to 0, and each w_k by itself is bounded as any disturbance is, by an ellipsoid (see
+`lmi.ellipsoid`) for each signal. An ellipsoid for several w_k with weights that sum to 1 gives nothing less than that
+sum: p_k Q is one for w_k alone. Where the loop has one matrix its peak gain is enclosed instead (see `lmi.chords`).
+
+Where (9) holds for the cells of f the observer may run these: then Δ goes to 0 whatever w does, and in the end
+e' = (Â + B K) e + Σ E_k w_k.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from pwatrack.arrays import OVER_SUMS, number_text, up
+from pwatrack.ball_matrix import BallMatrix, above, text
+from pwatrack.claims.exact_text import bounds_content, read_bounds, signals
+from pwatrack.claims.subject import function_content, plant_content, term_content
+from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak, of_loop
+from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.control.synthesis import Design
+from pwatrack.control.words import Words, sized
+from pwatrack.errors import Problem
+from pwatrack.lmi.chords import PeakGain, peak_gain
+from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.model.merging import Merge, merges, widest
+from pwatrack.model.nonlinearity import ScalarForm
+from pwatrack.model.pwa import PWASystem, linear_form_text
+from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.sizes import Sizes
+
+_SHOWN = 8  # signals beside what is tracked
+_MOST = 40  # mergings that are tried
+_TRIES = 6  # values of a for each ellipsoid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Practical(Claim):
+    """What is proved of the loop with the true plant, where the design is that of one with merged cells.
+
+    Attributes:
+        plant: The true plant, f.
+        merges: What is merged in it; f̃ is the plant of the controller.
+        replaced: Why the error cannot be proved to go to 0.
+        evidence: The proof of that, where there is one.
+        bounds: What 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of
+            each input, of states, of the observer's errors.
+        beyond: Of what is tracked: those that are not proved to end below the size of their reference, with that.
+    """
+
+    plant: PWASystem
+    merges: tuple[Merge, ...]
+    replaced: tuple[Problem, ...]
+    evidence: Any
+    bounds: tuple[Bounds, ...]
+    beyond: Mapping[Form, float] = field(default_factory=dict)
+
+    statement: ClassVar[str] = (
+        "Under practical: the field of the true plant there is that of this plant and the sum of direction (function - "
+        "merged)(row x + constant), each difference at most largest; the loop is that of the true plant, and each "
+        "signal ends below ends_below, from every start."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"practical": None}
+    beside: ClassVar[str] = "what is merged"
+
+    @classmethod
+    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Practical"]:
+        """Yield nothing: what is merged is chosen where exact tracking is refused, see `study.merged`."""
+        yield from ()
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Practical"]:
+        """Yield what was proved, for what is merged of the true plant."""
+        told = content["practical"]
+        if told is not None:
+            bounds, plant = tuple(read_bounds(entry) for entry in told["bounds"]), controller.running
+            ways = merged_ways(told["merged"], plant)
+            yield cls(plant=plant, merges=ways, replaced=(), evidence=None, bounds=bounds)
+
+    @cached_property
+    def final(self) -> dict[Form, float]:
+        """Below what the size of each signal ends, from every start, in its unit."""
+        total = dict.fromkeys(self.bounds[0].sizes, Fraction(0))
+        for merge, bounds in zip(self.merges, self.bounds, strict=True):
+            for signal in total:
+                size = bounds.sizes[signal]
+                total[signal] += merge.largest * Fraction(float(np.nextafter(size, np.inf))) if size else 0
+        return {signal: float(np.nextafter(float(size), np.inf)) if size else 0.0 for signal, size in total.items()}
+
+    def leaves(self, form: Form) -> float | None:
+        """Return below what the size of a signal ends, from every start."""
+        return self.final.get(form)
+
+    def leaves_norm(self, of: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
+        """Return below what the norm of all signals of a kind ends, each counted in its size."""
+        each = [self.final[of, k] / size for k, size in enumerate(sizes)]
+        return float(np.linalg.norm(each)) * OVER_SUMS
+
+    def data(self, controller: Controller) -> dict[str, Any]:
+        """Return the true plant, what is merged in it, and the bounds of what that leaves."""
+        ends = ((form, size) for form, size in self.final.items() if size or form[0] == controller.tracking)
+        return {
+            "practical": {
+                "plant": plant_content(self.plant),
+                "merged": [_merge_content(merge) for merge in self.merges],
+                "observer_runs": "all cells" if controller.plant.watched is not None else "merged cells",
+                "ends_below": signals(ends),
+                "bounds": [bounds_content(bounds) for bounds in self.bounds],
+            }
+        }
+
+    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+        """Return a verdict of its own, what is merged, why, and below what each signal ends."""
+        found = {
+            "exact_tracking": [problem.message for problem in self.replaced],
+            "merged": [
+                {
+                    "name": merge.nonlinearity.name,
+                    "of": _form_text(words, merge),
+                    "from": float(merge.nonlinearity.function.breakpoints[merge.first]),
+                    "to": float(merge.nonlinearity.function.breakpoints[merge.last]),
+                    "unit": _unit(words, merge),
+                    "largest": float(merge.largest),
+                    "deviates_by": {words.cause(("disturbance", j))[1]: size for j, size in _deviations(merge).items()},
+                }
+                for merge in self.merges
+            ],
+            "observer_runs": "all cells" if controller.plant.watched is not None else "merged cells",
+            "ends_below": {
+                name: {"bound": size, "unit": unit}
+                for (name, unit), size in ((words.signal(form), size) for form, size in self.final.items())
+            },
+            "per_deviation": [
+                {words.signal(form)[0]: size for form, size in bounds.sizes.items()} for bounds in self.bounds
+            ],
+        }
+        return {"verdict": "practical", "practical": found}
+
+    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+        """Yield what is proved of a loop with merged cells, the bound of what is tracked first."""
+        tracked, final = controller.tracking, self.final
+        ends = list[str]()
+        for form in (form for form in final if form[0] == tracked):
+            name, unit = words.signal(form)
+            larger = ", larger than the reference" if form in self.beyond else ""
+            ends.append(f"{sized(name)} {'' if ends else 'ends '}below {up(final[form])} {unit}".rstrip() + larger)
+        widths = ", ".join(_width_text(words, merge) for merge in self.merges)
+        yield "practical tracking", f"{', '.join(ends)}, proved for every start; {widths}"
+        for problem in self.replaced:
+            yield "exact tracking", f"refused: {problem.short or problem.message}"
+        for merge in self.merges:
+            yield "merged", _merge_text(words, merge)
+        others = [(form, size) for form, size in final.items() if form[0] not in (tracked, "estimate")]
+        if others:
+            yield "", f"also in the end: {', '.join(words.limits(others[:_SHOWN]))}"
+        cells = len(controller.plant.model.cell_names)
+        if controller.plant.watched is not None:
+            yield "", f"the observer runs all {cells} cells of the plant, and its error goes to 0"
+        else:
+            estimates = [(form, size) for form, size in final.items() if form[0] == "estimate"]
+            limits = ", ".join(words.limits(estimates[:_SHOWN]))
+            yield "", f"the observer runs the merged cells too: {limits} in the end"
+
+
+def least_merges(
+    form: ScalarForm, sizes: Sizes, works: Callable[[Mapping[int, Merge]], bool]
+) -> dict[int, Merge] | None:
+    """Return how each element is merged such that none of them can be merged less while the others stay.
+
+    It begins with all of them merged whole. One after the other, that of the largest deviation first, is then left as
+    it is or merged in the way of the least deviation that will do. Less merged is harder in every way, since (8), (9)
+    and (17) then speak of more cells: so what was found for one element stays the least while others are merged less.
+
+    Args:
+        form: The field as a sum of elements.
+        sizes: Those of the states: what deviations are compared in.
+        works: Whether a design is found for a merging. It is asked 40 times at most; what is left then stays merged.
+
+    Returns:
+        By element, or None where even all merged does not work, or nothing can be merged.
+    """
+    chosen = widest(form)
+    ways = {k: merges(form, k) for k in chosen}
+    if not chosen or not works(chosen):
+        return None
+
+    def effect(k: int) -> float:
+        column = chosen[k].column.floats[:, 0]
+        return float(np.abs(column / sizes.state).max() * float(chosen[k].largest))
+
+    tried = 0
+    for k in sorted(chosen, key=effect, reverse=True):
+        others = {j: merge for j, merge in chosen.items() if j != k}
+        for trial in [others, *(others | {k: way} for way in ways[k] if way.largest < chosen[k].largest)]:
+            if not trial or tried == _MOST:
+                continue
+            tried += 1
+            if works(trial):
+                chosen = trial
+                break
+    return dict(sorted(chosen.items()))
+
+
+def deviation_bounds(
+    plant: PWASystem,
+    design: Design,
+    proofs: Sequence[AnyProof],
+    X: BallMatrix,
+    columns: Sequence[BallMatrix],
+    *,
+    output: bool,
+    states: Sequence[int],
+) -> tuple[Bounds, ...] | None:
+    """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it.
+
+    Args:
+        plant: f̃; if the observer runs another plant, that one has no deviation.
+        design: Its gains.
+        proofs: What `prove_design` returned for them.
+        X: Of the `Compensation` of loads.
+        columns: E_k (n, 1).
+        output: Whether outputs are tracked, else states.
+        states: Which states are to be bounded beside.
+
+    Returns:
+        One for each deviation, or None where some signal could not be bounded.
+    """
+    K, L = design.exact
+    loops = _Loops(plant, K, L, proofs, X, output=output)
+    loops.columns, loops.seen = columns, plant.watched is None
+    extra: list[Form] = [("state", k) for k in states if output]
+    signals = loops.tracked + loops.inputs + extra
+    found = [loops.ended(k, signals) for k in range(len(columns))]
+    return tuple(bounds for bounds in found if bounds is not None) if None not in found else None
+
+
+class _Loops(Loops):
+    """The loops, driven by deviations.
+
+    Attributes:
+        columns: E_k.
+        seen: Whether they drive the observer's error too.
+    """
+
+    columns: Sequence[BallMatrix]
+    seen: bool
+
+    def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
+        """Return g, (N, 1)."""
+        if channel[0] != "deviation":
+            return super().drive(loop, channel)
+        e, nothing = self.columns[channel[1]], BallMatrix.of(np.zeros((self.N, 1)))
+        rest = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
+        delta = nothing - above(e, rest) if self.seen else nothing
+        return of_loop(loop, e, delta)
+
+    def ended(self, k: int, signals: Sequence[Form]) -> Bounds | None:
+        """Return the bounds in the end; without a deviation in the observer that is what the controller's loop says."""
+        channel: Channel = ("deviation", k)
+        loop: Loop = "joint" if self.seen else "controller"
+        estimates = [form for form in self.estimates if form[1] < self.n]
+        sizes, parts = self.sizes("observer", channel, estimates)
+        peaks = list[ProvedPeak]()
+        if loop in self.M:
+            for signal in signals:
+                size, part = self.sizes(loop, channel, [signal], tries=_TRIES)
+                sizes, parts = sizes | size, parts + part
+                if part and (gain := self.proved_peak(part[0], signal)) is not None and gain.size < size[signal]:
+                    peaks.append(ProvedPeak(part=len(parts) - 1, gain=gain))
+                    sizes[signal] = gain.size
+        else:
+            size, part = self.in_two_steps(channel)
+            sizes, parts = sizes | size, parts + part
+        if any(form not in sizes for form in (*signals, *estimates)):
+            return None
+        sizes = {form: sizes[form] for form in (*signals, *estimates)}
+        return Bounds(channel=channel, sizes=sizes, parts=parts, proved=tuple(peaks))
+
+    def proved_peak(self, part: Part, signal: Form) -> PeakGain | None:
+        """Return the peak gain, where the loop has one matrix."""
+        if len(self.M[part.loop]) != 1:
+            return None
+        drive, row = self.drive(part.loop, part.channel), self.row(part.loop, signal)
+        return peak_gain(self.M[part.loop][0], drive, row, part.ellipsoid)
+
+
+def merged_ways(told: Any, plant: PWASystem) -> tuple[Merge, ...]:
+    """Return what a certificate says to be merged, as it would be in a plant.
+
+    Raises:
+        ValueError: If that is nothing of this plant.
+    """
+    form, found = scalar_form(plant), dict[tuple[int, int, int], Merge]()
+    if form is not None:
+        each = (way for k in range(len(form.elements)) for way in merges(form, k))
+        found = {(way.element, way.first, way.last): way for way in each}
+    places = [(one["element"], one["first"], one["last"]) for one in told]
+    if not set(places) <= found.keys():
+        raise ValueError("what is merged, in practical, is nothing of this plant")
+    return tuple(found[place] for place in places)
+
+
+def _merge_content(merge: Merge) -> dict[str, Any]:
+    return {
+        "element": merge.element,
+        "first": merge.first,
+        "last": merge.last,
+        "name": merge.nonlinearity.name,
+        **term_content(merge.nonlinearity),
+        "merged": function_content(merge.function),
+        "largest": text(merge.largest),
+    }
+
+
+def _width_text(words: Words, merge: Merge) -> str:
+    """Say between which values an element was merged."""
+    marks, unit = merge.nonlinearity.function.breakpoints, _unit(words, merge)
+    low, high = float(marks[merge.first]), float(marks[merge.last])
+    if low == -high:
+        return f"the {merge.nonlinearity.name} is ±{number_text(high, '.6g')} {unit}".rstrip()
+    between = f"from {number_text(low, '.6g')} to {number_text(high, '.6g')} {unit}".rstrip()
+    return f"the {merge.nonlinearity.name} is merged {between}"
+
+
+def _merge_text(words: Words, merge: Merge) -> str:
+    """Say what becomes of an element, and by how much the plant then deviates at most."""
+    slopes = merge.function.slopes
+    straight = slopes[0].centre == slopes[-1].centre and len(slopes) == 2
+    count = merge.last - merge.first + 1
+    became = "one line" if straight else f"with {count} corners fewer" if _gone(merge) == count else "with one corner"
+    parts = []
+    for j, size in _deviations(merge).items():
+        _, on, unit = words.cause(("disturbance", j))
+        parts.append(f"{up(size)} {unit} on {on}".replace("  ", " "))
+    return (
+        f"{merge.nonlinearity.name}, of {_form_text(words, merge)}, {became}: it deviates by at most {', '.join(parts)}"
+    )
+
+
+def _gone(merge: Merge) -> int:
+    return len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
+
+
+def _deviations(merge: Merge) -> dict[int, float]:
+    """Return by how much each state equation deviates at most, where it does."""
+    column = np.abs(merge.column.floats[:, 0])
+    return {int(j): float(column[j]) * float(merge.largest) for j in np.flatnonzero(column)}
+
+
+def _form_text(words: Words, merge: Merge) -> str:
+    row = np.array([float(v) for v in merge.nonlinearity.row])
+    return linear_form_text(row, words.plant.states)
+
+
+def _unit(words: Words, merge: Merge) -> str:
+    """Return the unit of what an element looks at, where all states in it have the same and count once."""
+    row = [float(v) for v in merge.nonlinearity.row]
+    names = [name for name, v in zip(words.plant.states, row, strict=True) if v]
+    units = {words.units.get(name, "") for name in names}
+    return units.pop() if len(units) == 1 and all(abs(v) in (0.0, 1.0) for v in row) else ""

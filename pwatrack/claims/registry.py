@@ -1,0 +1,73 @@
+"""The claims that there are, in the order in which they are proved and said. Nothing else lists them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.cost import Costs
+from pwatrack.claims.decay import Decay
+from pwatrack.claims.limits import Limited
+from pwatrack.claims.practical import Practical
+from pwatrack.claims.preview import PlayedBack
+from pwatrack.claims.robust import Robust
+from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.control.words import Words
+
+CLAIMS: tuple[type[Claim], ...] = (Practical, Decay, Costs, Limited, SignalBounds, Robust, PlayedBack)
+
+IMPOSSIBLE = (
+    "Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any gain, or for the one "
+    "that is given; no P of any sign, where it says so: there either Z_i >= 0 and the sum of Z_i M_i + M_i^T Z_i is 0, "
+    "or two cells have a P_i each with M_i P_i + P_i M_i^T < 0, and these have different numbers of positive "
+    "eigenvalues."
+)
+STATEMENT = " ".join(
+    [
+        *(claim.statement for claim in CLAIMS if claim.statement),
+        IMPOSSIBLE,
+        "The file can be checked with pwatrack verify, or with the folder audit of pwatrack alone.",
+    ]
+)
+
+
+def proved(controller: Controller, asked: Asked) -> Controller:
+    """Return a controller with all claims that can be made of it, beside those that it has.
+
+    Raises:
+        PwatrackError: If one was asked for and is not so, or not proved.
+    """
+    for kind in CLAIMS:
+        controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
+    return controller
+
+
+def read(content: Mapping[str, Any], controller: Controller, asked: Asked) -> Controller:
+    """Return a controller with the claims that a certificate holds, without a solver.
+
+    Raises:
+        ValueError: If one does not fit to the controller.
+    """
+    for kind in CLAIMS:
+        controller = replace(controller, claims=(*controller.claims, *kind.read(content, controller, asked)))
+    return controller
+
+
+def data(controller: Controller) -> dict[str, Any]:
+    """Return what a certificate holds of the claims of a controller."""
+    content = {key: value for claim in CLAIMS for key, value in claim.nothing.items()}
+    for claim in controller.claims:
+        for key, value in claim.data(controller).items():
+            content[key] = [*content[key], *value] if content.get(key) else value
+    return content
+
+
+def figures(words: Words, controller: Controller) -> dict[str, Any]:
+    """Return what run.json says of the claims of a controller."""
+    return {key: value for claim in controller.claims for key, value in claim.figures(words, controller).items()}
+
+
+def rows(words: Words, controller: Controller) -> Iterator[Row]:
+    """Yield what a summary says of the claims of a controller."""
+    for claim in controller.claims:
+        yield from claim.rows(words, controller)

@@ -1,0 +1,124 @@
+"""How signals, what acts on them, and numbers are written: the same in files, at the terminal and in pictures."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from decimal import ROUND_FLOOR, Context
+from typing import Literal
+
+from pwatrack.arrays import number_text, up
+from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.goal import Goal
+from pwatrack.lmi.role import Role
+from pwatrack.model.conditions import Conditions
+from pwatrack.model.loads import Load
+from pwatrack.model.pwa import PWASystem
+
+Kind = Literal["disturbance", "noise", "load", "start", "uncertain"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """What a problem calls its signals, and what it asks: enough to say what was proved of it.
+
+    Attributes:
+        plant: As it was described.
+        units: Unit of each signal that has one.
+        sizes: Signals that were given a size.
+        conditions: What is not as the theorems assume in a simulation.
+        goals: What each gain is to achieve.
+    """
+
+    plant: PWASystem
+    units: Mapping[str, str]
+    sizes: Collection[str]
+    conditions: Conditions
+    goals: Mapping[Role, Goal]
+
+    def signal(self, form: Form) -> tuple[str, str]:
+        """Return a signal that is bounded, as text, and its unit."""
+        kind, k = form
+        plant = self.plant
+        named = {"output": plant.tracked_names, "input": plant.inputs}.get(kind, plant.states)
+        loads = {} if plant.loads is None else dict(zip(plant.loads.where, plant.loads.names, strict=True))
+        name = named[k] if k < len(named) else loads[k - len(named)]
+        texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
+        return texts.get(kind, f"{name} - {name}_d"), self.units.get(name, "")
+
+    def cause(self, channel: Channel, *, uncertain: bool = False) -> tuple[Kind, str, str]:
+        """Return what acts: its kind, where or what it is, and its unit. On dv/dt that is the one of v per second."""
+        kind, k = channel
+        plant, units = self.plant, self.units
+        n = len(plant.states)
+        if kind == "noise":
+            return "noise", f"measured {plant.outputs[k]}", units.get(plant.outputs[k], "")
+        if kind == "disturbance":
+            name = plant.states[k]
+            where = f"w in d{name}/dt" if uncertain else f"d{name}/dt"
+            return "uncertain" if uncertain else "disturbance", where, per_second(units.get(name, ""))
+        if k < 2 * n:
+            name = plant.states[k % n]
+            return "start", f"{name} - {name}_d" if k < n else f"{name}_hat - {name}", units.get(name, "")
+        assert plant.loads is not None
+        name = dict(zip(plant.loads.where, plant.loads.names, strict=True))[k - 2 * n]
+        return "load", name, units.get(name, "")
+
+    def declared(self, channel: Channel) -> bool:
+        """Whether the simulation has this disturbance or noise."""
+        kind, k = channel
+        disturbance, noise = self.conditions.disturbance, self.conditions.noise
+        if kind == "noise":
+            return noise is not None and bool(noise.std[k])
+        return disturbance is not None and bool(disturbance.Q[k].any())
+
+    def limits(self, sizes: Iterable[tuple[Form, float]]) -> Iterator[str]:
+        """Yield the bounds of signals in words, rounded up."""
+        for form, size in sizes:
+            name, unit = self.signal(form)
+            yield f"{sized(name)} ≤ {up(size)} {unit}".rstrip()
+
+    def unit_of_tracked(self) -> str:
+        """Return the unit of all that is tracked, where they have one."""
+        units = {self.units.get(name, "") for name in self.plant.tracked_names}
+        return units.pop() if len(units) == 1 else ""
+
+
+def all_cells(count: int) -> str:
+    """Return all cells of a plant in words.
+
+    Example:
+        >>> all_cells(1), all_cells(3)
+        ('the one cell', 'all 3 cells')
+    """
+    return "the one cell" if count == 1 else f"all {count} cells"
+
+
+def load_kind(load: Load) -> str:
+    """Return what is known of an unknown load."""
+    return f"{number_text(float(load.frequency), 'g')} rad/s" if load.frequency.centre else "constant"
+
+
+def sized(name: str) -> str:
+    """Return the size of a signal in words."""
+    return f"|{name.replace('-', '−')}|"
+
+
+def down(value: float) -> str:
+    """Return a number in four digits, not larger: what is said must be proved too.
+
+    Example:
+        >>> down(0.0826799), down(1.4009)
+        ('0.08267', '1.4')
+    """
+    return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
+
+
+def per_second(unit: str) -> str:
+    """Return the unit of a derivative.
+
+    Example:
+        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
+        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
+    """
+    if unit.endswith("/s"):
+        return f"{unit}²"
+    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
