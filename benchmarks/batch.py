@@ -82,8 +82,8 @@ def main(folder: Path) -> None:
 
 def overhead(small: Path, out: Path) -> None:
     """Print what a spec of a batch costs beyond its own design, with what the certificate proves, and simulation."""
+    import pwatrack.commands.run
     import pwatrack.report.plots.pictures
-    import pwatrack.report.session
     import pwatrack.simulation.kernel  # noqa: F401
     from pwatrack.batch.elsewhere import done
     from pwatrack.batch.job import Job

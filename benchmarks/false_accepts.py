@@ -31,6 +31,7 @@ from benchmarks.preview import spec_text
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed, Infeasible
 from pwatrack.lmi.audit import proofs
 from pwatrack.lmi.audit.balls import Ball, flipped
@@ -44,7 +45,6 @@ from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.files import write_design, write_result
-from pwatrack.report.verify import verify
 
 PROGRESS = Console(stderr=True)
 SPECS = Path(__file__).parent.parent / "specs"

@@ -19,10 +19,10 @@ import numpy as np
 
 from pwatrack import load_spec
 from pwatrack.arrays import Array
+from pwatrack.commands.export import of_spec
 from pwatrack.control.program import Program
 from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource
-from pwatrack.report.export import of_spec
 
 SPEC = """name: Chain of four masses with backlash
 system:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from contextlib import AbstractContextManager
 
+    from pwatrack.commands.run import Shown
     from pwatrack.lmi.inequality import Solver
-    from pwatrack.report.session import Shown
 
 app = typer.Typer(
     help="Output tracking control of continuous piecewise affine systems, with proofs.",
@@ -301,7 +301,7 @@ def compare(
 ) -> None:
     """Put runs beside each other: verdicts and figures in a table, errors in one picture."""
     with refusals():
-        from pwatrack.report.compare import compare
+        from pwatrack.commands.compare import compare
 
         compare(console(), folders, picture)
 
@@ -324,7 +324,7 @@ def verify(
 ) -> None:
     """Prove a certificate again from its file, with whole numbers only."""
     with refusals():
-        from pwatrack.report.verify import verify
+        from pwatrack.commands.verify import verify
 
         for sentence in verify(path, spec):
             typer.echo(sentence)
@@ -387,7 +387,7 @@ def _run(
 ) -> None:
     with refusals(), _drawing(options.get("plots", "none")) as drawing:
         from pwatrack.batch.find import run_name
-        from pwatrack.report.session import Members, run
+        from pwatrack.commands.run import Members, run
 
         folder = out or Path("runs") / run_name(path)
         task = partial(run, path, folder, parameters or [], solver, drawing=drawing, **options)

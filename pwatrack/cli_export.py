@@ -8,7 +8,7 @@ import typer
 from pwatrack.report.terminal import compiling, console, refusals
 
 if TYPE_CHECKING:
-    from pwatrack.report.export import Target
+    from pwatrack.commands.export import Target
 
 Set = Annotated[
     list[str] | None,
@@ -83,7 +83,7 @@ def _export(
 ) -> None:
     _check_sample_time(sample_time)
     with refusals():
-        from pwatrack.report.export import export
+        from pwatrack.commands.export import export
         from pwatrack.spec.load import assignments
 
         given = options.pop("reference") == "outside"
@@ -109,7 +109,7 @@ def export_to_fmu(
     """Write controller and plant as FMUs for co-simulation."""
     _check_sample_time(sample_time)
     with refusals():
-        from pwatrack.report.export_fmu import export_fmu
+        from pwatrack.commands.export_fmu import export_fmu
         from pwatrack.spec.load import assignments
 
         with compiling(console(stderr=True)):

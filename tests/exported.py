@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pwatrack import load_spec
-from pwatrack.report.export import Subject, of_spec
+from pwatrack.commands.export import Subject, of_spec
 from tests.test_outcome import cart
 
 MACHINE = """controller: {sample_time: 0.01, delay: 2}

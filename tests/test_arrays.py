@@ -37,8 +37,8 @@ from pwatrack import (
     problem,
     simulate,
 )
+from pwatrack.commands.verify import verify
 from pwatrack.rational import fraction_of
-from pwatrack.report.verify import verify
 from pwatrack.spec.expression import Expression
 from pwatrack.spec.values import document_of, yaml_text
 from pwatrack.spec.yaml_tree import parse_yaml

@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from pwatrack import ensemble, load_spec, simulate
+from pwatrack.commands.verify import verify
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import PwatrackError
 from pwatrack.report import summary, terminal
@@ -18,7 +19,6 @@ from pwatrack.report.files import write_result
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.uncertain import run_rows
-from pwatrack.report.verify import verify
 from pwatrack.study.merged import checked as known
 from pwatrack.study.pipeline import design
 from pwatrack.study.sizing import spec_sizes

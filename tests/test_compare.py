@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 
 from pwatrack import load_spec, simulate
 from pwatrack.cli import app
+from pwatrack.commands.compare import names_of, read_run
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.compare import names_of, read_run
 from pwatrack.report.files import write_result
 
 

@@ -20,9 +20,9 @@ from pwatrack.claims.limits import Limited
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.preview import PlayedBack
 from pwatrack.claims.robust import Robust
+from pwatrack.commands.verify import verify
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 
 PLANTS = {"two_mass_backlash": 20.0, "gallery/gear_with_backlash": 4.0, "gallery/cart_and_pole_swaying": 5.0}
 VARIED = {"two_mass_backlash": "d1", "gallery/gear_with_backlash": "d1", "gallery/cart_and_pole_swaying": "d"}

@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from pwatrack import design, load_spec
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.commands.export import of_spec
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.elements import Elements
@@ -23,9 +25,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, generate_cells, piecewise_linear
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate, refusal_certificate, subject_content
-from pwatrack.report.export import of_spec
 from pwatrack.report.files import write_design
-from pwatrack.report.verify import verify
 from tests.conftest import designed
 from tests.test_cli import call, refused
 

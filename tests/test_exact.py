@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.commands.verify import verify
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
@@ -32,7 +33,6 @@ from pwatrack.lmi.role import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.certificate import subject_content
 from pwatrack.report.files import write_design
-from pwatrack.report.verify import verify
 from tests.conftest import designed
 from tests.scenarios import STOP, mass
 

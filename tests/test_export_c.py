@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from pwatrack import load_spec
+from pwatrack.commands.export import Subject, of_spec
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.c_project import FLAGS, write_c
 from pwatrack.export.c_source import CSource, header, prefix
 from pwatrack.export.fmu import packed
 from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.source import said as in_comment
-from pwatrack.report.export import Subject, of_spec
-from pwatrack.report.verify import CERTIFICATE, CONTROLLER, verify
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
 from tests.misra import checked, listed

@@ -19,6 +19,7 @@ from scipy.linalg import expm
 
 from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.commands.export import of_spec
 from pwatrack.export.c_project import FLAGS
 from pwatrack.export.c_source import CSource
 from pwatrack.export.controller import Controller
@@ -30,7 +31,6 @@ from pwatrack.export.schema import ControllerFile
 from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
-from pwatrack.report.export import of_spec
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.spec import InitialStates

@@ -10,11 +10,11 @@ import pytest
 from scipy.io import loadmat
 
 from pwatrack import load_spec
+from pwatrack.commands.export import Subject, of_spec
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER
 from pwatrack.export.controller import Controller
 from pwatrack.export.matlab import write_matlab
 from pwatrack.export.source import Source
-from pwatrack.report.export import Subject, of_spec
-from pwatrack.report.verify import CERTIFICATE, CONTROLLER
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
 from tests.test_cli import call, refused

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from pwatrack import load_spec
+from pwatrack.commands.export import Subject, of_spec
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER
 from pwatrack.export.controller import Controller
 from pwatrack.export.source import Source
 from pwatrack.export.structured_text import function_block, program_text
-from pwatrack.report.export import Subject, of_spec
-from pwatrack.report.verify import CERTIFICATE, CONTROLLER
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
 from tests.structured_text import Block, Program

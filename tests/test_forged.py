@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from pwatrack import load_spec, simulate
 from pwatrack.cli import app
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 from tests.conftest import designed
 from tests.scenarios import STOP, mass
 

@@ -12,6 +12,7 @@ from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
+from pwatrack.commands.verify import verify
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, AtLeast
 from pwatrack.control.modes import check_modes
@@ -25,7 +26,6 @@ from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.verify import verify
 from pwatrack.spec.spec import Spec
 from pwatrack.study.how_far import HowFar, how_far
 from pwatrack.study.sizing import spec_sizes

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pwatrack
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed
-from pwatrack.report.verify import verify
 from tests.scenarios import mass
 from tests.test_cli import call
 from tests.test_courses import rows

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from pwatrack import OutsideTheory, design, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.commands.verify import verify
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.lmi.audit.certificate import audit
@@ -18,7 +19,6 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.spec.expression import formula
 from tests.conftest import SPECS

@@ -14,6 +14,7 @@ from scipy.linalg import block_diag, expm
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.bounds import SignalBounds
+from pwatrack.commands.verify import verify
 from pwatrack.control.program import program
 from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
@@ -27,7 +28,6 @@ from pwatrack.model.signal import Signal
 from pwatrack.real import Real
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.spec.expression import formula

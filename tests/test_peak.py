@@ -10,10 +10,10 @@ from scipy.linalg import expm
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed
 from pwatrack.lmi.peak import peak_gains
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 
 STAGE = """
 name: linear stage

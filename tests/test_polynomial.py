@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.polynomials import polynomial as audit_polynomial
@@ -23,7 +24,6 @@ from pwatrack.lmi.role import CONTROLLER, GENERATOR
 from pwatrack.rational import floats
 from pwatrack.real import Real
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 
 LARGEST = {2: 0.690, 4: 1.017, 6: 1.037, 8: 1.098, 10: 1.113}  # k2 = k3 for (17) of the example, by degree
 

@@ -17,6 +17,8 @@ from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import up
 from pwatrack.ball_matrix import text
 from pwatrack.claims.practical import Practical, least_merges
+from pwatrack.commands.run import run
+from pwatrack.commands.verify import verify
 from pwatrack.control.bounds import Form
 from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
@@ -24,9 +26,7 @@ from pwatrack.model.merging import Merge, merges
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import design_certificate
-from pwatrack.report.session import run
 from pwatrack.report.summary import print_design
-from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from tests.gaps import plant_with_gaps, practical_controller, worst_found
 from tests.promises import run as run_loop

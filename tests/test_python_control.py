@@ -8,8 +8,8 @@ import pytest
 
 from pwatrack import Controller, Design, InvalidSpec, design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.commands.export import of_spec
 from pwatrack.model.conditions import NOMINAL, Conditions
-from pwatrack.report.export import of_spec
 from tests.conftest import SPECS
 
 control = pytest.importorskip("control", reason="python-control is not installed")

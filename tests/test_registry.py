@@ -11,12 +11,12 @@ import pytest
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS, STATEMENT, data, rows
+from pwatrack.commands.told import told_design
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Asked, Claim, Controller
 from pwatrack.lmi.audit.shape import DESIGN, REFUSAL
 from pwatrack.lmi.solve import answers
 from pwatrack.report.certificate import design_certificate
-from pwatrack.report.told import told_design
 
 PLANTS = {
     "two_mass_backlash": {"Decay", "SignalBounds"},

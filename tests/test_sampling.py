@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.commands.export import of_spec
 from pwatrack.errors import CheckFailed
 from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
-from pwatrack.report.export import of_spec
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.sample_map import SampleMaps

@@ -12,6 +12,7 @@ from scipy.linalg import eigvals
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.robust import Robust
+from pwatrack.commands.verify import verify
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.lmi.audit.certificate import audit
@@ -21,7 +22,6 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.report.files import write_result
-from pwatrack.report.verify import verify
 from pwatrack.spec.expression import formula
 from tests.conftest import SPECS
 from tests.plants import random_outputs

@@ -17,14 +17,14 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.robust import Robust
+from pwatrack.commands.run import run
+from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed, ExitCode, PwatrackError
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
-from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures, run_rows
-from pwatrack.report.verify import verify
 from pwatrack.spec.corners import corners
 from pwatrack.study.bands import covered
 from tests.boxes import judge

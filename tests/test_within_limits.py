@@ -15,6 +15,7 @@ from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.limits import Limited, Promise, promises
+from pwatrack.commands.verify import verify
 from pwatrack.control.controller import Controller
 from pwatrack.control.goal import AtLeast, Fastest
 from pwatrack.control.limits import Peak, Room, Starts
@@ -28,7 +29,6 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.verify import verify
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.study.limiting import room_within_limits

@@ -24,7 +24,7 @@ from pwatrack.errors import CheckFailed
 from pwatrack.interruption import uninterrupted
 
 DRAWING = ("pwatrack.cli", "pwatrack.report.plots.pictures")  # what it takes to draw; the first is their main program's
-PRELOAD = (*DRAWING, "pwatrack.batch.work", "pwatrack.report.session", "pwatrack.simulation.kernel")  # every spec
+PRELOAD = (*DRAWING, "pwatrack.batch.work", "pwatrack.commands.run", "pwatrack.simulation.kernel")  # every spec
 
 _GRACE = 0.4  # seconds that a process has to clean up when it is told to end
 _LONGEST_WAIT = 3600.0  # seconds: a selector takes no number of any size

@@ -13,7 +13,7 @@ from pwatrack.report.terminal import told
 
 def simulate(job: Job) -> Ended:
     """Design and simulate a spec and write its run folder."""
-    from pwatrack.report.session import run
+    from pwatrack.commands.run import run
     from pwatrack.spec.load import expected_exit
 
     said = io.StringIO()

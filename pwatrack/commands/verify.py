@@ -10,6 +10,7 @@ from typing import Any
 from pwatrack.claims.bounds import BOUNDS
 from pwatrack.claims.exact_text import decimals
 from pwatrack.claims.registry import STATEMENT
+from pwatrack.commands.told import CLOSE, merged_as_told, told_design, told_gains
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
@@ -23,7 +24,6 @@ from pwatrack.report.controller import known_start, written
 from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
-from pwatrack.report.told import CLOSE, merged_as_told, told_design, told_gains
 from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import spec_sizes
 

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from pwatrack.commands.export import its_spec, stored, subject_of, unwritable
+from pwatrack.commands.verify import CONTROLLER
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.c_source import CSource, prefix
 from pwatrack.export.fmu import Parts, c_compiler, packed, write_fmu
@@ -11,8 +13,6 @@ from pwatrack.export.fmu_controller import controller_parts
 from pwatrack.export.fmu_description import Version
 from pwatrack.export.fmu_plant import plant_parts
 from pwatrack.export.stored import read
-from pwatrack.report.export import its_spec, stored, subject_of, unwritable
-from pwatrack.report.verify import CONTROLLER
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 

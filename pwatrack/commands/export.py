@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
@@ -27,7 +28,6 @@ from pwatrack.report.files import missed
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.required import required
 from pwatrack.report.run_folder import json_text, read_index
-from pwatrack.report.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.study import pipeline
