@@ -11,7 +11,7 @@ import numpy as np
 from pwatrack.export.controller import Controller
 from pwatrack.export.notation import Language, most, names, printed
 from pwatrack.export.source import Source, Vector, template, write_texts
-from pwatrack.export.step import PRODUCT, Kind, Step, Variable, step
+from pwatrack.export.step import PRODUCT, Kind, Step, Variable
 
 FLAGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
 _WIDTHS = {True: (0, 16, 32), False: (0, 1, 16, 32, 64)}  # of FLT_EVAL_METHOD: these leave floats, or doubles, alone
@@ -32,7 +32,7 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 
 def header(source: Source) -> str:
     """Return the header."""
-    found, of = step(source), source.program.sizes
+    found, of = source.step, source.program.sizes
     counts = _state_bytes(source, found), _constant_bytes(source, found)
     multiplications, additions, comparisons = _operations(found)
     sizes = (
@@ -59,7 +59,7 @@ def header(source: Source) -> str:
 
 def code(source: Source) -> str:
     """Return the source."""
-    found = step(source)
+    found = source.step
     language, used, types = _language(source, found), names(found.body), _types(source)
     kept = {f"new_{variable.name}" for variable in found.kept}
     own = [variable for variable in found.own if variable.name in used - kept]
@@ -188,7 +188,7 @@ def _vector(source: Source, arrays: dict[str, Any]) -> str:
 
 def _advice(source: Source, vector: Vector) -> dict[str, object]:
     """Return what the page and the replay say of this controller."""
-    plant, program, found = source.file.plant, source.program, step(source)
+    plant, program, found = source.file.plant, source.program, source.step
 
     def signals(names: Sequence[str]) -> str:
         return ", ".join(source.signals(names))

@@ -12,7 +12,7 @@ from scipy.io import savemat
 from pwatrack.export.controller import Controller
 from pwatrack.export.notation import Language, names, printed
 from pwatrack.export.source import Source, Vector, template, write_texts
-from pwatrack.export.step import Step, step
+from pwatrack.export.step import Step
 
 _GIVEN = {"y": "y", "u": "u", "given": "ref"}
 _HEADER = b"MATLAB 5.0 MAT-file, written by pwatrack".ljust(116)  # without the time at which it was
@@ -55,7 +55,7 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 
 def functions(source: Source) -> dict[str, str]:
     """Return the functions, by file name."""
-    found, of, name = step(source), source.program.sizes, source.name
+    found, of, name = source.step, source.program.sizes, source.name
     language, used = _named(found), names(found.body)
     sizes = {"y": of["q"], "ref": of["s"]} if source.given else {"y": of["q"]}
     checks = "\n".join(

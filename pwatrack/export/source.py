@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pwatrack.arrays import Array
 from pwatrack.control.program import Program
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
+from pwatrack.export.step import Step, step
 from pwatrack.export.stored import runs
 from pwatrack.simulation.routine import memory, routine
 
@@ -85,22 +85,17 @@ class Source:
             raise InvalidSpec(f"the reference has pieces up to tick {last}, more than a whole number of 32 bits counts")
         return found
 
-    @property
-    def starts(self) -> dict[str, NDArray[Any]]:
-        """What x̂ with ŝ, η̂ and w start with."""
+    @cached_property
+    def step(self) -> Step:
+        """What it does in a sample time."""
         kept, at = memory(self.program, *self.file.started, self.real)["memory"], self.program.places
-        parts = {"x_hat": slice(at["x_hat"].start, at["s_hat"].stop), "eta_hat": at["eta_hat"], "w": at["w"]}
-        return {f"start_{name}": kept[where] for name, where in parts.items() if name != "w" or not self.given}
+        starts = {"start_x_hat": kept[at["x_hat"].start : at["s_hat"].stop], "start_eta_hat": kept[at["eta_hat"]]}
+        return step(self.routine, starts if self.given else {**starts, "start_w": kept[at["w"]]})
 
     @property
     def claims(self) -> list[str]:
         """What is proved of its error, in sentences."""
         return [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
-
-    @property
-    def copies(self) -> int:
-        """How many copies of w are kept."""
-        return max(len(self.routine.turn) - 1, 0)
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
         """Return what stands at the top: what it is, what is proved, digests, signals.

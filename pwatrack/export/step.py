@@ -8,18 +8,19 @@ and 1.0.
 """
 
 import ast
-from collections.abc import Iterable, Iterator
-from copy import deepcopy
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy, deepcopy
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from textwrap import indent
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.export.source import Source
+if TYPE_CHECKING:
+    from pwatrack.simulation.kernel import Routine
 
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
@@ -79,19 +80,24 @@ class Step:
     hold: str
 
 
-def step(source: Source) -> Step:
-    """Return the step of a controller."""
-    at, routine = source.routine.at, source.routine
+def step(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> Step:
+    """Return the step of a controller.
+
+    Args:
+        routine: Its program.
+        starts: What x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
+    """
+    at, copies = routine.at, max(len(routine.turn) - 1, 0)
     arrays: tuple[Variable, ...] = (
         Variable("v", "real", at.w + at.s, "y, u, x_hat, s_hat, eta_hat, w"),
-        Variable("copies", "real", source.copies * at.s, "of w, renewed every 2^10 and 2^20 samples"),
+        Variable("copies", "real", copies * at.s, "of w, renewed every 2^10 and 2^20 samples"),
         Variable("late", "real", at.delay * at.m, "inputs that wait to be put out, the next one first"),
         Variable("before", "real", at.m, "inputs computed last, limited"),
         Variable("wanted", "real", at.m, "inputs wanted before they were limited"),
         Variable("x_d", "real", at.n, "desired state"),
     )
     arrays = tuple(variable for variable in arrays if variable.length)
-    asked = {"tick": routine.last >= 0, "since": source.copies > 0, "piece": routine.most > 0}
+    asked = {"tick": routine.last >= 0, "since": copies > 0, "piece": routine.most > 0}
     numbers = [Variable(name, "whole", what=what) for name, what in _NUMBERS.items() if asked.get(name, True)]
     own = [Variable(f"new_{variable.name}", variable.kind, variable.length) for variable in (*arrays, *numbers)]
     own += [Variable("g", "real", at.source - at.g)] if at.source > at.g else []
@@ -102,17 +108,18 @@ def step(source: Source) -> Step:
     kept = (*arrays, *numbers, Variable("started", "flag", what="whether it has run"))
     hold = _loop("b", at.m, f"u[b] = v[{at.u} + b]\nif not {_finite(f'v[{at.u} + b]')}:\n    u[b] = 0.0")
     return Step(
-        constants=_constants(source),
+        constants=_constants(routine, starts),
         kept=kept,
         own=tuple(own),
-        begin="\n".join(_begin(source, arrays, numbers)),
-        body="\n".join(_body(source, arrays, numbers, {v.name for v in (*kept, *own)}, hold)),
+        begin="\n".join(_begin(routine, arrays, numbers)),
+        body="\n".join(_body(routine, arrays, numbers, {v.name for v in (*kept, *own)}, hold)),
         hold=hold,
     )
 
 
-def _constants(source: Source) -> dict[str, tuple[Kind, NDArray[Any]]]:
-    finfo, known = np.finfo(source.real), source.routine._asdict() | source.starts
+def _constants(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> dict[str, tuple[Kind, NDArray[Any]]]:
+    real = type(routine.half)
+    finfo, known = np.finfo(real), {**routine._asdict(), **starts}
     kinds: dict[str, Kind] = {"signs": "side", "sides": "side"}
     found = dict[str, tuple[Kind, NDArray[Any]]]()
     for name in _ORDER.split():
@@ -123,19 +130,19 @@ def _constants(source: Source) -> dict[str, tuple[Kind, NDArray[Any]]]:
             found[_SHORT.get(name, name)] = (kind, np.where(there, values, 0))  # 0 where there is none
     found["largest"] = ("real", np.array(finfo.max))
     if "quantum" in found:
-        found["half"] = ("real", np.array(source.routine.half))
-        found["all_whole"] = ("real", np.array(2.0**finfo.nmant, dtype=source.real))  # from here on there are no halves
+        found["half"] = ("real", np.array(routine.half))
+        found["all_whole"] = ("real", np.array(2.0**finfo.nmant, dtype=real))  # from here on there are no halves
     return found
 
 
-def _begin(source: Source, arrays: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
-    at = source.routine.at
+def _begin(routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
+    at = routine.at
     for variable in arrays:
         yield _loop("k", variable.length, f"{variable.name}[k] = 0.0")
     starts = [("start_x_hat", f"v[{at.x_hat} + k]", at.N), ("start_eta_hat", f"v[{at.eta_hat} + k]", at.p)]
-    if len(source.routine.turn):
+    if len(routine.turn):
         starts.append(("start_w", f"v[{at.w} + k]", at.s))
-        starts += [("start_w", f"copies[{_at(copy * at.s, 'k')}]", at.s) for copy in range(source.copies)]
+        starts += [("start_w", f"copies[{_at(copy * at.s, 'k')}]", at.s) for copy in range(len(routine.turn) - 1)]
     for table, place, length in starts:
         yield _loop("k", length, f"{place} = {table}[k]")
     for number in numbers:
@@ -144,11 +151,14 @@ def _begin(source: Source, arrays: Iterable[Variable], numbers: Iterable[Variabl
 
 
 def _body(
-    source: Source, arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
+    routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
 ) -> Iterator[str]:
     """Yield a step, unless a number that is an index was overwritten: then the answer to that."""
-    routine = source.routine
-    below = {"cell": len(routine.signs), "cell_d": len(routine.sides), "since": 2 ** (10 * source.copies)}
+    below = {
+        "cell": len(routine.signs),
+        "cell_d": len(routine.sides),
+        "since": 2 ** (10 * max(len(routine.turn) - 1, 0)),
+    }
     below["piece"] = len(routine.piece_tick) + 1
     inside = [f"({v.name} >= 0) and ({v.name} < {below[v.name]})" for v in numbers if v.name in below]
     lines = [_loop("k", variable.length, f"new_{variable.name}[k] = {variable.name}[k]") for variable in arrays]
@@ -224,7 +234,7 @@ class _Worked:
                 case ast.AnnAssign(target=target, value=ast.expr() as value):
                     self.assign(target, value, known, found)
                 case ast.For(target=ast.Name(id=index), iter=ast.Call(args=args)):
-                    numbers = range(*(self.number(arg, known) for arg in args))
+                    numbers = range(*(self.decided(arg, known) for arg in args))
                     if index not in self.variables:
                         for number in numbers:
                             found += self.statements(node.body, known | {index: number})[0]
@@ -286,9 +296,6 @@ class _Worked:
         whole = ast.fix_missing_locations(ast.Expression(deepcopy(node)))
         return eval(compile(whole, "kernel", "eval"), {"__builtins__": {}}, known)  # noqa: S307  # our own code
 
-    def number(self, node: ast.expr, known: dict[str, Any]) -> int:
-        return int(self.decided(node, known))
-
     def value(self, node: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr:
         """Return what is left of a value; what must be done before it is written."""
         decided = None if isinstance(node, ast.Constant) else self.decided(node, known)
@@ -301,15 +308,6 @@ class _Worked:
                 return ast.Name({"new": f"new_{name}", "routine": _SHORT.get(name, name)}.get(of, name))
             case ast.Subscript(value=ast.Name(id="memory" | "room" as of), slice=place):
                 return self.place(of, place, known, found)
-            case ast.Subscript():
-                places = list[ast.expr]()
-                array: ast.expr = node
-                while isinstance(array, ast.Subscript):
-                    places[:0] = array.slice.elts if isinstance(array.slice, ast.Tuple) else [array.slice]
-                    array = array.value
-                indices = [self.value(place, known, found) for place in places]
-                whole = indices[0] if len(indices) == 1 else ast.Tuple(indices)
-                return ast.Subscript(self.value(array, known, found), whole)
             case ast.Call(func=ast.Attribute(attr="isfinite"), args=[inner]):
                 return ast.parse(_finite(ast.unparse(self.value(inner, known, found))), mode="eval").body
             case ast.Call(func=ast.Attribute(attr="floor")):
@@ -317,15 +315,17 @@ class _Worked:
                 return ast.Name(PRODUCT)
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self.called(self.functions[name], args, known, found)
-            case ast.BinOp(left=left, op=op, right=right):
-                return ast.BinOp(self.value(left, known, found), op, self.value(right, known, found))
-            case ast.Compare(left=left, ops=ops, comparators=[right]):
-                return ast.Compare(self.value(left, known, found), ops, [self.value(right, known, found)])
-            case ast.BoolOp(op=op, values=values):
-                return ast.BoolOp(op, [self.value(value, known, found) for value in values])
-            case ast.UnaryOp(op=op, operand=operand):
-                return ast.UnaryOp(op, self.value(operand, known, found))
-        return node
+        made = copy(node)
+        for name, part in ast.iter_fields(node):
+            if isinstance(part, list):
+                part = [self.value(each, known, found) if isinstance(each, ast.expr) else each for each in part]
+            setattr(made, name, self.value(part, known, found) if isinstance(part, ast.expr) else part)
+        if isinstance(made, ast.Subscript) and isinstance(made.value, ast.Subscript):  # of a row: all indices in one
+            places = [
+                place.elts if isinstance(place, ast.Tuple) else [place] for place in (made.value.slice, made.slice)
+            ]
+            return ast.Subscript(made.value.value, ast.Tuple([*places[0], *places[1]]))
+        return made
 
     def called(
         self, function: ast.FunctionDef, args: Iterable[ast.expr], known: dict[str, Any], found: list[ast.stmt]

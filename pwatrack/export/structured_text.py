@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pwatrack.export.notation import Language, names, printed
 from pwatrack.export.source import Source, Vector, in_ascii, reference_unit, said, template, write_texts
-from pwatrack.export.step import Kind, Step, Variable, step
+from pwatrack.export.step import Kind, Step, Variable
 
 ST = Language(
     assign="{} := {};",
@@ -86,7 +86,7 @@ class Names:
 
 def function_block(source: Source) -> str:
     """Return a controller as a function block."""
-    found, of = step(source), source.program.sizes
+    found, of = source.step, source.program.sizes
     called, used, floats = _called(source, found), names(found.body), _floats(source)
     types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
 
@@ -125,7 +125,7 @@ def function_block(source: Source) -> str:
 
 def program_text(source: Source) -> str:
     """Return a program with an instance of the block, and a task of its sample time in a comment."""
-    called, floats = _called(source, step(source)), _floats(source)
+    called, floats = _called(source, source.step), _floats(source)
     put_out = [signal for signal in called.outputs if signal.entry[0] == "u"]
     assigned = [*(signal.called for signal in called.inputs), "reset"]
     read = [*((signal.called, signal.called) for signal in put_out), (called.fault, "status < 0")]

@@ -25,6 +25,7 @@ when that of a function it calls does.
 """
 
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
@@ -125,39 +126,11 @@ class Resets(NamedTuple):
     counted: Array
 
 
-class Places(NamedTuple):
-    """Sizes of a controller, and where each part of its memory begins.
-
-    Attributes:
-        q, m, n, N, p, s: Lengths of y, u, x, (x̂, ŝ), η̂ and w.
-        known: That of (ŝ, η̂, w).
-        delay: How many samples an input is put out late.
-        y, u, x_hat, s_hat, eta_hat, w, copies, late, before, wanted, change, x_d: As in `Program.places`.
-        g, source: In the room beyond it: guards, and the w that a step of the reference begins with.
-    """
-
-    q: int
-    m: int
-    n: int
-    N: int
-    p: int
-    s: int
-    known: int
-    delay: int
-    y: int
-    u: int
-    x_hat: int
-    s_hat: int
-    eta_hat: int
-    w: int
-    copies: int
-    late: int
-    before: int
-    wanted: int
-    change: int
-    x_d: int
-    g: int
-    source: int
+# Sizes of a controller (known: of ŝ, η̂ and w together), by how many samples its inputs are late, and where in its
+# memory, and in the room beyond it, each part begins: see `Program.places`.
+Places = namedtuple(
+    "Places", "q m n N p s known delay y u x_hat s_hat eta_hat w copies late before wanted change x_d g source"
+)
 
 
 class Routine(NamedTuple):
