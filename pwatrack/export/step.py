@@ -239,10 +239,9 @@ class _Worked:
                         for number in numbers:
                             found += self.statements(node.body, known | {index: number})[0]
                     elif numbers:
-                        bounds = [ast.Constant(numbers.start), ast.Constant(numbers.stop)]
-                        calls = ast.Call(ast.Name("range"), bounds, [])
+                        bounds: list[ast.expr] = [ast.Constant(numbers.start), ast.Constant(numbers.stop)]
                         inner, _ = self.statements(node.body, dict(known))
-                        found.append(ast.For(ast.Name(index), calls, inner, []))
+                        found.append(ast.For(ast.Name(index), ast.Call(ast.Name("range"), bounds, []), inner, []))
                 case ast.If(body=[ast.Break()]):
                     pass
                 case ast.If():

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.program import Program
@@ -47,13 +47,13 @@ def routine(program: Program, real: Any = np.float64) -> "Routine":
         low=numbers(program.limits[:, 0]),
         high=numbers(program.limits[:, 1]),
         half=real(0.5),
-        most=max(map(ticks.count, ticks), default=0),
+        most=int(np.unique(ticks, return_counts=True)[1].max(initial=0)),
         end=-1 if end is None else end,
         last=max([-1, *ticks]) if end is None else end,
     )
 
 
-def memory(program: Program, x_hat: Array, eta_hat: Array, real: Any = np.float64) -> dict[str, NDArray[Any]]:
+def memory(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any = np.float64) -> dict[str, NDArray[Any]]:
     """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
     Args:
