@@ -95,7 +95,7 @@ class Running:
 
     def step(self, y: Any, given: Any = ()) -> int:
         y, given = np.array(y, self.real), np.array(given, self.real)
-        status = kernel.tick(self.routine, *self.kept.values(), y, given)
+        status = kernel.tick(self.routine, self.memory, self.counts, self.kept["room"], y, given)
         with np.errstate(all="ignore"):
             assert self.plain.step(y, given) == status
         at = self.found.places

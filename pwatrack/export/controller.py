@@ -130,7 +130,8 @@ class Controller:
             raise ValueError(
                 f"{of['q']} outputs" + f" and {of['s']} entries of the reference" * given + " are expected"
             )
-        self.status = int(tick(self._routine, *self._kept.values(), measured, wanted))
+        kept = self._kept
+        self.status = int(tick(self._routine, kept["memory"], kept["counts"], kept["room"], measured, wanted))
         return self.state("u")
 
     def to_control(self, *, given: bool = False) -> Any:
@@ -154,7 +155,7 @@ class Controller:
             "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.reference)],
             "outputs": plant.inputs,
         }
-        return sampled_system(of, *map(np.array, self.file.started), self._real, {**labels, "units": plant.units})
+        return sampled_system(of, *self.file.started, self._real, {**labels, "units": plant.units})
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
@@ -113,7 +114,7 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
     return control.interconnect([plant, controller], inputs=free, outputs=outputs, name=name, params=params)
 
 
-def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, labels: Mapping[str, Any]) -> Any:
+def sampled_system(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any, labels: Mapping[str, Any]) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
     Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no
@@ -141,7 +142,7 @@ def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, la
             raise ValueError("the last entry of a state is 1, as in params['start']: change what is before it")
         kept = memory(program, x_hat, eta_hat, real)
         kept["memory"][:], kept["counts"][0] = z[:size], tuple(z[size:-1].astype(np.int64))
-        tick(table, *kept.values(), v[:q].astype(real), v[q:].astype(real))
+        tick(table, kept["memory"], kept["counts"], kept["room"], v[:q].astype(real), v[q:].astype(real))
         return kept["memory"], kept["counts"][0].tolist()
 
     def after(_: float, z: Array, v: Array, __: Any) -> Array:

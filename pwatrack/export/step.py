@@ -302,7 +302,8 @@ class _Worked:
             return ast.Constant(int(decided))
         match node:
             case ast.Name(id=name):
-                return deepcopy(known.get(name, node))
+                stands: ast.expr = deepcopy(known.get(name, node))
+                return stands
             case ast.Attribute(value=ast.Name(id=of), attr=name):
                 return ast.Name({"new": f"new_{name}", "routine": _SHORT.get(name, name)}.get(of, name))
             case ast.Subscript(value=ast.Name(id="memory" | "room" as of), slice=place):
