@@ -37,13 +37,12 @@ from pwatrack import load_spec, pipeline
 from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller as Designed
 from pwatrack.errors import PwatrackError
-from pwatrack.export.c_project import FLAGS, write_c
-from pwatrack.export.c_source import CSource
+from pwatrack.export.c import FLAGS, write
 from pwatrack.export.controller import Controller
 from pwatrack.export.fmu import c_compiler, packed, write_fmu
-from pwatrack.export.fmu_controller import controller_parts
+from pwatrack.export.fmu_models import controller_parts
 from pwatrack.export.schema import ControllerFile
-from pwatrack.export.source import Vector
+from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.controller import has_tables, starts, written
@@ -162,12 +161,12 @@ def python_steps(controller: Controller, y: Any) -> Any:
     return found
 
 
-def c_bits(code: CSource, subject: Subject, expected: Any, row: Row) -> int:
+def c_bits(code: Source, subject: Subject, expected: Any, row: Row) -> int:
     """Return in how many bits C differs, compiled in all ways; what else is wrong goes to the row."""
     y, bits = subject.y.astype(code.real), 0
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        write_c(code, Vector(subject.y[:SHORT], np.zeros((SHORT, 0)), "its simulation"), folder)
+        write(code, Vector(subject.y[:SHORT], np.zeros((SHORT, 0)), "its simulation"), folder)
         (folder / "all_steps.c").write_text(ALL_STEPS, encoding="utf-8")
         if shutil.which("cppcheck") and not code.single:
             said = checked(folder)
@@ -194,7 +193,7 @@ def built(folder: Path, compiler: str, level: str, main: str, read: bytes) -> by
     return f"{compiler} {level}: {main} ends with {ran.returncode}" if ran.returncode else ran.stdout
 
 
-def fmu_bits(code: CSource, subject: Subject, expected: Any) -> int:
+def fmu_bits(code: Source, subject: Subject, expected: Any) -> int:
     """Return in how many bits of u, x̂, ŝ, η̂ and x_d the FMUs of both versions differ."""
     of, h, bits = code.program.sizes, code.program.sampling.sample_time, 0
     m, n, first = of["m"], of["n"], of["m"] + of["q"] + of["m"]
@@ -223,7 +222,7 @@ def judged(name: str, spec: Spec, steps: int, fmu: bool) -> Row:
     started, of = time.perf_counter(), subject(spec, steps)
     row = Row(name, simulated=len(of.simulated))
     for single in (False, True):
-        code = CSource(file=of.file, name="loop", single=single, given=False, unproved=tuple(of.file.open))
+        code = Source(file=of.file, name="loop", single=single, given=False, unproved=tuple(of.file.open))
         expected = python_steps(Controller(of.file, single=single), of.y.astype(code.real))
         row.held += int((expected[:, -1] < 0).sum())
         row.bits["float" if single else "double"] = c_bits(code, of, expected, row)

@@ -21,8 +21,8 @@ from pwatrack import load_spec
 from pwatrack.arrays import Array
 from pwatrack.commands.export import of_spec
 from pwatrack.control.program import Program
-from pwatrack.export.c_project import FLAGS, write_c
-from pwatrack.export.c_source import CSource
+from pwatrack.export.c import FLAGS, write
+from pwatrack.export.source import Source
 
 SPEC = """name: Chain of four masses with backlash
 system:
@@ -219,8 +219,8 @@ def main(steps: int) -> int:
         folder = Path(place)
         (folder / "chain.yaml").write_text(SPEC, encoding="utf-8")
         subject = of_spec(load_spec(folder / "chain.yaml"), steps=2000)
-        code = CSource(file=subject.file, name="loop", single=False, given=False, unproved=subject.unproved)
-        write_c(code, subject.vector, folder)
+        code = Source(file=subject.file, name="loop", single=False, given=False, unproved=subject.unproved)
+        write(code, subject.vector, folder)
         y, rounds, program, start = subject.vector.y, max(1, steps // 2000), code.program, subject.file.start
         ours = {
             "declared": '#include "loop.h"\n',

@@ -114,8 +114,8 @@ class Design(Controller):
             InvalidSpec: If python-control is not installed.
             PwatrackError: What `simulate` raises where it cannot start.
         """
-        from pwatrack.export.c_source import prefix
         from pwatrack.export.python_control import controller_system, loop_system, plant_system
+        from pwatrack.export.source import prefix
         from pwatrack.model.conditions import NOMINAL
         from pwatrack.simulation.closed_loop import closed_loop
 

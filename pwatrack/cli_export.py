@@ -1,14 +1,14 @@
 """`pwatrack export …`: parse, call, print."""
 
+from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
+from pwatrack.export.languages import LANGUAGES
 from pwatrack.report.terminal import compiling, console, refusals
-
-if TYPE_CHECKING:
-    from pwatrack.commands.export import Target
 
 Set = Annotated[
     list[str] | None,
@@ -28,58 +28,38 @@ Failed = Annotated[bool, typer.Option("--failed", help="Export the controller of
 exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=True)
 
 
-@exports.command(name="c", epilog="Example: pwatrack export c runs/two_mass_machine --out firmware --float32")
-def export_to_c(
-    target: Exported,
-    out: Folder,
-    parameters: Set = None,
-    sample_time: SampleTime = None,
-    name: Prefix = None,
-    single: Single = False,
-    reference: From = "inside",
-    unproved: Unproved = False,
-    failed: Failed = False,
-) -> None:
-    """Write a controller in C99, with a test vector of its simulation."""
-    options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
-    _export("c", target, out, parameters, sample_time, **options)
+def _command(to: str) -> Callable[..., None]:
+    """Return the command that writes one language."""
+
+    def command(
+        target: Exported,
+        out: Folder,
+        parameters: Set = None,
+        sample_time: SampleTime = None,
+        name: Prefix = None,
+        single: Single = False,
+        reference: From = "inside",
+        unproved: Unproved = False,
+        failed: Failed = False,
+    ) -> None:
+        options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
+        _export(to, target, out, parameters, sample_time, **options)
+
+    if not LANGUAGES[to].single:
+        known = signature(command)
+        left = [each for name, each in known.parameters.items() if name != "single"]
+        command.__signature__ = known.replace(parameters=left)  # type: ignore[attr-defined]
+    return command
 
 
-@exports.command(name="st", epilog="Example: pwatrack export st runs/two_mass_machine --out plc --float32")
-def export_to_structured_text(
-    target: Exported,
-    out: Folder,
-    parameters: Set = None,
-    sample_time: SampleTime = None,
-    name: Prefix = None,
-    single: Single = False,
-    reference: From = "inside",
-    unproved: Unproved = False,
-    failed: Failed = False,
-) -> None:
-    """Write a controller as a function block in Structured Text of IEC 61131-3."""
-    options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
-    _export("st", target, out, parameters, sample_time, **options)
-
-
-@exports.command(name="mat", epilog="Example: pwatrack export mat runs/two_mass_machine --out matlab")
-def export_to_matlab(
-    target: Exported,
-    out: Folder,
-    parameters: Set = None,
-    sample_time: SampleTime = None,
-    name: Prefix = None,
-    reference: From = "inside",
-    unproved: Unproved = False,
-    failed: Failed = False,
-) -> None:
-    """Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it."""
-    options = {"name": name, "single": False, "reference": reference, "unproved": unproved, "failed": failed}
-    _export("mat", target, out, parameters, sample_time, **options)
+for _to, _language in LANGUAGES.items():
+    exports.command(name=_to, help=_language.help, epilog=f"Example: pwatrack export {_to} {_language.example}")(
+        _command(_to)
+    )
 
 
 def _export(
-    to: "Target", target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
+    to: str, target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
 ) -> None:
     _check_sample_time(sample_time)
     with refusals():

@@ -13,7 +13,7 @@ from pwatrack.model.conditions import Conditions, Quanta, Sampling
 from pwatrack.simulation import kernel
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.simulation.routine import COUNTS, memory, room, routine
+from pwatrack.simulation.routine import memory, routine
 from tests.plain import Plain
 from tests.promises import random_loop
 
@@ -91,18 +91,18 @@ class Running:
         self.routine, self.found, self.real = routine(found, real), found, real
         zeros = np.zeros(found.sizes["N"]), np.zeros(found.sizes["p"])
         self.plain = Plain(found, *zeros, real=real)
-        self.memory, self.counts = memory(found, *zeros, real), np.zeros(COUNTS, dtype=np.int64)
-        self.room = room(found, real)
+        self.kept = memory(found, *zeros, real)
+        self.memory, self.counts = self.kept["memory"], self.kept["counts"]
 
     def step(self, y: Any, given: Any = ()) -> int:
         y, given = np.array(y, self.real), np.array(given, self.real)
-        status = kernel.tick(self.routine, self.memory, self.counts, self.room, y, given)
+        status = kernel.tick(self.routine, self.memory, self.counts, self.kept["room"], y, given)
         with np.errstate(all="ignore"):
             assert self.plain.step(y, given) == status
         at = self.found.places
         for name, where in (("u", at["u"]), ("w", at["w"]), ("eta_hat", at["eta_hat"]), ("x_d", at["x_d"])):
             assert self.memory[where].tobytes() == np.array(self.plain.state[name], self.real).tobytes(), name
-        assert (self.counts[4], self.counts[5]) == (self.plain.state["i"], self.plain.state["j"])
+        assert (self.counts[0]["cell"], self.counts[0]["cell_d"]) == (self.plain.state["i"], self.plain.state["j"])
         return int(status)
 
 
@@ -127,7 +127,7 @@ def test_what_is_not_finite_changes_nothing() -> None:
         if np.isnan(y[0]) or np.isinf(given[1]):
             assert running.step(y, given) == -1
             np.testing.assert_array_equal(running.memory, before[0])
-            np.testing.assert_array_equal(running.counts, before[1])
+            np.testing.assert_array_equal(running.counts[0], before[1][0])
 
 
 def turning(end: int | None = None) -> Program:
@@ -144,10 +144,10 @@ def test_a_reference_that_goes_on_for_long_stays_in_place() -> None:
     assert isinstance(follows, Follows)
     assert len(follows.turn) == 3
     running.step([0.0])
-    running.counts[2] = running.plain.state["since"] = 2**20 - 3
+    running.counts[0]["since"] = running.plain.state["since"] = 2**20 - 3
     for _ in range(5):
         running.step([0.0])
-    assert running.counts[2] == 2
+    assert running.counts[0]["since"] == 2
     w = running.memory[running.found.places["w"]]
     expected = np.linalg.matrix_power(follows.turn[0], 2) @ follows.turn[2] @ follows.w0
     np.testing.assert_allclose(w, expected, rtol=1e-12)

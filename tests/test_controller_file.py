@@ -192,6 +192,22 @@ def test_a_file_that_was_changed_in_200_ways_is_refused(run: tuple[Path, Result]
     assert refused > 40  # the rest are files of other controllers
 
 
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("start", {"x_hat": [0.0], "eta_hat": []}, "start has not 4 and 2 entries"),
+        ("L", [[0.0]], "L has fewer rows than there are states"),
+        ("K", [[0.0]], r"K has not the shape \(1, 4\)"),
+    ],
+)
+def test_parts_that_do_not_fit_each_other_are_refused(
+    run: tuple[Path, Result], place: str, value: Any, said: str
+) -> None:
+    forged = {**content(run), place: value}
+    with pytest.raises(InvalidSpec, match=f"f: {said}"):
+        parsed({**forged, "sha256": digest(forged)}, Path("f"))
+
+
 def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
     old = tmp_path / "controller.json"
     old.write_text(json.dumps({**content(run), "format": "pwatrack controller 1"}))

@@ -15,10 +15,10 @@ from pwatrack import load_spec
 from pwatrack.commands.export import Subject, of_spec
 from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.errors import ExitCode, InvalidSpec
-from pwatrack.export.c_project import FLAGS, write_c
-from pwatrack.export.c_source import CSource, header, prefix
+from pwatrack.export.c import FLAGS, header, write
 from pwatrack.export.fmu import packed
-from pwatrack.export.fmu_controller import controller_parts
+from pwatrack.export.fmu_models import controller_parts
+from pwatrack.export.source import Source, prefix
 from pwatrack.export.source import said as in_comment
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
@@ -43,8 +43,8 @@ def built(folder: Path, compiler: str, options: str, main: str = "main.c") -> st
 
 
 def written(subject: Subject, folder: Path, *, single: bool = False, given: bool = False) -> Path:
-    code = CSource(file=subject.file, name="loop", single=single, given=given, unproved=subject.unproved)
-    write_c(code, subject.vector, folder)
+    code = Source(file=subject.file, name="loop", single=single, given=given, unproved=subject.unproved)
+    write(code, subject.vector, folder)
     return folder
 
 
@@ -155,7 +155,7 @@ def test_a_program_in_cpp_links_it(unrounded: Subject, tmp_path: Path) -> None:
 def test_units_are_written_in_ascii(unrounded: Subject) -> None:
     plant = unrounded.file.plant.model_copy(update={"units": {"u": "m³/s", "y": "µm"}})
     file = unrounded.file.model_copy(update={"plant": plant})
-    text = header(CSource(file=file, name="loop", single=False, given=False, unproved=()))
+    text = header(Source(file=file, name="loop", single=False, given=False, unproved=()))
     assert "u            u (m3/s)" in text
     assert "y            y (um)" in text
 
@@ -287,12 +287,12 @@ def test_numbers_that_single_floats_do_not_hold_are_refused(machine: Subject, tm
 @pytest.mark.slow
 def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
     """A practical design has a bound, rounded up; it does not claim that the error goes to 0."""
-    code = CSource(file=machine.file, name="loop", single=False, given=False, unproved=())
+    code = Source(file=machine.file, name="loop", single=False, given=False, unproved=())
     assert "all solutions track y_d with error going to 0." in header(code)
     geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
     assert geared.file.practical is not None
     (bound,) = geared.file.practical
-    code = CSource(file=geared.file, name="loop", single=False, given=False, unproved=())
+    code = Source(file=geared.file, name="loop", single=False, given=False, unproved=())
     (line,) = [line for line in header(code).splitlines() if "ends below" in line]
     assert float(line.partition("below ")[2].split()[0]) >= bound.below > 0
     assert line.endswith(" rad; it need not go to 0.")
@@ -307,7 +307,7 @@ def test_every_claim_of_the_header_is_among_the_claims(machine: Subject) -> None
     ]
     geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
     for file, unproved in ((machine.file, ()), (machine.file, ("the reference grows",)), (geared.file, ())):
-        code = CSource(file=file, name="loop", single=False, given=False, unproved=unproved)
+        code = Source(file=file, name="loop", single=False, given=False, unproved=unproved)
         said = header(code).partition("of pwatrack.\n")[2].partition(" *\n")[0]
         claims = [line.removeprefix(" * ") for line in said.splitlines()]
         assert claims
@@ -422,16 +422,16 @@ def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:
 def test_a_title_cannot_leave_its_comment(machine: Subject, tmp_path: Path) -> None:
     bad = machine.file.model_copy(update={"name": 'x */ #error "out" /* \n #error'})
     folder = tmp_path / "c"
-    write_c(CSource(file=bad, name="loop", single=False, given=False, unproved=("*/ #error",)), machine.vector, folder)
+    write(Source(file=bad, name="loop", single=False, given=False, unproved=("*/ #error",)), machine.vector, folder)
     assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
 
 
 @pytest.mark.parametrize("title", ["Model", "main", "Vector", "math", "string", "test", "replay", "int", "C 11"])
 def test_no_title_gives_a_name_that_is_taken(machine: Subject, tmp_path: Path, title: str) -> None:
     """By another file of the folder, by a header of C, or by a target of the build."""
-    code = CSource(file=machine.file, name=prefix(title), single=False, given=False, unproved=())
+    code = Source(file=machine.file, name=prefix(title), single=False, given=False, unproved=())
     vector = replace(machine.vector, y=machine.vector.y[:50], w=machine.vector.w[:50])
-    names = write_c(code, vector, tmp_path)
+    names = write(code, vector, tmp_path)
     assert len({name.lower() for name in names}) == len(names) == len([*tmp_path.iterdir()])
     assert "50 steps, 0 wrong" in built(tmp_path, COMPILERS[0], f"-O1 -I{tmp_path}")  # as CMake has it
     for target in ("check", "clean"):
@@ -441,7 +441,7 @@ def test_no_title_gives_a_name_that_is_taken(machine: Subject, tmp_path: Path, t
 
 def test_no_title_gives_the_name_of_a_source_of_its_fmu(machine: Subject) -> None:
     for version in (2, 3):
-        code = CSource(file=machine.file, name="loop", single=False, given=False, unproved=())
+        code = Source(file=machine.file, name="loop", single=False, given=False, unproved=())
         found = packed(controller_parts(code, 1.0, {}), version, None)
         taken = {PurePosixPath(file).stem.lower() for file in found if file.endswith((".c", ".h"))} - {"loop"}
         assert {"model", f"fmi{version}"} <= taken

@@ -20,14 +20,12 @@ from scipy.linalg import expm
 from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.commands.export import of_spec
-from pwatrack.export.c_project import FLAGS
-from pwatrack.export.c_source import CSource
+from pwatrack.export.c import FLAGS
 from pwatrack.export.controller import Controller
-from pwatrack.export.fmu import c_compiler, compiled, packed, write_fmu
-from pwatrack.export.fmu_controller import controller_parts
-from pwatrack.export.fmu_description import Version
-from pwatrack.export.fmu_plant import plant_parts
+from pwatrack.export.fmu import Version, c_compiler, compiled, packed, write_fmu
+from pwatrack.export.fmu_models import controller_parts, plant_parts
 from pwatrack.export.schema import ControllerFile
+from pwatrack.export.source import Source
 from pwatrack.model.cells import Partition
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
@@ -75,8 +73,8 @@ def made(name: str) -> tuple[Spec, Result, ControllerFile]:
     return spec, simulate(spec), of_spec(spec, steps=10).file
 
 
-def source_of(file: ControllerFile, *, given: bool = False) -> CSource:
-    return CSource(file=file, name="loop", single=False, given=given, unproved=())
+def source_of(file: ControllerFile, *, given: bool = False) -> Source:
+    return Source(file=file, name="loop", single=False, given=given, unproved=())
 
 
 def written(spec: Spec, file: ControllerFile, version: Version, folder: Path, *, given: bool = False) -> list[Path]:

@@ -13,7 +13,7 @@ from pwatrack import load_spec
 from pwatrack.commands.export import Subject, of_spec
 from pwatrack.commands.verify import CERTIFICATE, CONTROLLER
 from pwatrack.export.controller import Controller
-from pwatrack.export.matlab import write_matlab
+from pwatrack.export.matlab import write
 from pwatrack.export.source import Source
 from tests.conftest import SPECS
 from tests.exported import with_pieces, with_reversed_limits
@@ -36,7 +36,7 @@ def said(folder: Path, text: str) -> list[str]:
 
 def written(subject: Subject, folder: Path, *, given: bool = False) -> Path:
     source = Source(file=subject.file, name="loop", single=False, given=given, unproved=subject.unproved)
-    write_matlab(source, subject.vector, folder)
+    write(source, subject.vector, folder)
     return folder
 
 
@@ -163,7 +163,7 @@ def test_octave_reads_the_same_file_whatever_its_names_are(machine: Subject, tmp
     plant = machine.file.plant.model_copy(update={"units": {"y": "µm", "Ω": "°"}})
     bad = machine.file.model_copy(update={"name": "Größe '%\n end", "plant": plant})
     folder = tmp_path / "m"
-    write_matlab(Source(file=bad, name="loop", single=False, given=False, unproved=("x\nend",)), machine.vector, folder)
+    write(Source(file=bad, name="loop", single=False, given=False, unproved=("x\nend",)), machine.vector, folder)
     known = found(folder)["controller"]
     assert known["name"] == "Größe '%\n end"
     assert known["plant"]["units"].tolist() == [["y", "µm"], ["Ω", "°"]]

@@ -5,7 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,10 @@ from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.export.again import check_same, with_gains
-from pwatrack.export.c_project import write_c
-from pwatrack.export.c_source import CSource, prefix
-from pwatrack.export.matlab import write_matlab
+from pwatrack.export.languages import LANGUAGES
 from pwatrack.export.schema import ControllerFile
-from pwatrack.export.source import Source, Vector
-from pwatrack.export.stored import digest, parsed, read
-from pwatrack.export.structured_text import write_structured_text
+from pwatrack.export.source import Source, Vector, prefix, write_texts
+from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
@@ -33,8 +29,6 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study import pipeline
 
 _STEPS = 1000  # of a test vector
-Target = Literal["c", "st", "mat"]
-_Code = TypeVar("_Code", bound=Source)
 
 
 @dataclass(frozen=True)
@@ -53,9 +47,9 @@ class Subject:
     vector: Vector
     spec: Spec | None
 
-    def source(self, kind: type[_Code], name: str, *, given: bool, single: bool = False) -> _Code:
+    def source(self, name: str, *, given: bool, single: bool = False) -> Source:
         """Return what its code is written from."""
-        return kind(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
+        return Source(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
 
     @property
     def beside(self) -> dict[str, str]:
@@ -65,7 +59,7 @@ class Subject:
 
 
 def export(
-    to: Target,
+    to: str,
     target: Path,
     out: Path,
     *,
@@ -80,7 +74,7 @@ def export(
     """Write a controller for a machine.
 
     Args:
-        to: In which language.
+        to: In which one of `LANGUAGES`.
         target: A spec, a run folder or a controller.json.
         out: The folder for the code.
         parameters: Replacements, for a spec.
@@ -99,17 +93,9 @@ def export(
         CheckFailed: If it is not proved, unless `unproved`, or its run failed, unless `failed`.
     """
     subject = subject_of(target, parameters, sample_time, given, unproved, failed)
-    kind, called = CSource if to == "c" else Source, prefix(name or subject.file.name)
-    code = subject.source(kind, called, single=single, given=given)
+    code = subject.source(prefix(name or subject.file.name), single=single, given=given)
     try:
-        if isinstance(code, CSource):
-            names = write_c(code, subject.vector, out)
-        else:
-            names = write_matlab(code, subject.vector, out) if to == "mat" else write_structured_text(code, out)
-        for file, text in subject.beside.items():
-            (out / file).write_text(text, encoding="utf-8")
-            names.append(file)
-        return names
+        return [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:
         raise unwritable(out, error) from None
 

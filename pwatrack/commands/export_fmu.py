@@ -7,11 +7,9 @@ from typing import Any, Literal
 from pwatrack.commands.export import its_spec, stored, subject_of, unwritable
 from pwatrack.commands.verify import CONTROLLER
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.export.c_source import CSource, prefix
-from pwatrack.export.fmu import Parts, c_compiler, packed, write_fmu
-from pwatrack.export.fmu_controller import controller_parts
-from pwatrack.export.fmu_description import Version
-from pwatrack.export.fmu_plant import plant_parts
+from pwatrack.export.fmu import Parts, Version, c_compiler, packed, write_fmu
+from pwatrack.export.fmu_models import controller_parts, plant_parts
+from pwatrack.export.source import prefix
 from pwatrack.export.stored import read
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -68,7 +66,7 @@ def export_fmu(
     else:
         subject = subject_of(target, parameters, sample_time, given, unproved, failed)
         called = prefix(name or subject.file.name)
-        code = subject.source(CSource, called, given=given)
+        code = subject.source(called, given=given)
         resources = {file: text.encode() for file, text in subject.beside.items()}
         spec = subject.spec
         duration = _RUNS if spec is None else spec.scenario.duration

@@ -16,8 +16,7 @@ from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.program import Program
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
-from pwatrack.export.again import check_same, with_gains
-from pwatrack.export.stored import read
+from pwatrack.export.stored import check_same, read, with_gains
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.role import CONTROLLER, OBSERVER

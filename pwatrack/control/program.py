@@ -100,11 +100,12 @@ class Program:
 
     @property
     def places(self) -> dict[str, slice]:
-        """Where each of its numbers is in its memory."""
+        """Where each of its numbers is in its memory, and behind that what it works with: guards, and the last w."""
         of, late = self.sizes, self.sampling.delay
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
-        lengths |= {"w": of["s"], "w_copies": 2 * of["s"], "late": late * of["m"]}
+        lengths |= {"w": of["s"], "copies": 2 * of["s"], "late": late * of["m"]}
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
+        lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
         edges = np.cumsum([0, *lengths.values()]).tolist()
         return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
 

@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pwatrack.arrays import Array
 from pwatrack.errors import InvalidSpec
-from pwatrack.export.c_source import prefix
 from pwatrack.export.schema import ControllerFile
+from pwatrack.export.source import prefix
 from pwatrack.export.stored import read, runs
-from pwatrack.simulation.routine import COUNTS, memory, room, routine
+from pwatrack.simulation.routine import memory, routine
 
 _RAN = 0  # status before any step, and after one that was no fault: see `kernel.tick`
 
@@ -83,13 +83,14 @@ class Controller:
 
         Where x_d has other cells than x̂, since cells are merged, they are counted: "1", "2", …
         """
-        names, (i, j) = self.file.plant.cells, self._counts[4:6].tolist()
+        names, kept = self.file.plant.cells, self._kept["counts"][0]
+        i, j = int(kept["cell"]), int(kept["cell_d"])
         same = len(self._programs[bool(self._given)].sides) == len(names)
         return names[i], names[j] if same else str(j + 1)
 
     def state(self, name: str) -> NDArray[Any]:
         """Return a part of the state: y, u, x_hat, s_hat, eta_hat, w, late, before, wanted or x_d."""
-        return self._memory[self._programs[bool(self._given)].places[name]].copy()
+        return self._kept["memory"][self._programs[bool(self._given)].places[name]].copy()
 
     def reset(self, x_hat: ArrayLike | None = None, eta_hat: ArrayLike | None = None) -> None:
         """Start anew: from what the file says, where nothing else is given.
@@ -98,7 +99,7 @@ class Controller:
             x_hat: x̂(0) and ŝ(0), (N,).
             eta_hat: η̂(0), (p,).
         """
-        known = self._start()
+        known = self.file.started
         self._x_hat = np.array(known[0] if x_hat is None else x_hat, dtype=np.float64)
         self._eta_hat = np.array(known[1] if eta_hat is None else eta_hat, dtype=np.float64)
         self._given, self.status = None, _RAN
@@ -129,7 +130,8 @@ class Controller:
             raise ValueError(
                 f"{of['q']} outputs" + f" and {of['s']} entries of the reference" * given + " are expected"
             )
-        self.status = int(tick(self._routine, self._memory, self._counts, self._room, measured, wanted))
+        kept = self._kept
+        self.status = int(tick(self._routine, kept["memory"], kept["counts"], kept["room"], measured, wanted))
         return self.state("u")
 
     def to_control(self, *, given: bool = False) -> Any:
@@ -153,16 +155,8 @@ class Controller:
             "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.reference)],
             "outputs": plant.inputs,
         }
-        return sampled_system(of, *self._start(), self._real, {**labels, "units": plant.units})
-
-    def _start(self) -> tuple[Array, Array]:
-        """Return x̂(0) with ŝ(0), and η̂(0), as the file says."""
-        start, of = self.file.start, self._programs[False].sizes
-        if start is None:
-            return np.zeros(of["N"]), np.zeros(of["p"])
-        return np.array(start.x_hat), np.array(start.eta_hat)
+        return sampled_system(of, *self.file.started, self._real, {**labels, "units": plant.units})
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real
-        self._routine, self._memory = routine(program, real), memory(program, self._x_hat, self._eta_hat, real)
-        self._room, self._counts = room(program, real), np.zeros(COUNTS, dtype=np.int64)
+        self._routine, self._kept = routine(program, real), memory(program, self._x_hat, self._eta_hat, real)

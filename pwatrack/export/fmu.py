@@ -1,23 +1,113 @@
-"""A model in C -> an FMU: one file with its description, its sources and, where a compiler is there, a binary."""
+"""A model in C -> an FMU of FMI 2.0 or 3.0: its description, its sources and, where a compiler is there, a binary."""
 
 import hashlib
 import platform
+import re
 import shutil
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from math import pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
-from pwatrack.export.fmu_description import Model, Version, build_description, description
+from pwatrack.export.source import template
+from pwatrack.version import __version__
 
+Version = Literal[2, 3]
 OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 _PLATFORMS: Mapping[Version, str] = {2: "linux64", 3: "x86_64-linux"}
 _TIME = (1980, 1, 1, 0, 0, 0)  # of all files: the same content is the same file
 _UNKNOWN = "@token@"
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+_UNITS: dict[str, tuple[float, dict[str, int]]] = {
+    **{name: (1.0, {name: 1}) for name in BASE},
+    "g": (1e-3, {"kg": 1}),
+    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
+    "J": (1.0, {"kg": 1, "m": 2, "s": -2}),
+    "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
+    "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
+    "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
+    "Hz": (1.0, {"s": -1}),
+    "C": (1.0, {"A": 1, "s": 1}),
+    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "Ω": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "F": (1.0, {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}),
+    "T": (1.0, {"kg": 1, "s": -2, "A": -1}),
+    "l": (1e-3, {"m": 3}),
+    "L": (1e-3, {"m": 3}),
+    "min": (60.0, {"s": 1}),
+    "h": (3600.0, {"s": 1}),
+    "deg": (pi / 180, {"rad": 1}),
+    "rpm": (pi / 30, {"rad": 1, "s": -1}),
+    "%": (0.01, {}),
+    "1": (1.0, {}),
+}
+_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}
+_CELSIUS = ("degC", "°C")  # alone, else only differences are meant
+_PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/ ]|$)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """A variable of a model; its number is its place in the list, the real ones come first.
+
+    Attributes:
+        name: Of FMI's structured names.
+        causality: "independent", "input", "output", "local" or "parameter".
+        description: In words.
+        unit: As a text, "" for none.
+        start: Of inputs and parameters.
+        whole: Whether it is a whole number.
+        held: Whether it changes at steps only.
+    """
+
+    name: str
+    causality: str
+    description: str
+    unit: str = ""
+    start: float | None = None
+    whole: bool = False
+    held: bool = False
+
+    @property
+    def variability(self) -> str:
+        """In the words of FMI."""
+        if self.causality == "parameter":
+            return "fixed"
+        return "discrete" if self.held or self.whole else "continuous"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """What a description is about.
+
+    Attributes:
+        identifier: Its name in C.
+        title, description: Of it, for people.
+        token: What tells it apart from every other one.
+        variables: All of them, in order.
+        step: The only length of a step in s, or whole multiples of it; None for any length.
+        preferred: A length of steps, and how long it may run, in s.
+        files: Names of the C files.
+    """
+
+    identifier: str
+    title: str
+    description: str
+    token: str
+    variables: tuple[Variable, ...]
+    step: float | None
+    preferred: tuple[float, float]
+    files: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +125,6 @@ class Parts:
     resources: Mapping[str, bytes]
 
 
-def template(name: str, values: Mapping[str, object]) -> str:
-    """Return a C file of `templates` with each @name@ replaced."""
-    text = files("pwatrack.export.templates").joinpath(name).read_text(encoding="utf-8")
-    for key, value in values.items():
-        text = text.replace(f"@{key}@", str(value))
-    return text
-
-
 def packed(parts: Parts, version: Version, compiler: str | None) -> dict[str, bytes]:
     """Return all files of an FMU by their paths.
 
@@ -55,7 +137,7 @@ def packed(parts: Parts, version: Version, compiler: str | None) -> dict[str, by
         RuntimeError: If it does not compile the sources.
     """
     main = f"fmi{version}.c"
-    sources = {main: template(main, {}), "instance.h": template("instance.h", {}), **parts.sources}
+    sources = {main: template(main), "instance.h": template("instance.h"), **parts.sources}
     model = replace(parts.model, files=tuple(name for name in sources if name.endswith(".c")))
     whole = [description(model, version), *(text.encode() for text in sources.values())]
     token = hashlib.sha256(b"".join(whole)).hexdigest()
@@ -105,3 +187,160 @@ def c_compiler() -> str | None:
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     return next((path for path in map(shutil.which, ("cc", "gcc", "clang")) if path), None)
+
+
+def description(model: Model, version: Version) -> bytes:
+    """Return modelDescription.xml."""
+    root = ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{version}.0",
+            "modelName": _line(model.title),
+            "guid" if version == 2 else "instantiationToken": model.token,
+            "description": _line(model.description),
+            "license": "It belongs to its user: LICENSE-EXCEPTION of pwatrack",
+            "generationTool": f"pwatrack {__version__}",
+            "variableNamingConvention": "structured",
+        },
+    )
+    _interface(root, model, version)
+    _units(root, model)
+    categories = ET.SubElement(root, "LogCategories")
+    for name in ("logStatusWarning", "logStatusError"):
+        ET.SubElement(categories, "Category", name=name)
+    step, stop = model.preferred
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(stop), stepSize=repr(step))
+    variables = ET.SubElement(root, "ModelVariables")
+    for number, variable in enumerate(model.variables):
+        _variable(variables, variable, number, version)
+    _structure(root, model, version)
+    return _text(root)
+
+
+def build_description(model: Model) -> bytes:
+    """Return sources/buildDescription.xml of FMI 3.0."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
+    options = "-std=c99 -O2 -ffp-contract=off"
+    sources = ET.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=options)
+    for name in model.files:
+        ET.SubElement(sources, "SourceFile", name=name)
+    ET.SubElement(configuration, "Library", name="m", external="true")
+    return _text(root)
+
+
+def _interface(root: ET.Element, model: Model, version: Version) -> None:
+    state = "FMUstate" if version == 2 else "FMUState"
+    said = {
+        "modelIdentifier": model.identifier,
+        "canHandleVariableCommunicationStepSize": "true" if model.step is None else "false",
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
+    if version == 2:
+        said["canNotUseMemoryManagementFunctions"] = "true"
+    elif model.step is not None:
+        said["fixedInternalStepSize"] = repr(model.step)
+    interface = ET.SubElement(root, "CoSimulation", said)
+    if version == 2:
+        files = ET.SubElement(interface, "SourceFiles")
+        for name in model.files:
+            ET.SubElement(files, "File", name=name)
+
+
+def _units(root: ET.Element, model: Model) -> None:
+    names = dict.fromkeys(variable.unit for variable in model.variables if variable.unit)
+    units = ET.SubElement(root, "UnitDefinitions")
+    for name in names:
+        unit, base = ET.SubElement(units, "Unit", name=_line(name)), base_unit(name)
+        if base is not None:
+            said = {power: str(value) for power, value in base.powers.items()}
+            said |= {"factor": repr(base.factor)} if base.factor != 1 else {}
+            ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(base.offset)} if base.offset else {}))
+
+
+def _variable(variables: ET.Element, variable: Variable, number: int, version: Version) -> None:
+    said = {"name": variable.name, "valueReference": str(number), "description": _line(variable.description)}
+    said |= {"causality": variable.causality, "variability": variable.variability}
+    of: dict[str, str] = {"unit": _line(variable.unit)} if variable.unit else {}
+    of |= {} if variable.start is None else {"start": repr(variable.start)}
+    if version == 3:
+        ET.SubElement(variables, "Int32" if variable.whole else "Float64", said | of)
+    else:
+        scalar = ET.SubElement(variables, "ScalarVariable", said)
+        ET.SubElement(scalar, "Integer" if variable.whole else "Real", of)
+
+
+def _structure(root: ET.Element, model: Model, version: Version) -> None:
+    """Say that no output depends on an input at once: it follows in the next step."""
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [k for k, variable in enumerate(model.variables) if variable.causality == "output"]
+    if version == 3:
+        for k in outputs:
+            ET.SubElement(structure, "Output", valueReference=str(k), dependencies="")
+        for k in outputs:
+            ET.SubElement(structure, "InitialUnknown", valueReference=str(k))
+        return
+    lists = [ET.SubElement(structure, name) for name in ("Outputs", "InitialUnknowns")]
+    for k in outputs:
+        ET.SubElement(lists[0], "Unknown", index=str(k + 1), dependencies="")
+        ET.SubElement(lists[1], "Unknown", index=str(k + 1))
+
+
+def _line(text: str) -> str:
+    """Return a text as one line of what XML can hold."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def _text(root: ET.Element) -> bytes:
+    ET.indent(root)
+    found: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return found + b"\n"
+
+
+@dataclass(frozen=True)
+class BaseUnit:
+    """A value v of a unit is factor · v + offset in these powers of base units."""
+
+    powers: Mapping[str, int]
+    factor: float
+    offset: float
+
+
+def base_unit(text: str) -> BaseUnit | None:
+    """Return a unit in base units, or None where it cannot be read.
+
+    A product has spaces, `*` or `·` between its factors; `/` divides by the next one; a number is a power.
+
+    Example:
+        >>> base_unit("mN m/s^2")
+        BaseUnit(powers={'kg': 1, 'm': 2, 's': -4}, factor=0.001, offset=0.0)
+        >>> base_unit("degC").offset, base_unit("degC/s").powers, base_unit("pieces")
+        (273.15, {'s': -1, 'K': 1}, None)
+    """
+    if text in _CELSIUS:
+        return BaseUnit({"K": 1}, 1.0, 273.15)
+    powers, factor, place = dict[str, int](), 1.0, 0
+    for part in _PART.finditer(text):
+        found = _symbol(part[2])
+        between = part[1].strip()
+        if part.start() != place or found is None or len(between) > 1:
+            return None
+        place, power = part.end(), int(part[3] or 1) * (-1 if between == "/" else 1)
+        factor *= found[0] ** power
+        for name, count in found[1].items():
+            powers[name] = powers.get(name, 0) + power * count
+    if not text or place != len(text):
+        return None
+    return BaseUnit({name: powers[name] for name in BASE if powers.get(name)}, factor, 0.0)
+
+
+def _symbol(text: str) -> tuple[float, Mapping[str, int]] | None:
+    if text in _CELSIUS:
+        return _UNITS["K"]
+    if text in _UNITS:
+        return _UNITS[text]
+    scale, rest = _PREFIXES.get(text[:1]), text[1:]
+    if scale is None or rest not in _UNITS or rest in ("kg", "min", "h", "deg", "rpm", "%", "1"):
+        return None
+    return scale * _UNITS[rest][0], _UNITS[rest][1]

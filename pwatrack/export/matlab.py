@@ -11,8 +11,8 @@ from scipy.io import savemat
 
 from pwatrack.export.controller import Controller
 from pwatrack.export.notation import Language, names, printed
-from pwatrack.export.source import Source, Vector
-from pwatrack.export.step import Step, step
+from pwatrack.export.source import Source, Vector, template, write_texts
+from pwatrack.export.step import Step
 
 _GIVEN = {"y": "y", "u": "u", "given": "ref"}
 _HEADER = b"MATLAB 5.0 MAT-file, written by pwatrack".ljust(116)  # without the time at which it was
@@ -20,54 +20,7 @@ _FREE = ("units", "set")  # their keys are names of signals and parameters
 _NAMES = {"end": "until"}  # what is no name in MATLAB
 _NO_LIMIT = {"low": -np.inf, "high": np.inf, "change": np.inf}
 
-_INIT = """\
-function state = {name}_init()
-{about}
-%
-% state = {name}_init() is where it starts: do this once.
-% [u, state] = {name}_step(state, y{ref}) runs it once, on what is measured now; u is to be put out now.
-% state.status is 0; 1: the reference has ended; -1: not finite, nothing was changed, and the last input is held;
-% -2: the state was overwritten, and u is 0.
-% state.cell and state.cell_d are the cells of x_hat and x_d, from 0; state.x_d is the desired state.
-% {name}_replay() steps it through what {name}.mat has of the simulation, and counts what is off by a bit.
-t = {name}_tables();
-{zeros}
-{begin}
-end
-"""
-_STEP = """\
-function [u, state] = {name}_step(state, y{ref})
-% Run the controller once: see {name}_init.
-{checks}
-t = {name}_tables();
-{zeros}
-{body}
-end
-"""
 _NO_STATE = "    error('{name}:state', 'state must come from {name}_init')"
-_TABLES = """\
-function t = {name}_tables()
-% The constants of the controller: see {name}_init.
-persistent known
-if isempty(known)
-{tables}
-end
-t = known;
-end
-"""
-_REPLAY = """\
-function wrong = {name}_replay()
-% Step the controller through {name}.mat and return how many inputs are off by a bit or more.
-known = load(fullfile(fileparts(mfilename('fullpath')), '{name}.mat'));
-vector = known.vector;
-u = zeros(size(vector.u));
-state = {name}_init();
-for k = 1:size(vector.y, 1)
-    [u(k, :), state] = {name}_step(state, vector.y(k, :){w});
-end
-wrong = sum(any(num2hex(u(:)) ~= num2hex(vector.u(:)), 2));
-end
-"""
 
 
 def _named(found: Step) -> Language:
@@ -95,9 +48,14 @@ def _named(found: Step) -> Language:
     )
 
 
+def write(source: Source, vector: Vector, out: Path) -> list[str]:
+    """Write the functions and the file to a folder and return their names."""
+    return write_texts({**functions(source), f"{source.name}.mat": mat_file(source, vector)}, out)
+
+
 def functions(source: Source) -> dict[str, str]:
     """Return the functions, by file name."""
-    found, of, name = step(source), source.program.sizes, source.name
+    found, of, name = source.step, source.program.sizes, source.name
     language, used = _named(found), names(found.body)
     sizes = {"y": of["q"], "ref": of["s"]} if source.given else {"y": of["q"]}
     checks = "\n".join(
@@ -110,17 +68,20 @@ def functions(source: Source) -> dict[str, str]:
     own.append(f"u = zeros({of['m']}, 1);")
     kept = [f"state.{v.name} = zeros({v.length}, 1);" for v in found.kept if v.length]
     tables = [f"known.{name} = {_table(values)};" for name, (_, values) in found.constants.items()]
-    text = {"name": name, "ref": ", ref" if source.given else ""}
+    text = {
+        "name": name,
+        "ref": ", ref" if source.given else "",
+        "w": ", vector.ref(k, :)" if source.given else "",
+        "about": "\n".join(f"% {line}".rstrip() for line in source.about()),
+        "checks": checks,
+        "body": printed(found.body, language),
+        "begin": printed(found.begin, language),
+        "tables": indent("\n".join(tables), "    "),
+    }
+    zeros = {"init": "\n".join(kept), "step": "\n".join(own)}
     return {
-        f"{name}_init.m": _INIT.format(
-            **text,
-            about="\n".join(f"% {line}".rstrip() for line in source.about()),
-            zeros="\n".join(kept),
-            begin=printed(found.begin, language),
-        ),
-        f"{name}_step.m": _STEP.format(**text, checks=checks, zeros="\n".join(own), body=printed(found.body, language)),
-        f"{name}_tables.m": _TABLES.format(name=name, tables=indent("\n".join(tables), "    ")),
-        f"{name}_replay.m": _REPLAY.format(name=name, w=", vector.ref(k, :)" if source.given else ""),
+        f"{name}_{part}.m": template(f"mat_{part}.m", **text, zeros=zeros.get(part, ""))
+        for part in ("init", "step", "tables", "replay")
     }
 
 
@@ -180,13 +141,3 @@ def _cell(values: list[Any]) -> NDArray[Any]:
     for k, value in enumerate(values):
         found[k, 0] = value
     return found
-
-
-def write_matlab(source: Source, vector: Vector, out: Path) -> list[str]:
-    """Write the functions and the file to a folder and return their names."""
-    files = {name: text.encode("ascii") for name, text in functions(source).items()}
-    files[f"{source.name}.mat"] = mat_file(source, vector)
-    out.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        (out / name).write_bytes(content)
-    return list(files)

@@ -9,12 +9,13 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import Controller
 from pwatrack.control.program import Program
 from pwatrack.errors import InvalidSpec
-from pwatrack.simulation.routine import COUNTS, memory, room, routine
+from pwatrack.simulation.routine import memory, routine
 
 
 def plant_system(controller: Controller, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
@@ -113,7 +114,7 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
     return control.interconnect([plant, controller], inputs=free, outputs=outputs, name=name, params=params)
 
 
-def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, labels: Mapping[str, Any]) -> Any:
+def sampled_system(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any, labels: Mapping[str, Any]) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
     Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no
@@ -129,22 +130,24 @@ def sampled_system(program: Program, x_hat: Array, eta_hat: Array, real: Any, la
         InvalidSpec: If python-control is not installed.
     """
     table, q, at = routine(program, real), program.sizes["q"], program.places
-    size = at["x_d"].stop
+    first = memory(program, x_hat, eta_hat, real)
+    size = len(first["memory"])
+    start = np.array([*first["memory"].tolist(), *first["counts"][0].tolist(), 1.0])
 
-    start = np.array([*memory(program, x_hat, eta_hat, real).tolist(), *[0.0] * COUNTS, 1.0])
-
-    def ticked(z: Array, v: Array) -> tuple[Array, IntArray]:
+    def ticked(z: Array, v: Array) -> tuple[Array, Any]:
         from pwatrack.simulation.kernel import tick
 
         z = z if z.any() else start
         if z[-1] != 1:
             raise ValueError("the last entry of a state is 1, as in params['start']: change what is before it")
-        numbers, counts = z[:size].astype(real), z[size:-1].astype(np.int64)
-        tick(table, numbers, counts, room(program, real), v[:q].astype(real), v[q:].astype(real))
-        return numbers, counts
+        kept = memory(program, x_hat, eta_hat, real)
+        kept["memory"][:], kept["counts"][0] = z[:size], tuple(z[size:-1].astype(np.int64))
+        tick(table, kept["memory"], kept["counts"], kept["room"], v[:q].astype(real), v[q:].astype(real))
+        return kept["memory"], kept["counts"][0].tolist()
 
     def after(_: float, z: Array, v: Array, __: Any) -> Array:
-        return np.concatenate([*ticked(z, v), [1.0]], dtype=np.float64)
+        numbers, counts = ticked(z, v)
+        return np.array([*numbers, *counts, 1.0], dtype=np.float64)
 
     def output(_: float, z: Array, v: Array, __: Any) -> Array:
         return np.asarray(ticked(z, v)[0][at["u"]], dtype=np.float64)

@@ -193,6 +193,13 @@ class ControllerFile(Part):
     start: Start | None
     program: Sampled | None
 
+    @property
+    def started(self) -> tuple[Vector, Vector]:
+        """What it starts with, x̂ with ŝ and η̂: 0 where nothing is known."""
+        if self.start is None:
+            return [0.0] * len(self.L), [0.0] * len(self.trajectory.eta)
+        return self.start.x_hat, self.start.eta_hat
+
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the file."""

@@ -1,21 +1,36 @@
-"""What all exported code of a controller is written from."""
+"""What all exported code of a controller is written from, and how texts and names are written in all of it."""
 
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, IntArray
-from pwatrack.control.program import Follows, Program
+from pwatrack.arrays import Array
+from pwatrack.control.program import Program
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
+from pwatrack.export.step import Step, step
 from pwatrack.export.stored import runs
+from pwatrack.simulation.routine import memory, routine
+
+if TYPE_CHECKING:
+    from pwatrack.simulation.kernel import Routine
 
 _LAST_TICK = 2**31 - 2  # that 31 bits count, with one to spare: Structured Text has a sign
+_PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
+_FILES = "main vector model instance fmi2 fmi3"  # that an export has besides
+_HEADERS = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic
+stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+"""
+_TARGETS = "all check clean help install package replay test"  # of make and CMake
+_TAKEN = frozenset(f"{_FILES} {_HEADERS} {_TARGETS}".split())
 
 
 @dataclass(frozen=True)
@@ -62,56 +77,25 @@ class Source:
         return runs(self.file, given=self.given, single=self.single)
 
     @cached_property
-    def follows(self) -> Follows | None:
-        """The reference that is made inside."""
-        found = self.program.follows
-        last = 0 if found is None else max([found.end or 0, *(piece.tick for piece in found.pieces)])
+    def routine(self) -> "Routine":
+        """The same as arrays."""
+        found = routine(self.program, self.real)
+        last = found.last
         if last > _LAST_TICK:
             raise InvalidSpec(f"the reference has pieces up to tick {last}, more than a whole number of 32 bits counts")
-        return found if self.program.sizes["s"] else None
+        return found
+
+    @cached_property
+    def step(self) -> Step:
+        """What it does in a sample time."""
+        kept, at = memory(self.program, *self.file.started, self.real)["memory"], self.program.places
+        starts = {"start_x_hat": kept[at["x_hat"].start : at["s_hat"].stop], "start_eta_hat": kept[at["eta_hat"]]}
+        return step(self.routine, starts if self.given else {**starts, "start_w": kept[at["w"]]})
 
     @property
     def claims(self) -> list[str]:
         """What is proved of its error, in sentences."""
         return [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
-
-    @property
-    def counted(self) -> bool:
-        """Whether ticks are counted: the reference has pieces, or an end."""
-        return self.follows is not None and (bool(self.follows.pieces) or self.follows.end is not None)
-
-    @property
-    def copies(self) -> int:
-        """How many copies of w are kept."""
-        return 0 if self.follows is None else len(self.follows.turn) - 1
-
-    @cached_property
-    def tables(self) -> dict[str, Array]:
-        """All constants of floats, by name; those that are empty are left out."""
-        program, follows, start = self.program, self.follows, self.file.start
-        of = program.sizes
-        found: dict[str, Array] = {"H": program.H, "h": program.h, "observer": program.observer}
-        found |= {"generator": program.generator, "x_d": program.x_d, "u_ff": program.u_ff, "K": program.K}
-        found["guards"] = program.guards
-        found["start_x_hat"] = np.array(start.x_hat) if start else np.zeros(of["N"])
-        found["start_eta_hat"] = np.array(start.eta_hat) if start else np.zeros(of["p"])
-        if follows is not None:
-            found |= {"turn": follows.turn, "start_w": follows.w0}
-            found["piece_values"] = np.concatenate([np.zeros(0), *(piece.w for piece in follows.pieces)])
-        return {name: values for name, values in found.items() if values.size}
-
-    @cached_property
-    def whole(self) -> dict[str, IntArray]:
-        """All constants of whole numbers; those that are empty are left out."""
-        found = {"signs": self.program.signs, "sides": self.program.sides}
-        if self.follows is not None:
-            pieces = self.follows.pieces
-            lengths = [len(piece.w) for piece in pieces]
-            found["piece_tick"] = np.array([piece.tick for piece in pieces])
-            found["piece_start"] = np.array([piece.start for piece in pieces])
-            found["piece_length"] = np.array(lengths)
-            found["piece_value"] = np.cumsum([0, *lengths])[:-1]
-        return {name: values for name, values in found.items() if values.size}
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
         """Return what stands at the top: what it is, what is proved, digests, signals.
@@ -151,6 +135,37 @@ class Source:
         """Return names of signals with their units."""
         units = self.file.plant.units
         return [f"{name} ({units[name]})" if name in units else name for name in names]
+
+
+def prefix(title: str) -> str:
+    """Return a title as the prefix of C names, and the name of files: one that is taken has a 1 behind it.
+
+    Example:
+        >>> prefix("Two masses, 2 µm"), prefix("3 tanks"), prefix("Δ")
+        ('two_masses_2_m', 'c_3_tanks', 'controller')
+        >>> prefix("Two masses with backlash, on a machine"), prefix("Model")
+        ('two_masses_with', 'model_1')
+    """
+    words = re.findall(r"[a-z0-9]+", title.lower()) or ["controller"]
+    words = words if words[0][0].isalpha() else ["c", *words]
+    while len("_".join(words)) > _PREFIX and len(words) > 1:
+        words.pop()
+    found = "_".join(words)[:_PREFIX]
+    return f"{found}_1" if found in _TAKEN else found
+
+
+def template(name: str, /, **values: object) -> str:
+    """Return a file of `templates` with each @key@ replaced that has a value."""
+    text = files("pwatrack.export.templates").joinpath(name).read_text(encoding="utf-8")
+    return re.sub(r"@(\w+)@", lambda found: str(values.get(found[1], found[0])), text)
+
+
+def write_texts(texts: Mapping[str, str | bytes], out: Path) -> list[str]:
+    """Write files to a folder, which is made, and return their names."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (out / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return list(texts)
 
 
 def reference_unit(name: str, units: Mapping[str, str]) -> str:

@@ -1,28 +1,52 @@
-"""One step of a controller, as `docs/arithmetic.md` says, in a notation that several languages are printed from.
+"""One step of a controller in a notation that several languages are printed from, see `notation.py`.
 
-The notation is a small part of Python, see `notation.py`: loops have fixed bounds, no array is handled as a whole, and
-no number is written in it but whole ones, 0.0 and 1.0: each sum and each product is one of two numbers of one type.
+What a controller does is stated once, as Python that `simulation.kernel` compiles: `_next` there. Here it is read
+and worked out for one controller, as far as that is known: numbers of loops and places are whole numbers, what never
+happens is left out, functions stand where they are called, and inputs are gone through one by one. What is left is in
+the notation: loops have fixed bounds, no array is handled as a whole, and no number is written but whole ones, 0.0
+and 1.0.
 """
 
-from collections.abc import Iterable, Iterator
+import ast
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy, deepcopy
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from textwrap import indent
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.export.source import Source
+if TYPE_CHECKING:
+    from pwatrack.simulation.kernel import Routine
 
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
-_SHORT = {
-    "H": "normals",
-    "h": "offsets",
-    "x_d": "desired",
-    "u_ff": "feedforward",
-    "K": "gain",
-}  # no two alike but for case
+_ORDER = """
+H h observer generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
+signs sides piece_tick piece_start piece_length piece_value low high change quantum
+"""
+_SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
+_NUMBERS = {
+    "tick": "samples so far",
+    "since": "samples since the reference began anew",
+    "piece": "pieces of the reference so far",
+    "cell": "cell of x_hat, from 0",
+    "cell_d": "cell of x_d, from 0",
+    "status": "0; 1: the reference has ended; -1: not finite, and the last input is held; -2: overwritten, and u is 0",
+}
+_FLOOR = """\
+product = total
+if (total >= 0.0) and (total < all_whole):
+    product = total + all_whole
+    product = product - all_whole
+if (total < 0.0) and (total > -all_whole):
+    product = total - all_whole
+    product = product + all_whole
+if product > total:
+    product = product - 1.0"""  # the sum is a whole number next to total: a floor without a function of any library
 
 
 @dataclass(frozen=True)
@@ -56,75 +80,69 @@ class Step:
     hold: str
 
 
-def step(source: Source) -> Step:
-    """Return the step of a controller."""
-    of, late = source.program.sizes, source.program.sampling.delay
-    n, m, s = of["n"], of["m"], of["s"]
-    memory = of["q"] + m + of["N"] + of["p"] + s
-    kept: tuple[Variable, ...] = (
-        Variable("v", "real", memory, "y, u, x_hat, s_hat, eta_hat, w"),
-        Variable("copies", "real", source.copies * s, "of w, renewed every 2^10 and 2^20 samples"),
-        Variable("late", "real", late * m, "inputs that wait to be put out, the next one first"),
-        Variable("before", "real", m, "inputs computed last, limited"),
-        Variable("wanted", "real", m, "inputs wanted before they were limited"),
-        Variable("x_d", "real", n, "desired state"),
+def step(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> Step:
+    """Return the step of a controller.
+
+    Args:
+        routine: Its program.
+        starts: What x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
+    """
+    at, copies = routine.at, max(len(routine.turn) - 1, 0)
+    arrays: tuple[Variable, ...] = (
+        Variable("v", "real", at.w + at.s, "y, u, x_hat, s_hat, eta_hat, w"),
+        Variable("copies", "real", copies * at.s, "of w, renewed every 2^10 and 2^20 samples"),
+        Variable("late", "real", at.delay * at.m, "inputs that wait to be put out, the next one first"),
+        Variable("before", "real", at.m, "inputs computed last, limited"),
+        Variable("wanted", "real", at.m, "inputs wanted before they were limited"),
+        Variable("x_d", "real", at.n, "desired state"),
     )
-    kept = tuple(variable for variable in kept if variable.length)
-    own = [Variable(f"new_{variable.name}", "real", variable.length) for variable in kept]
-    numbers = [Variable("tick", "whole", what="samples so far")] if source.counted else []
-    numbers += [Variable("since", "whole", what="samples since the reference began anew")] if source.copies else []
-    numbers += (
-        [Variable("piece", "whole", what="pieces of the reference so far")] if "piece_tick" in source.whole else []
-    )
-    numbers += [Variable("cell", "whole", what="cell of x_hat, from 0")]
-    numbers += [Variable("cell_d", "whole", what="cell of x_d, from 0"), Variable("status", "whole", what=_STATUS)]
-    own += [Variable(f"new_{variable.name}", "whole") for variable in numbers]
-    own += [Variable("g", "real", max(len(source.program.h), len(source.program.guards)))]
-    own += [Variable("source", "real", s)] if source.follows is not None else []
+    arrays = tuple(variable for variable in arrays if variable.length)
+    asked = {"tick": routine.last >= 0, "since": copies > 0, "piece": routine.most > 0}
+    numbers = [Variable(name, "whole", what=what) for name, what in _NUMBERS.items() if asked.get(name, True)]
+    own = [Variable(f"new_{variable.name}", variable.kind, variable.length) for variable in (*arrays, *numbers)]
+    own += [Variable("g", "real", at.source - at.g)] if at.source > at.g else []
+    own += [Variable("source", "real", at.s)] if len(routine.turn) else []
     own += [Variable(name, "whole") for name in ("a", "b", "i", "k", "level")]
-    own += [Variable(name, "real") for name in ("total", "product", "difference", "worst", "least", "value", "last")]
-    hold = "\n".join(_hold(source))
+    own += [Variable(name, "real") for name in ("total", PRODUCT, "difference", "worst", "least", "value", "last")]
+    own.append(Variable("fine", "flag"))
+    kept = (*arrays, *numbers, Variable("started", "flag", what="whether it has run"))
+    hold = _loop("b", at.m, f"u[b] = v[{at.u} + b]\nif not {_finite(f'v[{at.u} + b]')}:\n    u[b] = 0.0")
     return Step(
-        constants=_constants(source),
-        kept=(*kept, *numbers, Variable("started", "flag", what="whether it has run")),
-        own=(*(variable for variable in own if variable.length or variable.name != "g"), Variable("fine", "flag")),
-        begin="\n".join(_begin(source, kept, numbers)),
-        body="\n".join(_body(source, kept, numbers, hold)),
+        constants=_constants(routine, starts),
+        kept=kept,
+        own=tuple(own),
+        begin="\n".join(_begin(routine, arrays, numbers)),
+        body="\n".join(_body(routine, arrays, numbers, {v.name for v in (*kept, *own)}, hold)),
         hold=hold,
     )
 
 
-_STATUS = "0; 1: the reference has ended; -1: not finite, and the last input is held; -2: overwritten, and u is 0"
-
-
-def _constants(source: Source) -> dict[str, tuple[Kind, NDArray[Any]]]:
-    program, finfo = source.program, np.finfo(source.real)
-    found: dict[str, tuple[Kind, NDArray[Any]]] = {
-        _SHORT.get(name, name): ("real", values.astype(source.real)) for name, values in source.tables.items()
-    }
+def _constants(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> dict[str, tuple[Kind, NDArray[Any]]]:
+    real = type(routine.half)
+    finfo, known = np.finfo(real), {**routine._asdict(), **starts}
     kinds: dict[str, Kind] = {"signs": "side", "sides": "side"}
-    found |= {name: (kinds.get(name, "whole"), values) for name, values in source.whole.items()}
-    bounds = {"low": program.limits[:, 0], "high": program.limits[:, 1], "change": program.change}
-    bounds["quantum"] = np.where(program.quantum > 0, program.quantum, np.inf)
-    for name, values in bounds.items():
-        if np.isfinite(values).any():
-            found[name] = ("real", np.where(np.isfinite(values), values, 0.0).astype(source.real))
+    found = dict[str, tuple[Kind, NDArray[Any]]]()
+    for name in _ORDER.split():
+        values = known.get(name, np.zeros(0))
+        there = np.isfinite(values) if name in ("low", "high", "change") else values > 0 if name == "quantum" else True
+        if values.size and np.any(there):
+            kind: Kind = "real" if values.dtype.kind == "f" else kinds.get(name, "whole")
+            found[_SHORT.get(name, name)] = (kind, np.where(there, values, 0))  # 0 where there is none
     found["largest"] = ("real", np.array(finfo.max))
-    if (program.quantum > 0).any():
-        found["half"] = ("real", np.array(0.5, dtype=source.real))
-        found["all_whole"] = ("real", np.array(2.0**finfo.nmant, dtype=source.real))  # from here on there are no halves
+    if "quantum" in found:
+        found["half"] = ("real", np.array(routine.half))
+        found["all_whole"] = ("real", np.array(2.0**finfo.nmant, dtype=real))  # from here on there are no halves
     return found
 
 
-def _begin(source: Source, kept: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
-    of = source.program.sizes
-    X, E = of["q"] + of["m"], of["q"] + of["m"] + of["N"]
-    for variable in kept:
+def _begin(routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
+    at = routine.at
+    for variable in arrays:
         yield _loop("k", variable.length, f"{variable.name}[k] = 0.0")
-    starts = [("start_x_hat", f"v[{X} + k]", of["N"]), ("start_eta_hat", f"v[{E} + k]", of["p"])]
-    if source.follows is not None:
-        starts.append(("start_w", f"v[{E + of['p']} + k]", of["s"]))
-        starts += [("start_w", f"copies[{_at(copy * of['s'], 'k')}]", of["s"]) for copy in range(source.copies)]
+    starts = [("start_x_hat", f"v[{at.x_hat} + k]", at.N), ("start_eta_hat", f"v[{at.eta_hat} + k]", at.p)]
+    if len(routine.turn):
+        starts.append(("start_w", f"v[{at.w} + k]", at.s))
+        starts += [("start_w", f"copies[{_at(copy * at.s, 'k')}]", at.s) for copy in range(len(routine.turn) - 1)]
     for table, place, length in starts:
         yield _loop("k", length, f"{place} = {table}[k]")
     for number in numbers:
@@ -132,69 +150,33 @@ def _begin(source: Source, kept: Iterable[Variable], numbers: Iterable[Variable]
     yield "started = False"
 
 
-def _body(source: Source, kept: Iterable[Variable], numbers: Iterable[Variable], hold: str) -> Iterator[str]:
+def _body(
+    routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
+) -> Iterator[str]:
     """Yield a step, unless a number that is an index was overwritten: then the answer to that."""
-    program = source.program
-    below = {"cell": len(program.signs), "cell_d": len(program.sides), "since": 2 ** (10 * source.copies)}
-    below["piece"] = len(source.whole.get("piece_tick", ())) + 1
+    below = {
+        "cell": len(routine.signs),
+        "cell_d": len(routine.sides),
+        "since": 2 ** (10 * max(len(routine.turn) - 1, 0)),
+    }
+    below["piece"] = len(routine.piece_tick) + 1
     inside = [f"({v.name} >= 0) and ({v.name} < {below[v.name]})" for v in numbers if v.name in below]
-    made = "\n".join(filter(None, [*_next(source, kept, numbers), hold]))
-    yield f"if {' and '.join(inside)}:\n{indent(made, '    ')}"
-    zeros = _loop("b", program.sizes["m"], "u[b] = 0.0")
-    yield f"else:\n    'Overwritten.'\n    status = -2\n{indent(zeros, '    ')}"
+    lines = [_loop("k", variable.length, f"new_{variable.name}[k] = {variable.name}[k]") for variable in arrays]
+    lines += [_Worked(routine, variables).text("_next"), "'Nothing is changed unless all of it is finite.'"]
+    for variable in arrays:
+        if variable.name not in ("before", "wanted"):  # which were looked at
+            lines.append(_loop("k", variable.length, f"if not {_finite(f'new_{variable.name}[k]')}:\n    fine = False"))
+    done = [_loop("k", variable.length, f"{variable.name}[k] = new_{variable.name}[k]") for variable in arrays]
+    done += [f"{number.name} = new_{number.name}" for number in numbers] + ["started = True"]
+    lines += ["if fine:\n" + indent("\n".join(done), "    ") + "\nelse:\n    status = -1", hold]
+    made = indent("\n".join(filter(None, lines)), "    ")
+    yield f"if {' and '.join(inside)}:\n{made}"
+    yield f"else:\n    'Overwritten.'\n    status = -2\n{indent(_loop('b', routine.at.m, 'u[b] = 0.0'), '    ')}"
 
 
-def _hold(source: Source) -> Iterator[str]:
-    """Yield what puts out the input that is held, and 0 where that is no number."""
-    place = f"v[{source.program.sizes['q']} + b]"
-    yield _loop("b", source.program.sizes["m"], f"u[b] = {place}\nif not {_finite(place)}:\n    u[b] = 0.0")
-
-
-def _next(source: Source, kept: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
-    program, of = source.program, source.program.sizes
-    q, m, n, N, p, s = (of[name] for name in ("q", "m", "n", "N", "p", "s"))
-    X, S, E, known = q + m, q + m + n, q + m + N, N - n + p + s
-    for variable in kept:
-        yield _loop("k", variable.length, f"new_{variable.name}[k] = {variable.name}[k]")
-    for number in numbers:
-        yield f"new_{number.name} = " + (number.name if number.name != "status" else "0")
-    once = ["'1. Observer and generator, one sample later.'"]
-    once.append(_loop("a", N, _row(f"new_v[{X} + a]", "observer", "cell, a", "v", 0, E)))
-    once.append(_loop("a", p, _row(f"new_v[{E} + a]", "generator", "cell_d, a", "v", S, known)))
-    once += ["'2. Reference.'", *_advance(source)] if source.follows is not None else []
-    yield "if started:\n" + indent("\n".join(filter(None, once)), "    ")
-    yield "'3. Measurement.'\n" + _loop("a", q, "new_v[a] = y[a]")
-    if source.given:
-        yield _loop("a", s, f"new_v[{E + p} + a] = given[a]")
-    if len(program.h):
-        yield "'4. Cell of x_hat: the first one whose signs are contradicted least.'"
-        yield _loop("a", len(program.h), _row("g[a]", "normals", "a", "new_v", X, n, "offsets[a]"))
-        yield _cell("new_cell", "signs", *program.signs.shape)
-    if len(program.guards):
-        yield "'4. Cell of x_d.'"
-        yield _loop("a", len(program.guards), _row("g[a]", "guards", "a", "new_v", S, known))
-        yield _cell("new_cell_d", "sides", *program.sides.shape)
-    yield "'5. Desired state.'"
-    yield _loop("a", n, _row("new_x_d[a]", "desired", "new_cell_d, a", "new_v", S, known))
-    yield "fine = True"
-    for b in range(m):
-        yield f"'6. Law: input {b}.'\n" + _row("value", "feedforward", f"new_cell_d, {b}", "new_v", S, known)
-        law = f"difference = new_v[{X} + a] - new_x_d[a]\nproduct = gain[{b}, a] * difference\nvalue = value + product"
-        yield _loop("a", n, law)
-        yield from _limited(source, b)
-    yield "'Nothing is changed unless all of it is finite.'"
-    for variable in kept:
-        if variable.name in ("v", "copies", "late", "x_d"):
-            yield _loop("k", variable.length, _checked(f"new_{variable.name}[k]"))
-    done = [_loop("k", variable.length, f"{variable.name}[k] = new_{variable.name}[k]") for variable in kept]
-    done += [f"{number.name} = new_{number.name}" for number in numbers]
-    done.append("started = True")
-    yield "if fine:\n" + indent("\n".join(done), "    ") + "\nelse:\n    status = -1"
-
-
-def _loop(index: str, count: int, body: str, first: int = 0) -> str:
+def _loop(index: str, count: int, body: str) -> str:
     """Return a loop, or nothing where it does not run."""
-    return f"for {index} in range({first}, {count}):\n{indent(body, '    ')}" if count > first else ""
+    return f"for {index} in range(0, {count}):\n{indent(body, '    ')}" if count else ""
 
 
 def _at(first: int, index: str) -> str:
@@ -202,114 +184,187 @@ def _at(first: int, index: str) -> str:
     return f"{first} + {index}" if first else index
 
 
-def _row(target: str, table: str, place: str, vector: str, first: int, count: int, constant: str = "") -> str:
-    """Return a row of a table applied to so many entries of a vector, and a constant: its last entry."""
-    constant = constant or f"{table}[{place}, {count}]"
-    if not count:
-        return f"{target} = {constant}"
-    more = f"product = {table}[{place}, k] * {vector}[{_at(first, 'k')}]\ntotal = total + product"
-    lines = [f"product = {table}[{place}, 0] * {vector}[{first}]", "total = product", _loop("k", count, more, 1)]
-    return "\n".join(filter(None, [*lines, f"{target} = total + {constant}"]))
-
-
-def _checked(value: str) -> str:
-    """Return what finds a number that is not finite: of one that is no number, every comparison is false."""
-    return f"if not {_finite(value)}:\n    fine = False"
-
-
 def _finite(value: str) -> str:
+    """Return whether a number is finite: of one that is no number, every comparison is false."""
     return f"(({value} >= -largest) and ({value} <= largest))"
 
 
-def _cell(target: str, table: str, cells: int, count: int) -> str:
-    """Return the search for the first cell whose signs g contradicts least."""
-    one = f"""\
-if ({table}[i, k] > 0) and (-g[k] > worst):
-    worst = -g[k]
-if ({table}[i, k] < 0) and (g[k] > worst):
-    worst = g[k]"""
-    better = f"if (i == 0) or (worst < least):\n    {target} = i\n    least = worst"
-    return "least = 0.0\n" + _loop("i", cells, "\n".join(["worst = 0.0", _loop("k", count, one), better]))
+@cache
+def _statement() -> tuple[dict[str, ast.FunctionDef], dict[str, Any]]:
+    """Return the functions of the kernel, and its whole numbers."""
+    body = ast.parse(files("pwatrack.simulation").joinpath("kernel.py").read_text(encoding="utf-8")).body
+    known: dict[str, Any] = {"np": np, "len": len}
+    for node in body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=int(value))):
+                known[name] = value
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)) if len(names) == len(values):
+                known |= {ast.unparse(name): ast.literal_eval(value) for name, value in zip(names, values, strict=True)}
+    return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}, known
 
 
-def _advance(source: Source) -> list[str]:
-    """Return the step of the reference."""
-    follows, of, copies = source.follows, source.program.sizes, source.copies
-    assert follows is not None
-    s, W = of["s"], of["q"] + of["m"] + of["N"] + of["p"]
-    lines = ["level = 0"]
-    if source.counted:
-        last = follows.end if follows.end is not None else follows.pieces[-1].tick  # no more is asked of it
-        lines.append(f"if tick <= {last}:\n    new_tick = tick + 1")
-    if copies:
-        lines.append("new_since = since + 1\nif new_since % 1024 == 0:\n    level = 1")
-        level = "    level = 2\n" if copies == 2 else ""
-        lines.append(f"if new_since == {2 ** (10 * copies)}:\n{level}    new_since = 0")
-    lines.append(_loop("k", s, f"source[k] = v[{W} + k]"))
-    if copies:
-        older = _loop("k", s, f"source[k] = copies[level * {s} - {s} + k]")
-        lines.append("if level > 0:\n" + indent(older, "    "))
-    more = "product = turn[level, a, k] * source[k]\ntotal = total + product"
-    turned = ["product = turn[level, a, 0] * source[0]", "total = product", _loop("k", s, more, 1)]
-    turned.append(f"new_v[{W} + a] = total")
-    turned += [_loop("k", copies, f"if k < level:\n    new_copies[k * {s} + a] = total")]
-    lines.append(_loop("a", s, "\n".join(filter(None, turned))))
-    if follows.pieces:
-        lines.append(_pieces(source, W, s))
-    if follows.end is None:
-        return lines
-    return [f"if tick >= {follows.end}:\n    new_status = 1\nelse:\n" + indent("\n".join(lines), "    ")]
+class _Worked:
+    """The statement worked out for one controller.
+
+    Names of a `known` mapping stand for their values, or for what is written there; `variables` go by their names.
+    """
+
+    def __init__(self, routine: Any, variables: set[str]) -> None:
+        self.functions, constants = _statement()
+        self.variables, self.constants, self.at = variables, constants | {"routine": routine}, routine.at
+
+    def text(self, name: str) -> str:
+        """Return a function in the notation."""
+        lines, _ = self.statements(self.functions[name].body[1:], dict(self.constants))
+        return ast.unparse(ast.fix_missing_locations(ast.Module(lines, [])))
+
+    def statements(self, body: Iterable[ast.stmt], known: dict[str, Any]) -> tuple[list[ast.stmt], ast.expr | None]:
+        """Return what is left of statements, and what they return."""
+        found = list[ast.stmt]()
+        for node in body:
+            match node:
+                case ast.Expr(value=ast.Constant(value=str(text))):
+                    found.append(ast.Expr(ast.Constant(text.format(**known))))
+                case ast.Expr(value=ast.Call() as call):
+                    self.value(call, known, found)
+                case ast.Return(value=ast.expr() as value):
+                    return found, self.value(value, known, found)
+                case ast.Assign(targets=[target], value=value):
+                    self.assign(target, value, known, found)
+                case ast.AnnAssign(target=target, value=ast.expr() as value):
+                    self.assign(target, value, known, found)
+                case ast.For(target=ast.Name(id=index), iter=ast.Call(args=args)):
+                    numbers = range(*(self.decided(arg, known) for arg in args))
+                    if index not in self.variables:
+                        for number in numbers:
+                            found += self.statements(node.body, known | {index: number})[0]
+                    elif numbers:
+                        bounds: list[ast.expr] = [ast.Constant(numbers.start), ast.Constant(numbers.stop)]
+                        inner, _ = self.statements(node.body, dict(known))
+                        found.append(ast.For(ast.Name(index), ast.Call(ast.Name("range"), bounds, []), inner, []))
+                case ast.If(body=[ast.Break()]):
+                    pass
+                case ast.If():
+                    result = self.branch(node, known, found)
+                    if result is not None:
+                        return found, result
+                case _:
+                    raise ValueError(f"not a part of the statement: {ast.unparse(node)}")
+        return found, None
+
+    def branch(self, node: ast.If, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr | None:
+        """Write the branches that there are, and return what the one that is taken returns."""
+        test, parts = node.test, list[ast.expr]()
+        for part in test.values if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And) else [test]:
+            decided = self.decided(part, known)
+            if decided is None:
+                parts.append(self.value(part, known, found))
+            elif not decided:
+                lines, result = self.statements(node.orelse, known)
+                found += lines
+                return result
+        if not parts:
+            lines, result = self.statements(node.body, known)
+            found += lines
+            return result
+        left = parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
+        branches = [self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]
+        found.append(ast.If(left, *branches))
+        return None
+
+    def assign(self, target: ast.expr, value: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> None:
+        """Write an assignment to a variable; any other name stands for the value."""
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            for one, other in zip(target.elts, value.elts, strict=True):
+                self.assign(one, other, known, found)
+            return
+        if isinstance(target, ast.Name) and target.id not in self.variables:
+            decided = self.decided(value, known)
+            known[target.id] = self.value(value, known, found) if decided is None else decided
+            return
+        place = self.value(target, known, found)
+        if {node.id for node in ast.walk(place) if isinstance(node, ast.Name)} <= self.variables:  # else nobody asks
+            made = self.value(value, known, found)
+            if ast.unparse(made) != ast.unparse(place):
+                found.append(ast.Assign([place], made))
+
+    def decided(self, node: ast.expr, known: dict[str, Any]) -> Any:
+        """Return a value that is known, or None."""
+        if any(isinstance(known.get(n.id), ast.expr | None) for n in ast.walk(node) if isinstance(n, ast.Name)):
+            return None
+        whole = ast.fix_missing_locations(ast.Expression(deepcopy(node)))
+        return eval(compile(whole, "kernel", "eval"), {"__builtins__": {}}, known)  # noqa: S307  # our own code
+
+    def value(self, node: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr:
+        """Return what is left of a value; what must be done before it is written."""
+        decided = None if isinstance(node, ast.Constant) else self.decided(node, known)
+        if isinstance(decided, int | np.integer):
+            return ast.Constant(int(decided))
+        match node:
+            case ast.Name(id=name):
+                stands: ast.expr = deepcopy(known.get(name, node))
+                return stands
+            case ast.Attribute(value=ast.Name(id=of), attr=name):
+                return ast.Name({"new": f"new_{name}", "routine": _SHORT.get(name, name)}.get(of, name))
+            case ast.Subscript(value=ast.Name(id="memory" | "room" as of), slice=place):
+                return self.place(of, place, known, found)
+            case ast.Call(func=ast.Attribute(attr="isfinite"), args=[inner]):
+                return ast.parse(_finite(ast.unparse(self.value(inner, known, found))), mode="eval").body
+            case ast.Call(func=ast.Attribute(attr="floor")):
+                found += ast.parse(_FLOOR).body
+                return ast.Name(PRODUCT)
+            case ast.Call(func=ast.Name(id=name), args=args):
+                return self.called(self.functions[name], args, known, found)
+        made = copy(node)
+        for name, part in ast.iter_fields(node):
+            if isinstance(part, list):
+                part = [self.value(each, known, found) if isinstance(each, ast.expr) else each for each in part]
+            setattr(made, name, self.value(part, known, found) if isinstance(part, ast.expr) else part)
+        if isinstance(made, ast.Subscript) and isinstance(made.value, ast.Subscript):  # of a row: all indices in one
+            places = [
+                place.elts if isinstance(place, ast.Tuple) else [place] for place in (made.value.slice, made.slice)
+            ]
+            return ast.Subscript(made.value.value, ast.Tuple([*places[0], *places[1]]))
+        return made
+
+    def called(
+        self, function: ast.FunctionDef, args: Iterable[ast.expr], known: dict[str, Any], found: list[ast.stmt]
+    ) -> ast.expr:
+        """Write what a function does, and return what it returns."""
+        names = {arg.arg: value for arg, value in zip(function.args.args, args, strict=True)}
+        body = [_Named(names).visit(deepcopy(node)) for node in function.body[1:]]
+        lines, result = self.statements(body, dict(known))
+        found += lines
+        return ast.Constant(None) if result is None else result
+
+    def place(self, of: str, index: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr:
+        """Return an entry of memory or room: its index begins with the name of a part."""
+        terms = list[tuple[ast.operator, ast.expr]]()
+        while isinstance(index, ast.BinOp) and isinstance(index.op, ast.Add | ast.Sub):
+            terms.insert(0, (index.op, index.right))
+            index = index.left
+        assert isinstance(index, ast.Attribute)
+        part = index.attr
+        whole, first = ("v", getattr(self.at, part)) if part in _IN_V else (part, 0)
+        while terms and (more := self.decided(terms[0][1], known)) is not None:
+            first += more if isinstance(terms.pop(0)[0], ast.Add) else -more
+        place: ast.expr | None = ast.Constant(int(first)) if first or not terms else None
+        for op, term in terms:
+            value = self.value(term, known, found)
+            place = value if place is None else ast.BinOp(place, op, value)
+        assert place is not None
+        return ast.Subscript(ast.Name(f"new_{whole}" if of == "room" and part not in _WORK else whole), place)
 
 
-def _pieces(source: Source, W: int, s: int) -> str:
-    """Return what sets w where pieces begin: at most so many at a tick."""
-    ticks = source.whole["piece_tick"]
-    sets = f"""\
-if (a >= piece_start[new_piece]) and (a < piece_start[new_piece] + piece_length[new_piece]):
-    new_v[{W} + a] = piece_values[piece_value[new_piece] - piece_start[new_piece] + a]"""
-    lines = [_loop("a", s, sets)]
-    lines += [_loop("k", s, f"new_copies[{_at(copy * s, 'k')}] = new_v[{W} + k]") for copy in range(source.copies)]
-    lines += ["new_since = 0"] * bool(source.copies) + ["new_piece = new_piece + 1"]
-    begins = "if piece_tick[new_piece] == new_tick:\n" + indent("\n".join(lines), "    ")
-    most = int(np.unique(ticks, return_counts=True)[1].max())
-    return _loop("b", most, f"if new_piece < {len(ticks)}:\n" + indent(begins, "    "))
+_IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
+_WORK = ("g", "source")  # parts of the room that are not remembered
 
 
-def _limited(source: Source, b: int) -> Iterator[str]:
-    """Yield the limits of an input, its steps, and what is put out."""
-    program, of = source.program, source.program.sizes
-    m, late, before = of["m"], program.sampling.delay, f"new_before[{b}]"
+class _Named(ast.NodeTransformer):
+    """Puts values where names are."""
 
-    yield f"'7. Limits: input {b}.'\nlast = value - {before}\n{_checked('last')}"
-    if np.isfinite(program.change[b]):
-        yield f"last = {before} - change[{b}]\ndifference = {before} + change[{b}]"
-        yield "if value < last:\n    value = last\nelif value > difference:\n    value = difference"
-    yield f"new_wanted[{b}] = value"
-    bounds = zip("<>", ("low", "high"), program.limits[b].tolist(), strict=True)
-    cuts = [
-        f"if value {sign} {name}[{b}]:\n    value = {name}[{b}]" for sign, name, bound in bounds if np.isfinite(bound)
-    ]
-    yield "\nel".join(cuts)
-    yield f"{before} = value"
-    if program.quantum[b] > 0:
-        yield f"total = value / quantum[{b}]\ntotal = total + half\n{_FLOOR}"
-        yield f"product = quantum[{b}] * product\nvalue = product"
-    yield f"'8. Put out: input {b}.'"
-    place = f"new_v[{of['q'] + b}]"
-    yield f"{place} = late[{b}]" if late else f"{place} = value"
-    for k in range(late - 1):
-        yield f"new_late[{k * m + b}] = late[{(k + 1) * m + b}]"
-    if late:
-        yield f"new_late[{(late - 1) * m + b}] = value"
+    def __init__(self, values: dict[str, ast.expr]) -> None:
+        self.values = values
 
-
-_FLOOR = """\
-product = total
-if (total >= 0.0) and (total < all_whole):
-    product = total + all_whole
-    product = product - all_whole
-if (total < 0.0) and (total > -all_whole):
-    product = total - all_whole
-    product = product + all_whole
-if product > total:
-    product = product - 1.0"""  # the sum is a whole number next to total: a floor without a function of any library
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return deepcopy(self.values.get(node.id, node))

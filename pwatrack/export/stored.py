@@ -1,8 +1,9 @@
-"""A controller <-> controller.json."""
+"""A controller <-> controller.json; and one that is stored in the loop again: it must be the one of the spec."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,19 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.control.controller import Controller
+from pwatrack.control.goal import Given
 from pwatrack.control.program import Follows, Piece, Program, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.export.schema import FORMAT, ControllerFile, Followed, Inside, Outside
+from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
 _SINGLE = float(np.finfo(np.float32).max)
+_CLOSE = 1e-9  # of the largest entry of a table: what two matrix exponentials may differ by
+_SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
+_CHOSEN = ("sample_time", "method", "delay", "low", "high", "change", "quantum")
 
 
 def content(
@@ -121,16 +126,16 @@ def parsed(found: Any, path: Path) -> ControllerFile:
     try:
         known = ControllerFile.model_validate(found)
         right = digest(found) == known.sha256
+        if right and known.program is not None:
+            _check_runs(known)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise _refused(path, f"{place}: {first['msg']}, and {error.error_count() - 1} more") from None
-    except ValueError as error:  # a number that JSON does not have
+    except ValueError as error:  # a number that JSON does not have, or tables that do not fit each other
         raise _refused(path, str(error)) from None
     if not right:
         raise _refused(path, "its digest is not that of its content: it was changed", "write it anew with 'design'")
-    if known.program is not None:
-        _check_shapes(known, path)
     return known
 
 
@@ -144,90 +149,80 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
 
     Raises:
         InvalidSpec: If single floats do not hold its numbers.
+        ValueError: If its tables do not fit each other, which those of a file that was read do.
     """
-    part = known.program
+    part, plant = known.program, known.plant
     assert part is not None
-    followed: Followed = part.outside if given else part.inside
-    m, n, desired = len(known.plant.inputs), len(known.plant.states), len(followed.sides)
-    p, s_hat = len(known.trajectory.eta), len(known.L) - n
-    s = len(part.outside.reference) if given else len(part.inside.w0)
-    columns = s_hat + p + s + 1
+    side, followed = ("outside", part.outside) if given else ("inside", part.inside)
+    cells, n, m, q, N = len(plant.cells), len(plant.states), len(plant.inputs), len(plant.outputs), len(known.L)
+    planes, sides, guards = len(plant.h), len(followed.sides), len(followed.guards)
+    p, s = len(known.trajectory.eta), len(part.outside.reference if given else part.inside.w0)
+    columns = N - n + p + s + 1
+
+    if n > N or not (cells and sides):
+        raise ValueError("L has fewer rows than there are states, or there is no cell")
+
+    def table(place: str, *shape: int, missing: float = np.nan, whole: bool = False) -> Any:
+        values: Any = known
+        for name in place.split("."):
+            values = getattr(values, name)
+        if not _has(values, shape):
+            raise ValueError(f"{place} has not the shape {shape}")
+        if not np.isnan(missing):
+            values = [missing if value is None else value for value in values]
+        return np.array(values, dtype=np.int64 if whole else np.float64).reshape(shape)
+
     found = Program(
         sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
-        H=np.array(known.plant.H, dtype=np.float64).reshape(-1, n),
-        h=np.array(known.plant.h, dtype=np.float64),
-        signs=np.array(known.plant.signs, dtype=np.int64).reshape(len(known.plant.cells), -1),
-        observer=np.array(part.observer),
-        generator=np.array(followed.generator, dtype=np.float64).reshape(desired, p, columns),
-        x_d=np.array(followed.x_d).reshape(desired, n, columns),
-        guards=np.array(followed.guards, dtype=np.float64).reshape(-1, columns),
-        sides=np.array(followed.sides, dtype=np.int64).reshape(desired, -1),
-        u_ff=np.array(followed.u_ff).reshape(desired, m, columns),
-        K=np.array(known.K),
-        limits=np.column_stack([_numbers(part.low, -np.inf), _numbers(part.high, np.inf)]),
-        change=_numbers(part.change, np.inf),
-        quantum=np.array(part.quantum),
-        follows=None if given else _follows(part.inside, s),
+        H=table("plant.H", planes, n),
+        h=table("plant.h", planes),
+        signs=table("plant.signs", cells, planes, whole=True),
+        K=table("K", m, n),
+        observer=table("program.observer", cells, N, q + m + N + 1),
+        generator=table(f"program.{side}.generator", sides, p, columns),
+        x_d=table(f"program.{side}.x_d", sides, n, columns),
+        guards=table(f"program.{side}.guards", guards, columns),
+        sides=table(f"program.{side}.sides", sides, guards, whole=True),
+        u_ff=table(f"program.{side}.u_ff", sides, m, columns),
+        limits=np.stack([table("program.low", m, missing=-np.inf), table("program.high", m, missing=np.inf)], axis=1),
+        change=table("program.change", m, missing=np.inf),
+        quantum=table("program.quantum", m),
+        follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
     )
-    if single:
-        for name in ("H", "h", "observer", "generator", "x_d", "u_ff", "guards", "K"):
-            largest = float(np.abs(getattr(found, name)).max(initial=0.0))
-            if largest > _SINGLE:
-                raise InvalidSpec(
-                    f"{name} of '{known.name}' has a number of {largest:.3g}, and single floats end at {_SINGLE:.3g}",
-                    hint="use double floats; a shorter sample time makes smaller numbers",
-                )
+    for name in ("H", "h", "observer", "generator", "x_d", "u_ff", "guards", "K") if single else ():
+        largest = float(np.abs(getattr(found, name)).max(initial=0.0))
+        if largest > _SINGLE:
+            raise InvalidSpec(
+                f"{name} of '{known.name}' has a number of {largest:.3g}, and single floats end at {_SINGLE:.3g}",
+                hint="use double floats; a shorter sample time makes smaller numbers",
+            )
     return found
 
 
-def _follows(inside: Inside, s: int) -> Follows:
+def _follows(inside: Inside, turn: Array) -> Follows:
     return Follows(
-        turn=np.array(inside.turn, dtype=np.float64).reshape(len(inside.turn), s, s),
+        turn=turn,
         w0=np.array(inside.w0, dtype=np.float64),
         pieces=tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces),
         end=inside.end,
     )
 
 
-def _check_shapes(known: ControllerFile, path: Path) -> None:
+def _check_runs(known: ControllerFile) -> None:
     """Refuse a file whose program has tables that do not fit each other."""
-    plant, part = known.plant, known.program
-    assert part is not None
-    cells, n, m, q, N = len(plant.cells), len(plant.states), len(plant.inputs), len(plant.outputs), len(known.L)
-    p, inside, outside = len(known.trajectory.eta), part.inside, part.outside
-    s, planes = len(inside.w0), len(plant.h)
-    width = N - n + p + 1
-    wanted: list[tuple[str, Any, tuple[int, ...]]] = [
-        ("plant.H", plant.H, (planes, n)),
-        ("plant.signs", plant.signs, (cells, planes)),
-        ("K", known.K, (m, n)),
-        ("program.observer", part.observer, (cells, N, q + m + N + 1)),
-        ("program.inside.turn", inside.turn, (len(inside.turn), s, s)),
-        *((f"program.{name}", getattr(part, name), (m,)) for name in ("low", "high", "change", "quantum")),
-    ]
-    followed: Sequence[tuple[str, Inside | Outside, int]] = (
-        ("inside", inside, width + s),
-        ("outside", outside, width + len(outside.reference)),
-    )
-    for name, tables, columns in followed:
-        desired = len(tables.sides)
-        wanted += [
-            (f"program.{name}.generator", tables.generator, (desired, p, columns)),
-            (f"program.{name}.x_d", tables.x_d, (desired, n, columns)),
-            (f"program.{name}.guards", tables.guards, (len(tables.guards), columns)),
-            (f"program.{name}.sides", tables.sides, (desired, len(tables.guards))),
-            (f"program.{name}.u_ff", tables.u_ff, (desired, m, columns)),
-        ]
-    for name, values, shape in wanted:
-        if not _has(values, shape):
-            raise _refused(path, f"{name} has not the shape {shape}")
-    if any(low is not None and high is not None and low > high for low, high in zip(part.low, part.high, strict=True)):
-        raise _refused(path, "program: a lower limit is above the upper one")
-    ticks = [piece.tick for piece in inside.pieces]
-    fits = all(piece.tick > 0 and piece.start + len(piece.w) <= s for piece in inside.pieces)
-    if not 1 <= len(inside.turn) <= 3 or ticks != sorted(ticks) or not fits:
-        raise _refused(path, "program.inside: its pieces are not in order, or do not fit")
+    inside = runs(known, given=False)
+    runs(known, given=True)
+    follows, of = inside.follows, inside.sizes
+    assert follows is not None
+    if [*map(len, known.started)] != [of["N"], of["p"]]:
+        raise ValueError(f"start has not {of['N']} and {of['p']} entries")
+    if (inside.limits[:, 0] > inside.limits[:, 1]).any():
+        raise ValueError("program: a lower limit is above the upper one")
+    ticks = [piece.tick for piece in follows.pieces]
+    fits = all(piece.tick > 0 and piece.start + len(piece.w) <= of["s"] for piece in follows.pieces)
+    if not 1 <= len(follows.turn) <= 3 or ticks != sorted(ticks) or not fits:
+        raise ValueError("program.inside: its pieces are not in order, or do not fit")
 
 
 def _has(values: Any, shape: tuple[int, ...]) -> bool:
@@ -301,5 +296,64 @@ def _finite(values: Array) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in values.tolist()]
 
 
-def _numbers(values: Sequence[float | None], missing: float) -> Array:
-    return np.array([missing if value is None else value for value in values], dtype=np.float64)
+def with_gains(spec: Spec, known: ControllerFile) -> Spec:
+    """Return a spec that asks for the gains of a stored controller, and no others.
+
+    Raises:
+        InvalidSpec: If they have other sizes.
+    """
+    K, L = np.array(known.K), np.array(known.L)
+    plant = spec.problem.plant
+    (n, m), (N, q) = plant.B.shape, (plant.observed.A[0].shape[0], len(plant.C))
+    if K.shape != (m, n) or L.shape != (N, q):
+        raise _other("K and L have other sizes")
+    return replace(spec, objectives=replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L)))
+
+
+def check_same(spec: Spec, controller: Controller, known: ControllerFile) -> tuple[Spec, Program | None]:
+    """Return the spec with the sample time of a stored controller, and its program.
+
+    Args:
+        spec: The spec, with its gains.
+        controller: These gains, proved for the plant of the spec.
+        known: The file.
+
+    Raises:
+        InvalidSpec: If plant, reference or the limits of the program are not those of the spec.
+    """
+    again = content(spec, controller, proof=known.proof, generator=None, start=None)
+    here = ControllerFile.model_validate(again).model_dump()
+    for name in _SAME:
+        for place in _different(known.model_dump()[name], here[name], name):
+            raise _other(place)
+    if known.program is None:
+        return spec, None
+    found, conditions = runs(known), spec.scenario.conditions
+    conditions = replace(conditions, sampling=conditions.sampling or found.sampling)
+    made = Sampled.model_validate(sampled(controller, conditions))
+    for name in _CHOSEN:
+        for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
+            raise _other(place)
+    for name in ("observer", "generator", "x_d", "u_ff", "guards"):
+        one, other = getattr(found, name), getattr(runs(known.model_copy(update={"program": made})), name)
+        if np.abs(one - other).max(initial=0.0) > _CLOSE * np.abs(other).max(initial=0.0):
+            raise _other(f"program, '{name}'")
+    return replace(spec, scenario=replace(spec.scenario, conditions=conditions)), found
+
+
+def _different(one: Any, other: Any, place: str) -> Iterator[str]:
+    """Yield where two trees differ."""
+    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
+        for key in one:
+            yield from _different(one[key], other[key], f"{place}.{key}")
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for k, (a, b) in enumerate(zip(one, other, strict=True)):
+            yield from _different(a, b, f"{place}.{k}")
+    elif one != other:
+        yield f"{place} is {one!r} in the file and {other!r} in the spec"[:200]
+
+
+def _other(what: str) -> InvalidSpec:
+    message = f"the stored controller is not one for this spec: {what}"
+    hint = "'simulation: {plant: {parameters: …}}' runs a controller on another plant than it was designed for"
+    return InvalidSpec(Problem(message=message, subject=None, hint=hint))

@@ -25,6 +25,7 @@ when that of a function it calls does.
 """
 
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
@@ -125,43 +126,56 @@ class Resets(NamedTuple):
     counted: Array
 
 
+# Sizes of a controller (known: of ŝ, η̂ and w together), by how many samples its inputs are late, and where in its
+# memory, and in the room beyond it, each part begins: see `Program.places`.
+Places = namedtuple(
+    "Places", "q m n N p s known delay y u x_hat s_hat eta_hat w copies late before wanted change x_d g source"
+)
+
+
 class Routine(NamedTuple):
     """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
 
     Attributes:
-        H, h, signs, guards, sides, observer, generator, x_d, u_ff, K: As there.
-        low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
+        at: Its sizes and places.
+        H, h, observer, generator, x_d, u_ff, K, guards, signs, sides: As there.
         turn: w one sample later, and 2¹⁰ and 2²⁰ samples later where these are in range; none where w comes from
             outside, (0 … 3, s, s).
-        piece_tick, piece_start, piece_stop, piece_value: From when on which entries of w have new values, and where
-            these begin in `values`, (pieces,).
-        values: Those new values.
-        end: The last tick at which the reference is defined.
-        delay: How many samples an input is put out late.
+        piece_values: New values of entries of w.
+        piece_tick, piece_start, piece_length, piece_value: From when on which entries have them, and where these begin
+            there, (pieces,).
+        low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
+        half: ½.
+        most: How many pieces begin at one tick at most.
+        end: The last tick at which the reference is defined, -1 if there is none.
+        last: The last tick that is asked for, -1 if none is.
     """
 
+    at: Places
     H: Array
     h: Array
-    signs: IntArray
-    guards: Array
-    sides: IntArray
     observer: Array
     generator: Array
     x_d: Array
     u_ff: Array
     K: Array
+    guards: Array
+    signs: IntArray
+    sides: IntArray
+    turn: Array
+    piece_values: Array
+    piece_tick: IntArray
+    piece_start: IntArray
+    piece_length: IntArray
+    piece_value: IntArray
     low: Array
     high: Array
     change: Array
     quantum: Array
-    turn: Array
-    piece_tick: IntArray
-    piece_start: IntArray
-    piece_stop: IntArray
-    piece_value: IntArray
-    values: Array
+    half: Any
+    most: int
     end: int
-    delay: int
+    last: int
 
 
 class Ticks(NamedTuple):
@@ -255,7 +269,7 @@ class Trajectory(NamedTuple):
     crossed: Any
     cells: IntArray
     memory: Array
-    counts: IntArray
+    counts: Any
     room: Array
     y: Array
 
@@ -354,6 +368,7 @@ STATE = np.dtype(
 )
 DONE, NEW_MODE, FULL, STUCK, SPENT = range(5)  # why the walk stops
 RAN, ENDED, REFUSED = 0, 1, -1  # what comes of running the controller
+_RENEWED = 1024  # samples after which a copy of w is renewed, and after the square of which the other one is
 
 
 @_compiled
@@ -957,167 +972,215 @@ def _first_of_all(field: Field, modes: Modes, length: float, at: Trajectory, log
 
 
 @_as_written
-def _row(row: Array, vector: Array, start: int, stop: int) -> float:
-    """Return row · (vector[start:stop], 1): products and sums one after the other, from left to right."""
-    count = stop - start
-    total: float = row[0]
-    if count == 0:
-        return total
-    total = total * vector[start]
+def _sum(row: Array, vector: Array, start: int, count: int) -> float:
+    """Return row · vector[start:start + count]: products and sums one after the other, from left to right."""
+    product: float = row[0] * vector[start]
+    total = product
     for k in range(1, count):
-        total = total + row[k] * vector[start + k]
-    result: float = total + row[count]
+        product = row[k] * vector[start + k]
+        total = total + product
+    return total
+
+
+@_as_written
+def _row(row: Array, vector: Array, start: int, count: int) -> float:
+    """Return row · (vector[start:start + count], 1)."""
+    if count == 0:
+        constant: float = row[0]
+        return constant
+    result: float = _sum(row, vector, start, count) + row[count]
     return result
 
 
 @_as_written
-def _cell(signs: IntArray, room: Array, guards: int) -> int:
-    """Return the cell whose signs the guards in room[guards:] contradict least, the first of several."""
-    cell, least = 0, room[0]
+def _cell(found: int, signs: IntArray, room: Array, g: int) -> int:
+    """Return the cell whose signs the guards at room[g:] contradict least, the first of several."""
+    least = 0.0
     for i in range(len(signs)):
-        worst = room.dtype.type(0.0)
+        worst = 0.0
         for k in range(signs.shape[1]):
-            side, value = signs[i, k], room[guards + k]
-            if side > 0 and -value > worst:
-                worst = -value
-            if side < 0 and value > worst:
-                worst = value
+            if signs[i, k] > 0 and -room[g + k] > worst:
+                worst = -room[g + k]
+            if signs[i, k] < 0 and room[g + k] > worst:
+                worst = room[g + k]
         if i == 0 or worst < least:
-            cell, least = i, worst
+            found = i
+            least = worst
         if least == 0.0:
             break
-    return cell
+    return found
 
 
 @_as_written
-def _cells(routine: Routine, room: Array, x: int, s_hat: int, end: int, guards: int) -> tuple[int, int]:
-    """Return the cells of x̂, at room[x:], and of x_d; the values of the guards are written to room[guards:]."""
-    for k in range(len(routine.h)):
-        total = routine.H[k, 0] * room[x]
-        for a in range(1, routine.H.shape[1]):
-            total = total + routine.H[k, a] * room[x + a]
-        room[guards + k] = total + routine.h[k]
-    i = _cell(routine.signs, room, guards)
-    for k in range(len(routine.guards)):
-        room[guards + k] = _row(routine.guards[k], room, s_hat, end)
-    return i, _cell(routine.sides, room, guards)
-
-
-@_as_written
-def _advanced(routine: Routine, memory: Array, room: Array, counts: IntArray, w: int) -> None:
+def _advance(routine: Routine, memory: Array, room: Array, old: Any, new: Any) -> None:
     """Step the reference on by one sample: w, and the copies of it that are renewed every 2¹⁰ and 2²⁰ samples."""
-    s, levels = routine.turn.shape[1], len(routine.turn)
-    tick, since = counts[1] + 1, counts[2] + 1
+    at, renewed = routine.at, len(routine.turn) - 1
     level = 0
-    if levels > 1 and since % 1024 == 0:
-        level = 1
-    if levels > 2 and since == 1048576:
-        level, since = 2, 0
-    for a in range(s):
-        total = routine.turn[level, a, 0] * memory[w + level * s]
-        for k in range(1, s):
-            total = total + routine.turn[level, a, k] * memory[w + level * s + k]
-        for copy in range(level + 1):
-            room[w + copy * s + a] = total
-    while counts[3] < len(routine.piece_tick) and routine.piece_tick[counts[3]] == tick:
-        piece, since = counts[3], 0
-        for k in range(routine.piece_start[piece], routine.piece_stop[piece]):
-            room[w + k] = routine.values[routine.piece_value[piece] + k - routine.piece_start[piece]]
-        for k in range(s):
-            room[w + s + k] = room[w + k]
-            room[w + 2 * s + k] = room[w + k]
-        counts[3] += 1
-    counts[1], counts[2] = tick, since
+    if routine.last >= 0 and old.tick <= routine.last:
+        new.tick = old.tick + 1
+    if renewed > 0:
+        new.since = old.since + 1
+        if new.since % _RENEWED == 0:
+            level = 1
+        if new.since == _RENEWED**renewed:
+            if renewed == 2:
+                level = 2
+            new.since = 0
+    for k in range(at.s):
+        room[at.source + k] = memory[at.w + k]
+    if renewed > 0 and level > 0:
+        for k in range(at.s):
+            room[at.source + k] = memory[at.copies + level * at.s - at.s + k]
+    for a in range(at.s):
+        total = _sum(routine.turn[level, a], room, at.source, at.s)
+        room[at.w + a] = total
+        for k in range(renewed):
+            if k < level:
+                room[at.copies + k * at.s + a] = total
+    for b in range(routine.most):  # noqa: B007
+        if new.piece < len(routine.piece_tick):  # noqa: SIM102  # there are languages that look at both
+            if routine.piece_tick[new.piece] == new.tick:
+                _begin(routine, room, new)
 
 
 @_as_written
-def _put_out(routine: Routine, room: Array, b: int, u: int, late: int) -> None:
-    """Limit the input b that is wanted, put it behind those that wait, and put the first of them out."""
-    m = len(routine.low)
-    before = late + routine.delay * m
-    wanted, change = before + m, before + 2 * m
-    value, last = room[wanted + b], room[before + b]
-    room[change + b] = value - last
-    if value < last - routine.change[b]:
-        value = last - routine.change[b]
-    elif value > last + routine.change[b]:
-        value = last + routine.change[b]
-    room[wanted + b] = value
-    if value < routine.low[b]:
-        value = routine.low[b]
-    elif value > routine.high[b]:
-        value = routine.high[b]
-    room[before + b] = value
-    quantum = routine.quantum[b]
-    if quantum > 0.0:
-        value = quantum * np.floor(value / quantum + routine.h.dtype.type(0.5))
-    if routine.delay == 0:
-        room[u + b] = value
-        return
-    room[u + b] = room[late + b]
-    for k in range(routine.delay - 1):
-        room[late + k * m + b] = room[late + (k + 1) * m + b]
-    room[late + (routine.delay - 1) * m + b] = value
+def _begin(routine: Routine, room: Array, new: Any) -> None:
+    """Set the entries of w that a piece of the reference is about, and renew the copies."""
+    at, renewed = routine.at, len(routine.turn) - 1
+    for a in range(at.s):
+        start = routine.piece_start[new.piece]
+        if a >= start and a < start + routine.piece_length[new.piece]:
+            room[at.w + a] = routine.piece_values[routine.piece_value[new.piece] - start + a]
+    for copy in range(renewed):
+        for k in range(at.s):
+            room[at.copies + copy * at.s + k] = room[at.w + k]
+    if renewed > 0:
+        new.since = 0
+    new.piece = new.piece + 1
 
 
 @_as_written
-def tick(routine: Routine, memory: Array, counts: IntArray, room: Array, y: Array, given: Array) -> int:
+def _put_out(routine: Routine, memory: Array, room: Array, channel: int, value: float, fine: bool) -> bool:
+    """Limit the value that an input is to have, put it behind those that wait, and put the first of them out."""
+    at = routine.at
+    "7. Limits: input {channel}."
+    last = value - room[at.before + channel]
+    if not np.isfinite(last):
+        fine = False
+    room[at.change + channel] = last
+    if routine.change[channel] < np.inf:
+        last = room[at.before + channel] - routine.change[channel]
+        difference = room[at.before + channel] + routine.change[channel]
+        if value < last:
+            value = last
+        elif value > difference:
+            value = difference
+    room[at.wanted + channel] = value
+    if routine.low[channel] > -np.inf and value < routine.low[channel]:
+        value = routine.low[channel]
+    elif routine.high[channel] < np.inf and value > routine.high[channel]:
+        value = routine.high[channel]
+    room[at.before + channel] = value
+    if routine.quantum[channel] > 0:
+        total = value / routine.quantum[channel]
+        total = total + routine.half
+        product = np.floor(total)
+        product = routine.quantum[channel] * product
+        value = product
+    "8. Put out: input {channel}."
+    if at.delay == 0:
+        room[at.u + channel] = value
+    else:
+        room[at.u + channel] = memory[at.late + channel]
+        for place in range(at.delay - 1):
+            room[at.late + place * at.m + channel] = memory[at.late + (place + 1) * at.m + channel]
+        room[at.late + (at.delay - 1) * at.m + channel] = value
+    return fine
+
+
+@_as_written
+def _next(routine: Routine, memory: Array, room: Array, y: Array, given: Array, old: Any, new: Any) -> bool:
+    """Write what the controller remembers after a tick to room and new, and say whether u may be put out.
+
+    This and what it calls is the one statement of what a controller does: `export.step` prints it in other languages.
+    So each sum and each product is one of two numbers, texts are comments, `break` only saves time, and each index of
+    memory and room begins with the name of a part.
+    """
+    at = routine.at
+    new.tick, new.since, new.piece = old.tick, old.since, old.piece
+    new.cell, new.cell_d, new.status = old.cell, old.cell_d, RAN
+    if old.started:
+        "1. Observer and generator, one sample later."
+        for a in range(at.N):
+            room[at.x_hat + a] = _row(routine.observer[old.cell, a], memory, at.y, at.eta_hat)
+        for a in range(at.p):
+            room[at.eta_hat + a] = _row(routine.generator[old.cell_d, a], memory, at.s_hat, at.known)
+        if len(routine.turn) > 0:
+            "2. Reference."
+            if routine.end >= 0 and old.tick >= routine.end:
+                new.status = ENDED
+            else:
+                _advance(routine, memory, room, old, new)
+    "3. Measurement."
+    for a in range(at.q):
+        room[at.y + a] = y[a]
+    if len(routine.turn) == 0:
+        for a in range(at.s):
+            room[at.w + a] = given[a]
+    if len(routine.h) > 0:
+        "4. Cell of x_hat: the first one whose signs are contradicted least."
+        for a in range(len(routine.h)):
+            room[at.g + a] = _sum(routine.H[a], room, at.x_hat, at.n) + routine.h[a]
+        new.cell = _cell(new.cell, routine.signs, room, at.g)
+    if len(routine.guards) > 0:
+        "4. Cell of x_d."
+        for a in range(len(routine.guards)):
+            room[at.g + a] = _row(routine.guards[a], room, at.s_hat, at.known)
+        new.cell_d = _cell(new.cell_d, routine.sides, room, at.g)
+    "5. Desired state."
+    for a in range(at.n):
+        room[at.x_d + a] = _row(routine.x_d[new.cell_d, a], room, at.s_hat, at.known)
+    fine = True
+    for channel in range(at.m):
+        "6. Law: input {channel}."
+        value = _row(routine.u_ff[new.cell_d, channel], room, at.s_hat, at.known)
+        for a in range(at.n):
+            difference = room[at.x_hat + a] - room[at.x_d + a]
+            product = routine.K[channel, a] * difference
+            value = value + product
+        fine = _put_out(routine, memory, room, channel, value, fine)
+    return fine
+
+
+@_as_written
+def tick(routine: Routine, memory: Array, counts: Any, room: Array, y: Array, given: Array) -> int:
     """Run the controller once, as docs/arithmetic.md says.
 
     Args:
         routine: The program.
-        memory: Its numbers: y, u, x̂, ŝ, η̂, w, two copies of w, inputs that wait, the input computed last before its
-            steps, the one wanted, its change, x_d. Changed unless the result is REFUSED.
-        counts: Whether it has run, ticks, ticks since a piece of the reference began (or the second copy of w was
-            renewed), pieces so far, and the cells of x̂ and x_d. Likewise.
-        room: To work in, as long as memory, and as long as there are guards, more.
+        memory: Its numbers, part by part as `Program.places` says. Changed unless the result is REFUSED.
+        counts: What it counts, and the cells of x̂ and x_d, see `routine.COUNTS`, likewise; and room for the next ones.
+        room: To work in, see `routine.memory`.
         y: What was measured, (q,).
         given: w from outside, (s,), where it is from there.
 
     Returns:
         RAN, ENDED (the reference has ended, and w stays as it is) or REFUSED (a number is not finite; nothing changes).
     """
-    n, m, q = routine.K.shape[1], len(routine.low), len(y)
-    N, p = routine.observer.shape[1], routine.generator.shape[1]
-    u, x, eta = q, q + m, q + m + N
-    s_hat, w, s = x + n, eta + p, routine.turn.shape[1]
-    late, end = w + 3 * s, w + s
-    x_d = late + (routine.delay + 3) * m
-    started, inside, status = counts[0] != 0, len(routine.turn) > 0, RAN
-    before = counts[1], counts[2], counts[3]
+    old, new = counts[0], counts[1]
     for k in range(len(memory)):
         room[k] = memory[k]
-    if started:
-        for a in range(N):
-            room[x + a] = _row(routine.observer[counts[4], a], memory, 0, eta)
-        for a in range(p):
-            room[eta + a] = _row(routine.generator[counts[5], a], memory, s_hat, end)
-        if inside and counts[1] < routine.end:
-            _advanced(routine, memory, room, counts, w)
-        elif inside:
-            status = ENDED
-    for a in range(q):
-        room[a] = y[a]
-    if not inside:
-        for a in range(s):
-            room[w + a] = given[a]
-    i, j = _cells(routine, room, x, s_hat, end, len(memory))
-    for a in range(n):
-        room[x_d + a] = _row(routine.x_d[j, a], room, s_hat, end)
-    for b in range(m):
-        total = _row(routine.u_ff[j, b], room, s_hat, end)
-        for a in range(n):
-            total = total + routine.K[b, a] * (room[x + a] - room[x_d + a])
-        room[late + routine.delay * m + m + b] = total
-        _put_out(routine, room, b, u, late)
+    fine = _next(routine, memory, room, y, given, old, new)
     for k in range(len(memory)):
         if not np.isfinite(room[k]):
-            counts[1], counts[2], counts[3] = before
-            return REFUSED
+            fine = False
+    if not fine:
+        return REFUSED
     for k in range(len(memory)):
         memory[k] = room[k]
-    counts[0], counts[4], counts[5] = 1, i, j
-    return status
+    old.tick, old.since, old.piece = new.tick, new.since, new.piece
+    old.cell, old.cell_d, old.status, old.started = new.cell, new.cell_d, new.status, 1
+    return int(new.status)
 
 
 @_inlined

@@ -16,7 +16,7 @@ from pwatrack.causes import Part
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
-from pwatrack.simulation.routine import COUNTS, NONE, memory, room, routine
+from pwatrack.simulation.routine import NONE, memory, routine
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
@@ -391,10 +391,10 @@ def _controller(flow: Flow, z: Array) -> dict[str, Any]:
     program = NONE if clock is None else clock.program
     found = memory(program, *(np.zeros(program.sizes[name]) for name in ("N", "p")))
     if clock is not None:
-        found[clock.source] = z[clock.place] / clock.scale
-        found[program.places["w_copies"]] = np.tile(found[program.places["w"]], 2)
-    counts, y = np.zeros(COUNTS, dtype=np.int64), np.zeros(program.sizes["q"])
-    return {"memory": found, "counts": counts, "room": room(program), "y": y}
+        numbers = found["memory"]
+        numbers[clock.source] = z[clock.place] / clock.scale
+        numbers[program.places["copies"]] = np.tile(numbers[program.places["w"]], 2)
+    return {**found, "y": np.zeros(program.sizes["q"])}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:

@@ -3,61 +3,58 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.program import Follows, Program
+from pwatrack.control.program import Program
 from pwatrack.model.conditions import Sampling
 
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import Routine
 
-COUNTS = 6  # whether it has run, ticks, ticks since a piece of the reference began, pieces so far, cells of x̂ and x_d
-_NEVER = 2**62  # ticks
+COUNTS = np.dtype([(name, np.int64) for name in ("started", "tick", "since", "piece", "cell", "cell_d", "status")])
 
 
 def routine(program: Program, real: Any = np.float64) -> "Routine":
     """Return a program as arrays, of double or single floats."""
-    from pwatrack.simulation.kernel import Routine
+    from pwatrack.simulation.kernel import Places, Routine
 
     def numbers(values: Array) -> NDArray[Any]:
         return np.array(values, dtype=real, order="C")  # a copy: what is compiled is for arrays that may change
 
-    def whole(values: list[int]) -> IntArray:
-        return np.array(values, dtype=np.int64)
+    def whole(values: Any) -> IntArray:
+        return np.array(values, dtype=np.int64, order="C")
 
-    s = program.sizes["s"]
-    follows = program.follows or Follows(turn=np.zeros((0, s, s)), w0=np.zeros(s), pieces=(), end=None)
-    pieces = follows.pieces
-    starts = np.cumsum([0, *(len(piece.w) for piece in pieces)]).tolist()
+    of = program.sizes
+    s, known = of["s"], of["N"] - of["n"] + of["p"] + of["s"]
+    follows = program.follows if s else None
+    pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
+    ticks, starts = [piece.tick for piece in pieces], np.cumsum([0, *(len(piece.w) for piece in pieces)])
+    floats = ("H", "h", "observer", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
     return Routine(
-        H=numbers(program.H),
-        h=numbers(program.h),
-        signs=np.array(program.signs, dtype=np.int64, order="C"),
-        guards=numbers(program.guards),
-        sides=np.array(program.sides, dtype=np.int64, order="C"),
-        observer=numbers(program.observer),
-        generator=numbers(program.generator),
-        x_d=numbers(program.x_d),
-        u_ff=numbers(program.u_ff),
-        K=numbers(program.K),
+        at=Places(
+            **of, known=known, delay=program.sampling.delay, **{key: at.start for key, at in program.places.items()}
+        ),
+        **{name: numbers(getattr(program, name)) for name in floats},
+        signs=whole(program.signs),
+        sides=whole(program.sides),
+        turn=numbers(np.zeros((0, s, s)) if follows is None else follows.turn),
+        piece_values=numbers(np.concatenate([np.zeros(0), *(piece.w for piece in pieces)])),
+        piece_tick=whole(ticks),
+        piece_start=whole([piece.start for piece in pieces]),
+        piece_length=whole(np.diff(starts)),
+        piece_value=whole(starts[:-1]),
         low=numbers(program.limits[:, 0]),
         high=numbers(program.limits[:, 1]),
-        change=numbers(program.change),
-        quantum=numbers(program.quantum),
-        turn=numbers(follows.turn),
-        piece_tick=whole([piece.tick for piece in pieces]),
-        piece_start=whole([piece.start for piece in pieces]),
-        piece_stop=whole([piece.start + len(piece.w) for piece in pieces]),
-        piece_value=whole(starts[:-1]),
-        values=numbers(np.concatenate([np.zeros(0), *(piece.w for piece in pieces)])),
-        end=_NEVER if follows.end is None else follows.end,
-        delay=program.sampling.delay,
+        half=real(0.5),
+        most=int(np.unique(ticks, return_counts=True)[1].max(initial=0)),
+        end=-1 if end is None else end,
+        last=max([-1, *ticks]) if end is None else end,
     )
 
 
-def memory(program: Program, x_hat: Array, eta_hat: Array, real: Any = np.float64) -> NDArray[Any]:
-    """Return what the program starts with: x̂ with ŝ, η̂, the reference at its first tick, and 0.
+def memory(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any = np.float64) -> dict[str, NDArray[Any]]:
+    """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
     Args:
         program: The program.
@@ -69,13 +66,8 @@ def memory(program: Program, x_hat: Array, eta_hat: Array, real: Any = np.float6
     found = np.zeros(at["x_d"].stop, dtype=real)
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
     if program.follows is not None:
-        found[at["w"]], found[at["w_copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
-    return found
-
-
-def room(program: Program, real: Any = np.float64) -> NDArray[Any]:
-    """Return room to work in."""
-    return np.zeros(program.places["x_d"].stop + max(len(program.h), len(program.guards)), dtype=real)
+        found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
+    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["source"].stop, dtype=real)}
 
 
 NONE = Program(  # one that never runs

@@ -1,22 +1,144 @@
-"""A plant as a model for an FMU: its cells as tables of a C engine that goes from crossing to crossing."""
+"""A controller and a plant as models for FMUs: the very C that `export c` writes, and cells as tables of a C engine.
+
+That engine goes from crossing to crossing.
+"""
+
+import re
 
 import numpy as np
 
 from pwatrack.arrays import EPS, Array
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.export.c_source import initialiser
-from pwatrack.export.fmu import Parts, template
-from pwatrack.export.fmu_description import Model, Variable
-from pwatrack.export.source import said
+from pwatrack.export.c import code, header, initialiser
+from pwatrack.export.fmu import Model, Parts, Variable
+from pwatrack.export.source import Source, reference_unit, said, template
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
 from pwatrack.spec.spec import Spec, Steady
 from pwatrack.study.starting import plant_start
 from pwatrack.study.tracking import desired_trajectory
 
+_ORDER = (
+    "At each step: set the inputs, step it, hand its outputs over, then step the plant. To step both at once, give the "
+    "design a delay of a sample, and hand over next.* after the step."
+)
 _MOST_NUMBERS = 2**19  # of A_i and b_i: 4 MB
 _MOST_TERMS = 24  # of a step
 _LONGEST = 2.0**20  # s
+
+
+def controller_parts(c: Source, duration: float, resources: dict[str, bytes]) -> Parts:
+    """Return what the FMU of a controller is made of.
+
+    Args:
+        c: The controller, in doubles.
+        duration: How long it may run, in s.
+        resources: Files beside it.
+    """
+    variables, of = _controller_variables(c), c.program.sizes
+    step, late = c.program.sampling.sample_time, c.program.sampling.delay
+    proved = (
+        "NOT PROVED: " + "; ".join(c.unproved)
+        if c.unproved
+        else " ".join(["Proved for the gains as printed.", *c.claims])
+    )
+    failed = f"FAILED: {'; '.join(c.file.failed)}. " if c.file.failed else ""
+    model = Model(
+        identifier=f"{c.name}_controller",
+        title=f"{c.file.name}: controller",
+        description=f"{failed}Runs once every {step!r} s. {proved} {_ORDER}",
+        token="",
+        variables=variables,
+        step=step,
+        preferred=(step, duration),
+        files=(),
+    )
+    reals = [variable for variable in variables if not variable.whole]
+    values = {
+        "name": c.name,
+        "inputs": sum(variable.causality == "input" for variable in reals),
+        "parameter": next(k for k, variable in enumerate(reals) if variable.causality == "parameter"),
+        "reals": len(reals),
+        "sample_time": repr(step),
+        "ref": f"&of->real[{1 + of['q']}]" if c.given else "NULL",
+        "start": initialiser([0.0 if variable.start is None else variable.start for variable in reals]),
+        "X": of["q"] + of["m"],
+        "next": of["m"] if late else 0,
+        "show_next": f"    (void)memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n"
+        if late
+        else "",
+        **{key: of[key] for key in ("q", "m", "n", "N", "p")},
+    }
+    sources = {f"{c.name}.h": header(c), f"{c.name}.c": code(c), "model.h": template("controller.h", **values)}
+    return Parts(model=model, sources=sources, resources=resources)
+
+
+def _controller_variables(c: Source) -> tuple[Variable, ...]:
+    plant, of, eta = c.file.plant, c.program.sizes, c.file.trajectory.eta
+    named = dict(zip(plant.loads.where, plant.loads.names, strict=True)) if plant.loads else {}
+    loads = list[str]()
+    for k in range(of["N"] - of["n"]):  # a sinusoid has two entries, the first with its name
+        loads.append(named[k] if k in named else f"{loads[-1]}.quadrature")
+    states, start = [*plant.states, *loads], c.file.start
+    x_hat, eta_hat = (start.x_hat, start.eta_hat) if start else ([0.0] * of["N"], [0.0] * of["p"])
+
+    def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> Variable:
+        held = causality in ("output", "local")
+        return Variable(name=name, causality=causality, description=text, unit=unit, start=value, held=held)
+
+    def unit_of(name: str) -> str:
+        return plant.units.get(name, "")
+
+    return (
+        Variable(name="simulation.time", causality="independent", description="time", unit="s"),
+        *(of_kind("input", name, "measured now", unit_of(name), 0.0) for name in plant.outputs),
+        *(
+            of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
+            for name in (c.program.reference if c.given else ())
+        ),
+        *(of_kind("output", name, "put out from the start of the step", unit_of(name)) for name in plant.inputs),
+        *(
+            of_kind("output", f"next.{name}", "put out from the end of the step", unit_of(name))
+            for name in (plant.inputs if c.program.sampling.delay else ())
+        ),
+        *(of_kind("local", f"estimate.{name}", f"{name}, as observed", unit_of(name)) for name in states),
+        *(of_kind("local", f"generator.eta{k + 1}", f"generator: {name}") for k, name in enumerate(eta)),
+        *(of_kind("local", f"desired.{name}", f"{name}, as desired", unit_of(name)) for name in plant.states),
+        *(
+            of_kind("parameter", f"start.{name}", f"{name} that the observer starts with", unit_of(name), value)
+            for name, value in zip(states, x_hat, strict=True)
+        ),
+        *(
+            of_kind("parameter", f"start.eta{k + 1}", f"what the generator starts with: {name}", "", value)
+            for k, (name, value) in enumerate(zip(eta, eta_hat, strict=True))
+        ),
+        *_diagnosis(c),
+    )
+
+
+def _diagnosis(c: Source) -> list[Variable]:
+    names = c.file.plant.cells
+    cells = ": " + ", ".join(f"{k} {name}" for k, name in enumerate(names[:32]))
+    same = cells if len(c.program.sides) == len(names) else ", of those left where cells are merged"
+    said = {
+        "status": "0; 1: the reference has ended; -1: a number was not finite, the output is held",
+        "cell": f"cell of the observer{cells}",
+        "cell_desired": f"cell of the desired state{same}",
+    }
+    return [
+        Variable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
+        for name, text in said.items()
+    ]
+
+
+def _reference(name: str) -> str:
+    """Return the name of an entry of the reference.
+
+    Example:
+        >>> _reference("d2y/dt2")
+        'reference.d2y_dt2'
+    """
+    return "reference." + re.sub(r"\W", "_", name)
 
 
 def plant_parts(spec: Spec, name: str) -> Parts:
@@ -46,7 +168,7 @@ def plant_parts(spec: Spec, name: str) -> Parts:
         trajectory, generator = desired_trajectory(spec, False)
         given = plant_start(spec, trajectory, generator, trajectory.eta0)
     start = np.zeros(n) if given is None else np.asarray(given, dtype=np.float64)
-    variables = _variables(spec, plant, inputs, outputs, start)
+    variables = _plant_variables(spec, plant, inputs, outputs, start)
     reals = [variable for variable in variables if not variable.whole]
     text = {"name": name, "NAME": name.upper(), "title": said(spec.name), "spec": spec.sha256}
     text |= {"n": str(n), "states": ", ".join(plant.states), "inputs_said": ", ".join(v.name for v in inputs)}
@@ -73,9 +195,9 @@ def plant_parts(spec: Spec, name: str) -> Parts:
         files=(),
     )
     sources = {
-        f"{name}.h": template("plant.h", engine),
-        f"{name}.c": template("plant.c", engine),
-        "model.h": template("plant_model.h", values),
+        f"{name}.h": template("plant.h", **engine),
+        f"{name}.c": template("plant.c", **engine),
+        "model.h": template("plant_model.h", **values),
     }
     return Parts(model=model, sources=sources, resources={})
 
@@ -116,7 +238,7 @@ def _outputs(plant: PWASystem) -> tuple[list[tuple[str, str]], Array]:
     return names, np.array(rows)
 
 
-def _variables(
+def _plant_variables(
     spec: Spec, plant: PWASystem, inputs: list[Variable], outputs: list[tuple[str, str]], start: Array
 ) -> tuple[Variable, ...]:
     units = spec.problem.units

@@ -1,0 +1,225 @@
+"""A controller in C99: header and source, and beside them a test vector, build files and a page of advice."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+import numpy as np
+
+from pwatrack.export.controller import Controller
+from pwatrack.export.notation import Language, most, names, printed
+from pwatrack.export.source import Source, Vector, template, write_texts
+from pwatrack.export.step import PRODUCT, Kind, Step, Variable
+
+FLAGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
+_WIDTHS = {True: (0, 16, 32), False: (0, 1, 16, 32, 64)}  # of FLT_EVAL_METHOD: these leave floats, or doubles, alone
+_BESIDE = {"main.c": "c_main.c", "Makefile": "c_makefile", "CMakeLists.txt": "c_cmake.txt", "README.md": "c_readme.md"}
+
+
+def write(source: Source, vector: Vector, out: Path) -> list[str]:
+    """Write all files to a folder and return their names."""
+    controller, name = Controller(source.file, single=source.single), source.name
+    y, w = vector.y.astype(source.real), vector.w.astype(source.real)
+    u = [controller.step(y[k], w[k] if source.given else None) for k in range(len(y))]
+    texts = {f"{name}.h": header(source), f"{name}.c": code(source)}
+    values = {"name": name, "upper": name.upper(), "flags": FLAGS, **_advice(source, vector)}
+    beside = {file: template(form, **values) for file, form in _BESIDE.items()}
+    arrays = {"y": y, "u": np.array(u)} | ({"w": w} if source.given else {})
+    return write_texts(texts | {"vector.h": _vector(source, arrays)} | beside, out)
+
+
+def header(source: Source) -> str:
+    """Return the header."""
+    found, of = source.step, source.program.sizes
+    counts = _state_bytes(source, found), _constant_bytes(source, found)
+    multiplications, additions, comparisons = _operations(found)
+    sizes = (
+        f"State        {counts[0]} bytes",
+        f"Constants    {counts[1]} bytes",
+        f"One step     at most {multiplications} products and quotients, {additions} sums, {comparisons} comparisons"
+        " of floats",
+    )
+    about = source.about(sizes, "made inside; NULL will do")
+    values = {
+        "comment": "\n".join(["/*", *(f" * {line}".rstrip() for line in about), " */"]),
+        "name": source.name,
+        "upper": source.name.upper(),
+        "q": of["q"],
+        "m": of["m"],
+        "s": of["s"] if source.given else 0,
+        "state_bytes": counts[0],
+        "constant_bytes": counts[1],
+        "real": "float" if source.single else "double",
+        "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(found)),
+    }
+    return template("c_header.h", **values)
+
+
+def code(source: Source) -> str:
+    """Return the source."""
+    found = source.step
+    language, used, types = _language(source, found), names(found.body), _types(source)
+    kept = {f"new_{variable.name}" for variable in found.kept}
+    own = [variable for variable in found.own if variable.name in used - kept]
+
+    def lines(text: str, depth: int) -> str:
+        return indent(printed(text, language), "    " * depth)
+
+    values = {
+        "name": source.name,
+        "upper": source.name.upper(),
+        "real": types["real"],
+        "zero": language.words["0.0"],
+        "m": source.program.sizes["m"],
+        "widths": " && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[source.single]),
+        "constants": "\n".join(_constant(source, found, name) for name in found.constants),
+        "sizes": " + ".join(f"sizeof({name})" for name in found.constants),
+        "own": "\n".join(f"    {'ROUNDED ' * (v.name == PRODUCT)}{_declared(source, v)}" for v in own),
+        "hold": lines(found.hold, 1),
+        "body": lines(found.body, 1),
+        "begin": lines(found.begin, 2),
+        "ref": f", const {types['real']} ref[]" if source.given else "",
+        "pass_ref": ", ref" if source.given else "",
+        "unused": "" if source.given else "    (void)ref;\n",
+        "missing": "(y == NULL) || (ref == NULL)" if source.given else "y == NULL",
+    }
+    return template("c_source.c", **values)
+
+
+def initialiser(values: Any, *, single: bool = False) -> str:
+    """Return an array as a C initialiser; each number is the shortest decimal that gives it.
+
+    Example:
+        >>> initialiser([[1.0, 0.1], [1e-300, 2.0]]), initialiser(0.1, single=True)
+        ('{{1.0, 0.1}, {1e-300, 2.0}}', '0.1f')
+    """
+    if np.ndim(values):
+        return "{" + ", ".join(initialiser(value, single=single) for value in values) + "}"
+    text = str((np.float32 if single else np.float64)(values))
+    return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * single
+
+
+def _state_bytes(source: Source, found: Step) -> int:
+    """Return the bytes of the state."""
+    widths = _widths(source)
+    size, width = sum((v.length or 1) * widths[v.kind] for v in _state(found)), widths["real"]
+    return -(-size // width) * width
+
+
+def _constant_bytes(source: Source, found: Step) -> int:
+    return sum(values.size * _widths(source)[kind] for kind, values in found.constants.values())
+
+
+def _operations(found: Step) -> tuple[int, int, int]:
+    """Return the most products and quotients, sums, and comparisons of floats in one step."""
+    reals = {"y", "u", "given", *(name for name, (kind, _) in found.constants.items() if kind == "real")}
+    counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind == "real"})
+    return counts["*"] + counts["/"], counts["+"] + counts["-"], counts["<"]
+
+
+def _types(source: Source) -> dict[Kind, str]:
+    return {"real": f"{source.name}_real", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
+
+
+def _widths(source: Source) -> dict[Kind, int]:
+    """Return the bytes of a number of each type."""
+    return {"real": 4 if source.single else 8, "whole": 4, "side": 1, "flag": 4}
+
+
+def _state(found: Step) -> tuple[Variable, ...]:
+    """Return the fields of the state."""
+    return (*found.kept, Variable("ready", "flag", what="set by init"))
+
+
+def _declared(source: Source, variable: Variable) -> str:
+    length = f"[{variable.length}]" if variable.length else ""
+    what = f" /* {variable.what} */" * bool(variable.what)
+    return f"{_types(source)[variable.kind]} {variable.name}{length};{what}"
+
+
+def _language(source: Source, found: Step) -> Language:
+    """Return C, with what is remembered in `state`, and what it will be in `next`."""
+    kept, number = {variable.name for variable in found.kept}, "{}f" if source.single else "{}"
+
+    def name(text: str) -> str:
+        if text in kept:
+            return f"state->{text}"
+        new = text.removeprefix("new_")
+        return f"next.{new}" if new != text else "ref" if text == "given" else text
+
+    return Language(
+        assign="{} = {};",
+        loop="for ({0} = {1}; {0} <= {2}; {0}++) {{\n{3}\n}}",
+        branch="if ({}) {{\n{}\n}}\n",
+        other="else if ({}) {{\n{}\n}}\n",
+        otherwise="else {{\n{}\n}}\n",
+        end="",
+        within="/* within */",
+        truth="{} != 0u",
+        words={"and": "&&", "or": "||", "not": "!", "True": "1u", "False": "0u"}
+        | {text: number.format(text) for text in ("0.0", "1.0")},
+        remainder="{} % {}",
+        name=name,
+        element="{}[{}]",
+        between="][",
+        from_one=False,
+        comment="/* {} */",
+    )
+
+
+def _constant(source: Source, found: Step, name: str) -> str:
+    kind, values = found.constants[name]
+    shape = "".join(f"[{size}]" for size in values.shape)
+    rows = str(values.tolist()).replace("[", "{").replace("]", "}")
+    rows = (initialiser(values, single=source.single) if kind == "real" else rows).replace("}, {", "},\n    {")
+    return f"static const {_types(source)[kind]} {name}{shape} =\n    {rows};"
+
+
+def _vector(source: Source, arrays: dict[str, Any]) -> str:
+    lines = [f'#include "{source.name}.h"\n', f"#define VECTOR_STEPS {len(arrays['y'])}\n"]
+    for name, values in arrays.items():
+        rows = ",\n    ".join(initialiser(row, single=source.single) for row in values)
+        shape = "".join(f"[{size}]" for size in values.shape)
+        lines.append(f"static const {source.name}_real vector_{name}{shape} = {{\n    {rows}}};\n")
+    return "\n".join(lines)
+
+
+def _advice(source: Source, vector: Vector) -> dict[str, object]:
+    """Return what the page and the replay say of this controller."""
+    plant, program, found = source.file.plant, source.program, source.step
+
+    def signals(names: Sequence[str]) -> str:
+        return ", ".join(source.signals(names))
+
+    proved = (
+        "It is NOT PROVED: " + "; ".join(source.unproved) + "."
+        if source.unproved
+        else " ".join(
+            [
+                "Its gains are proved in continuous time; that the sampled loop is stable was looked at cell by cell.",
+                *source.claims,
+            ]
+        )
+    )
+    failed = f"Its run FAILED: {'; '.join(source.file.failed)}. " if source.file.failed else ""
+    reference = "The reference is made inside, from the first step on; pass NULL for it."
+    if source.given:
+        reference = f"`ref` is, in this order: {', '.join(program.reference)}."
+    late = program.sampling.delay
+    return {
+        "title": source.file.name,
+        "proved": failed + proved,
+        "bytes": _state_bytes(source, found),
+        "constants": _constant_bytes(source, found),
+        "h": repr(program.sampling.sample_time),
+        "y": signals(plant.outputs),
+        "u": signals(plant.inputs),
+        "ref": "ref" if source.given else "NULL",
+        "vector_ref": "vector_w[k]" if source.given else "NULL",
+        "reference": reference,
+        "late": f", and that it is put out {late} samples late" if late else "",
+        "first": source.routine.at.x_hat,
+        "vector": vector.origin,
+    }
