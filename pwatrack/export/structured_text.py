@@ -1,7 +1,7 @@
 """A controller as a function block in Structured Text of IEC 61131-3: no pointer, no function, nothing of a vendor."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -31,6 +31,7 @@ ST = Language(
     once="{0} := {1};\n{2}",  # there are compilers that run a loop from 0 to 0 no time
 )
 _LARGEST, _READY = "largest", "ready"
+_POWER = 120  # of 2 that a number of an expression has at most: also a REAL holds it
 
 # Words of the 2nd and 3rd edition, and what CODESYS, TwinCAT and matiec take besides; of the letters that stand for
 # qualifiers and operators those that such tools refuse as variables.
@@ -115,7 +116,7 @@ def function_block(source: Source) -> str:
         ),
         variables="\n".join(map(declared, own)),
         read="\n".join(f"{_entry(called, signal)} := {signal.called};" for signal in called.inputs),
-        largest=f"{called.own[_LARGEST]} := {_largest(source)};",
+        largest="\n".join(_largest(source, called.own[_LARGEST])),
         ready=called.own[_READY],
         begin=indent(printed(found.begin, language), "    "),
         body=printed(found.body, language),
@@ -175,11 +176,13 @@ def _entry(called: Names, signal: Signal) -> str:
     return f"{called.own[array]}[{place}]"
 
 
-def _largest(source: Source) -> str:
-    """Return the largest number: as a product, since there are compilers that refuse it as it is written."""
+def _largest(source: Source, name: str) -> Iterator[str]:
+    """Yield what works out the largest number: matiec refuses a number in an expression that a REAL would not hold."""
     finfo = np.finfo(source.real)
-    factors = source.real(2.0 - finfo.eps), source.real(2.0) ** (finfo.maxexp - 1)
-    return " * ".join(map(_number, factors))
+    times, rest = divmod(finfo.maxexp - 1, _POWER)
+    yield f"{name} := {_number(source.real(2.0 - finfo.eps))} * {_number(source.real(2.0) ** rest)};"
+    for _ in range(times):
+        yield f"{name} := {name} * {_number(source.real(2.0) ** _POWER)};"
 
 
 def _constant(name: str, kind: str, values: NDArray[Any]) -> str:
