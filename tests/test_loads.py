@@ -13,8 +13,8 @@ from scipy.linalg import block_diag, expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.control.modes import check_loads
 from pwatrack.control.program import program
-from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.infeasibility import Impossibility

@@ -11,7 +11,7 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import CheckFailed
-from pwatrack.lmi.peak import peak_gains
+from pwatrack.lmi.chords import peak_gains
 from pwatrack.report.files import write_result
 from pwatrack.report.verify import verify
 

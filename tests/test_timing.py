@@ -8,7 +8,7 @@ from scipy.signal import place_poles
 
 from pwatrack import load_spec, simulate
 from pwatrack.control import timing
-from pwatrack.control.timing import timing_error
+from pwatrack.control.trajectory import timing_error
 from pwatrack.errors import InvalidSpec
 
 CHAIN = """

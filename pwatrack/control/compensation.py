@@ -63,7 +63,6 @@ def compensation(
     """Return what makes up for the loads.
 
     Args:
-        plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
         filtered: How many η̂ there are.
         played_back: Whether η was worked out beforehand.

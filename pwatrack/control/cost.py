@@ -10,10 +10,9 @@ from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.causes import Part
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
-from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
-from pwatrack.lmi.presolve import extreme
+from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_positive_definite, scalar

@@ -9,8 +9,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import Part, Subject
-from pwatrack.lmi.certificate import Certificate, likely_rate, prove
-from pwatrack.lmi.exact import RATE_GIVEN, prove_exactly
+from pwatrack.lmi.exact import RATE_GIVEN, Certificate, likely_rate, prove, prove_exactly
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
@@ -44,13 +43,7 @@ class Task:
 
     @classmethod
     def of(cls, plant: PWASystem, role: Role, *, sizes: Sizes | None = None) -> "Task":
-        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here.
-
-        Args:
-            plant: The system (1).
-            role: CONTROLLER or OBSERVER.
-            sizes: Those of the plant's signals; those that balance it by default.
-        """
+        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here."""
         sizes, seen = sizes or Sizes.of(plant), plant.observed
         A, B = (plant.exact.A, plant.exact.B) if role is CONTROLLER else (seen.A, seen.C)
         return cls(

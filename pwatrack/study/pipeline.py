@@ -9,12 +9,12 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import Controller
 from pwatrack.control.cost import cost_bound
 from pwatrack.control.goal import Given, LeastCost
+from pwatrack.control.modes import check_loads
 from pwatrack.control.program import Program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.robust import Robust, prove_box
 from pwatrack.control.synthesis import Design, synthesize
 from pwatrack.control.task import Task
-from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import asking
@@ -47,7 +47,6 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
     """Find the gains and prove that the closed loop tracks: Theorem 2 or 3, or with cells merged practically.
 
     Args:
-        spec: What is asked.
         growing: Whether to design also where x_d, the response to given inputs, is seen to grow without bound: the
             proofs hold, and the theorem does not speak of it. For a look at how it grows.
 
@@ -144,7 +143,6 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
     Of a long run some samples are kept in memory and all of them in a temporary file: see `Spool`.
 
     Args:
-        spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
             the outcome says.
         runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
