@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
 from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
-from pwatrack.lmi.exact import Certificate, prove, prove_exactly
+from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
 from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
@@ -19,7 +19,7 @@ from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, squar
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import decimals, floats, is_hurwitz
+from pwatrack.rational import decimals, is_hurwitz
 
 _DOUBTFUL = 1e-3  # of the size of a matrix: cells that decay no faster are looked at for a proof that there is no P
 _STEPS = 14  # at most so many rates are tried
@@ -103,9 +103,7 @@ def precise_certificate(at: Precise, role: Role, M: Sequence[BallMatrix], start:
         return None
     found = best_certificate(inside, start=start, soon=True)
     proof = None if found is None else prove_exactly(role, M, at.matrix(found.P / np.linalg.norm(found.P)), found.rate)
-    if proof is None:
-        return None
-    return Certificate(M=stack(M), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin, precise=proof.P)
+    return None if proof is None else of_proof(stack(M), proof)
 
 
 class _Rates:

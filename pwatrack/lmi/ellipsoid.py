@@ -4,12 +4,9 @@ Let z' = M(t) z + g d with M(t) in the convex hull of the M_p, and Q ≻ 0, a > 
 
     M_p Q + Q M_pᵀ + a Q + g gᵀ / a ≺ 0   for every p.
 
-It is affine in M_p, so it holds for M(t). With V = zᵀ Q⁻¹ z, q = Q⁻¹ z and s = gᵀ q that gives
-
-    V' = qᵀ (M Q + Q Mᵀ) q + 2 s d ≤ −a V − s² / a + 2 s d ≤ −a V + a d²,
-
-so from z = 0 always V ≤ sup d², and |c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear
-Matrix Inequalities in System and Control Theory, 1994, section 6.1.3).
+Then V = zᵀ Q⁻¹ z has V' ≤ −a V + a d² (proved in `docs/theory/beyond.md`): from z = 0 always V ≤ sup d², and
+|c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear Matrix Inequalities in System and Control
+Theory, 1994, section 6.1.3).
 
 Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
 

@@ -51,6 +51,12 @@ class Certificate:
     precise: Rational | None = None
 
 
+def of_proof(M: Array, proof: "Proof") -> Certificate:
+    """Return the certificate of an exact proof about M (l, n, n)."""
+    P = readonly(floats(proof.P))
+    return Certificate(M=readonly(M), P=P, rate=proof.rate, margin=proof.margin, precise=proof.P)
+
+
 def prove(M: Array, P: Array) -> Certificate | None:
     """Return a certificate for the largest rate that this P proves, or None if it proves none.
 

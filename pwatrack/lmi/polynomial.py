@@ -5,15 +5,10 @@ lifts 𝒜_i are those of T A_i T⁻¹. If there are P ≻ 0 and N_i with
 
     sym(P 𝒜_i) + N_i + 2 d α P ≺ 0   and   mᵀ N_i m = 0 for all z,
 
-then V = mᵀ P m has V > 0 and V' < −2 d α V for all e ≠ 0. *Proof.* V > 0 since P ≻ 0 and m = 0 for z = 0 only. At
-A = Σ λ_i A_i the lift is Σ λ_i 𝒜_i, as it is linear in A; so V' = mᵀ sym(P 𝒜) m = Σ λ_i mᵀ (sym(P 𝒜_i) + N_i) m, which
-is below −2 d α mᵀ P m. ∎ Hence V(t) ≤ V(0) e^(−2dαt). V^(1/2d) is homogeneous of degree 1 and positive, so it lies
-between two multiples of |e|, and |e| falls as e^(−αt).
-
-With a disturbance, e' = A(t) e + w, V' ≤ −2 d α V + |∇V| |w|. ∇V is homogeneous of degree 2d − 1, so |∇V| is at most
-c V^((2d−1)/2d), and W = V^(1/2d) has W' ≤ −α W + c/(2d) |w|: errors stay bounded while w does, and go to 0 with it.
-That is what Theorems 2 and 3 use of (8), (9) and (17), and all they use: the difference of two solutions of a
-continuous piecewise affine system obeys such an e' = A(t) e + w.
+then V = mᵀ P m has V > 0 and V' < −2 d α V for all e ≠ 0, and |e| falls as e^(−αt). With a disturbance,
+e' = A(t) e + w, W = V^(1/2d) has W' ≤ −α W + c/(2d) |w|: errors stay bounded while w does, and go to 0 with it. That is
+what Theorems 2 and 3 use of (8), (9) and (17), and all they use: the difference of two solutions of a continuous
+piecewise affine system obeys such an e' = A(t) e + w. It is proved in `docs/theory/beyond.md`.
 
 For d = 1 there is no N but 0, and these are the inequalities of the paper. A term N_0 beside P would add nothing:
 P + N_0 has the same V, and the difference in sym(P 𝒜_i) is half of d/dt mᵀ N_0 m = 0.

@@ -1,11 +1,8 @@
 """From which starts a switched system keeps some linear forms small for good: an ellipsoid around them, proved exactly.
 
 Let z' = M(t) z with M(t) in the convex hull of the M_p, and z(0) = G ζ with |ζ_k| ≤ 1, a box seen through G = [g_1 …].
-For weights w_k > 0 with Σ w_k ≤ 1 and every v, by Cauchy and Schwarz
-
-    (vᵀ z(0))² ≤ (Σ |vᵀ g_k|)² ≤ Σ w_k · Σ (vᵀ g_k)² / w_k,      so      z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ.
-
-With Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
+For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved in `docs/theory/beyond.md`). With
+Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
 |c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., Linear Matrix Inequalities in System and Control Theory,
 1994, section 5.2). What holds from z(0) holds in proportion from multiples of it.
 """
