@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,43 +53,35 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Yes:
+class Answer:
+    """What can be said of a route."""
+
+    word: ClassVar[str]
+    reason: str = ""
+    remark: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.word}{self.reason}{self.remark and '; '}{self.remark}"
+
+
+class Yes(Answer):
     """It can be gone, whatever an inequality says."""
 
-    remark: str = ""
-
-    @property
-    def text(self) -> str:
-        """In words."""
-        return f"yes{self.remark and '; '}{self.remark}"
+    word = "yes"
 
 
-@dataclass(frozen=True)
-class No:
+class No(Answer):
     """It cannot be gone, and why."""
 
-    reason: str
-
-    @property
-    def text(self) -> str:
-        """In words."""
-        return f"no: {self.reason}"
+    word = "no: "
 
 
-@dataclass(frozen=True)
-class Needs:
-    """It can be gone if some inequalities have a solution, which is not tried here."""
+class Needs(Answer):
+    """It can be gone if some inequalities, the reason, have a solution, which is not tried here."""
 
-    inequalities: str
-    remark: str = ""
-
-    @property
-    def text(self) -> str:
-        """In words."""
-        return f"needs {self.inequalities}{self.remark and '; '}{self.remark}"
-
-
-Answer = Yes | No | Needs
+    word = "needs "
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +124,7 @@ def sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
 
 def _alone(facts: Facts) -> Answer:
     if len(facts.plant.A) == 1 and is_hurwitz(facts.plant.exact.A[0].centre):
-        return Yes("its one cell is stable")
+        return Yes(remark="its one cell is stable")
     eigenvalues = np.linalg.eigvals(facts.plant.A).astype(complex)
     then = Needs("(7)", "every cell by itself is stable")
     return stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
@@ -219,8 +211,7 @@ def _practical(facts: Facts) -> Answer:
     exact = _state(facts.merged) if facts.tracking == "state" else _kinked_or(facts.merged, kinked=bent)
     if isinstance(exact, No):
         return No(f"with all cells merged that can be: {exact.reason}")
-    assert isinstance(exact, Needs)
-    return Needs(f"{exact.inequalities}, with cells merged", "errors end below a bound")
+    return Needs(f"{exact.reason}, with cells merged", "errors end below a bound")
 
 
 ROUTES: tuple[Route, ...] = (
