@@ -104,8 +104,9 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> 
     rate = proved_rate(left, short.P, found.degree, found.rate)
     if rate is None:
         return None
-    parts = {"T": found.T, "N": N, "N_exponents": N_exponents, **short.parts}
-    return PolynomialProof(role=role, degree=found.degree, rate=rate, **parts)
+    return PolynomialProof(
+        role=role, degree=found.degree, T=found.T, N=N, N_exponents=N_exponents, rate=rate, **short.parts
+    )
 
 
 def _numbers(found: Polynomial, A: Sequence[Array]) -> Array | None:
