@@ -39,8 +39,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
 from pwatrack.lmi.audit.plant import Plant
 from pwatrack.lmi.audit.reading import matrix, packed
-from pwatrack.lmi.certificate import prove
-from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.exact import Proof, prove, prove_exactly
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.report.certificate import design_certificate, refusal_certificate

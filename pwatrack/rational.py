@@ -42,9 +42,14 @@ def decimals(X: Array) -> Rational:
     return rational([[Fraction(repr(float(v))) for v in row] for row in X], X.shape)
 
 
+def doubles(X: Array) -> Rational:
+    """Return a matrix (j, k) as the numbers that its entries are."""
+    return rational([[Fraction(v) for v in row] for row in X.tolist()], (X.shape[0], X.shape[1]))
+
+
 def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rational:
     """Return a matrix with these entries."""
-    return flint.fmpq_mat(*shape, [flint.fmpq(v.numerator, v.denominator) for row in rows for v in row])
+    return flint.fmpq_mat(*shape, [number(v) for row in rows for v in row])
 
 
 def _taken_apart(X: Rational) -> tuple[Any, tuple[int, int, list[Any]]]:
@@ -54,10 +59,14 @@ def _taken_apart(X: Rational) -> tuple[Any, tuple[int, int, list[Any]]]:
 copyreg.pickle(flint.fmpq_mat, _taken_apart)  # and with it a plant, and all that is made from one
 
 
+def number(value: Fraction) -> Any:
+    """Return a fraction as an entry of a rational matrix, and a factor of one."""
+    return flint.fmpq(value.numerator, value.denominator)
+
+
 def scalar(value: float) -> Any:
     """Return a number as the decimal that it is printed as."""
-    exact = Fraction(repr(float(value)))
-    return flint.fmpq(exact.numerator, exact.denominator)
+    return number(Fraction(repr(float(value))))
 
 
 def fraction_of(value: Any) -> Fraction:
@@ -65,9 +74,28 @@ def fraction_of(value: Any) -> Fraction:
     return Fraction(int(value.p), int(value.q))
 
 
+def dyadic(value: Any) -> Fraction:
+    """Return a ball without a radius as a fraction."""
+    mantissa, exponent = value.man_exp()
+    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+
+
+def middle(X: Any) -> Rational:
+    """Return the middle of a matrix of balls."""
+    return flint.fmpq_mat(X.nrows(), X.ncols(), [number(dyadic(v.mid())) for v in X.entries()])
+
+
 def identity(n: int) -> Rational:
     """Return I of order n."""
     return flint.fmpq_mat(n, n, [int(j == k) for j in range(n) for k in range(n)])
+
+
+def diagonal(values: Sequence[Fraction]) -> Rational:
+    """Return a diagonal matrix with these entries."""
+    X = flint.fmpq_mat(len(values), len(values))
+    for k, value in enumerate(values):
+        X[k, k] = number(value)
+    return X
 
 
 def floats(X: Rational) -> Array:
@@ -89,6 +117,12 @@ def on_entries(X: Rational, rows: Sequence[int], columns: Sequence[int]) -> Rati
 def beside(blocks: Sequence[Rational]) -> Rational:
     """Return matrices with the same number of rows, one beside the other."""
     return stacked([X.transpose() for X in blocks]).transpose()
+
+
+def pivots(X: Rational) -> list[int]:
+    """Return which columns do not depend on those before them."""
+    reduced, rank = X.rref()
+    return [next(k for k, v in enumerate(row) if v != 0) for row in reduced.tolist()[:rank]]
 
 
 def column_space(X: Rational) -> Rational:
@@ -117,11 +151,11 @@ def left_null_space(X: Rational) -> Rational:
     """
     reduced, rank = X.transpose().rref()
     n, rows = X.nrows(), reduced.tolist()[:rank]
-    pivots = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
-    free = [j for j in range(n) if j not in pivots]
+    tied = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
+    free = [j for j in range(n) if j not in tied]
     entries = [[flint.fmpq(int(j == k)) for j in range(n)] for k in free]
     for v, k in zip(entries, free, strict=True):
-        for row, pivot in zip(rows, pivots, strict=True):
+        for row, pivot in zip(rows, tied, strict=True):
             v[pivot] = -row[k]
     return flint.fmpq_mat(len(free), n, [v for row in entries for v in row])
 
@@ -174,6 +208,28 @@ def on_rows(A: Rational, N: Rational) -> Rational:
     return N * A * N.transpose() * (N * N.transpose()).inv()
 
 
+def symmetric(upper: Sequence[Any], n: int) -> Rational:
+    """Return the symmetric matrix with this upper triangle, row by row."""
+    X, entries = flint.fmpq_mat(n, n), iter(upper)
+    for j in range(n):
+        for k in range(j, n):
+            X[j, k] = X[k, j] = next(entries)
+    return X
+
+
+def lyapunov_map(M: Rational) -> Rational:
+    """Return the matrix of Z ↦ Z M + Mᵀ Z on the upper triangles of symmetric matrices."""
+    n = M.nrows()
+    pairs = [(j, k) for j in range(n) for k in range(j, n)]
+    place = {pair: at for at, pair in enumerate(pairs)}
+    X = flint.fmpq_mat(len(pairs), len(pairs))
+    for at, (j, k) in enumerate(pairs):
+        for s in range(n):  # (Z M)_jk + (Z M)_kj
+            X[at, place[min(j, s), max(j, s)]] += M[s, k]
+            X[at, place[min(k, s), max(k, s)]] += M[s, j]
+    return X
+
+
 def is_positive_definite(X: Rational) -> bool:
     """Decide X ≻ 0 by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
     n, bits = X.nrows(), 128
@@ -210,9 +266,8 @@ def is_positive_semidefinite(X: Rational, kernel: Rational | None = None) -> boo
         (True, True, False)
     """
     if kernel is not None and not any((X * kernel).entries()):
-        reduced, rank = kernel.transpose().rref()
-        pivots = {next(j for j, v in enumerate(row) if v != 0) for row in reduced.tolist()[:rank]}
-        rest = [j for j in range(X.nrows()) if j not in pivots]
+        tied = pivots(kernel.transpose())
+        rest = [j for j in range(X.nrows()) if j not in tied]
         part = on_entries(X, rest, rest)
         if _looks_definite(part) and is_positive_definite(part):
             return True
@@ -235,9 +290,8 @@ def _looks_definite(X: Rational) -> bool:
 
 def _basis_of_rows(X: Rational) -> Rational:
     """Return unit rows that, with the null space of a symmetric X, span everything."""
-    reduced, rank = X.rref()
-    pivots = [next(j for j, v in enumerate(row) if v != 0) for row in reduced.tolist()[:rank]]
-    return decimals(np.eye(X.nrows())[pivots].reshape(rank, X.nrows()))
+    chosen = pivots(X)
+    return on_entries(identity(X.nrows()), chosen, range(X.nrows()))
 
 
 def _pivots(rows: list[list[Any]]) -> bool | None:

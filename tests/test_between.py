@@ -18,8 +18,8 @@ from pwatrack.ball_matrix import text
 from pwatrack.cli import app
 from pwatrack.errors import Infeasible
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.between import Between, stuck_between
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
+from pwatrack.lmi.uncontrollable import Between, uncontrollable_mean
 from pwatrack.rational import decimals
 from pwatrack.report.certificate import refusal_certificate
 
@@ -41,7 +41,7 @@ simulation: {duration: 5, sample_time: 0.01}
 
 
 def found_in(A: Array, B: Array) -> Between | None:
-    return stuck_between(A, B, [decimals(A_i) for A_i in A], decimals(B))
+    return uncontrollable_mean(A, B, [decimals(A_i) for A_i in A], decimals(B))
 
 
 def reach(A: Array, B: Array, found: Between) -> float:

@@ -30,10 +30,10 @@ from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.proofs import refuted
-from pwatrack.lmi.certificate import Certificate, prove
-from pwatrack.lmi.coordinates import Coordinates
+from pwatrack.lmi.exact import Certificate, prove
 from pwatrack.lmi.exact_polynomial import exactly
 from pwatrack.lmi.infeasibility import Impossibility, refute
+from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes

@@ -15,8 +15,8 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.commands.verify import verify
+from pwatrack.control.modes import check_loads
 from pwatrack.control.program import program
-from pwatrack.control.visibility import check_loads
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.infeasibility import Impossibility

@@ -16,10 +16,9 @@ from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.matrices import Fault
 from pwatrack.lmi.audit.polynomials import polynomial as audit_polynomial
-from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
-from pwatrack.lmi.monomials import Monomials
-from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
+from pwatrack.lmi.polynomial import Monomials, Polynomial, best_polynomial, degrees
+from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import CONTROLLER, GENERATOR
 from pwatrack.rational import floats
 from pwatrack.real import Real

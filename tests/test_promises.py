@@ -19,8 +19,8 @@ from pwatrack.control.bounds import Form
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible
 from pwatrack.lmi.audit.matrices import added, definite, product, transposed
-from pwatrack.lmi.changes import largest_share
 from pwatrack.lmi.ellipsoid import Inner, ellipsoid
+from pwatrack.lmi.norm import largest_share
 from pwatrack.model.cells import Partition
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real

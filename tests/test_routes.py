@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from pwatrack import OutsideTheory, PwatrackError, design, load_spec
 from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
-from pwatrack.control.applicability import ROUTES, Applicability, applicability
-from pwatrack.control.route import Needs, No
+from pwatrack.control.applicability import ROUTES, Applicability, Needs, No, applicability
 from pwatrack.study.sizing import spec_sizes
 from pwatrack.study.tracking import check_reference
 from tests.conftest import SPECS

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pwatrack import OutsideTheory, design, load_spec, simulate
-from pwatrack.control.set_point import set_point
-from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec
 from pwatrack.model.cells import Partition
 from pwatrack.model.pwa import PWASystem

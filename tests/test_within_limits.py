@@ -24,7 +24,7 @@ from pwatrack.control.task import Task
 from pwatrack.control.within import Within
 from pwatrack.errors import CheckFailed
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.exact import Certificate
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal

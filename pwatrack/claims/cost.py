@@ -18,10 +18,9 @@ from pwatrack.control.task import Task
 from pwatrack.control.words import Words
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.audit.shape import kind
-from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
-from pwatrack.lmi.presolve import extreme
+from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import least_trace
 from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
 from pwatrack.lmi.solve import solve

@@ -1,26 +1,130 @@
 """What the theory can do for a plant, before an inequality is solved: all routes, and the one design takes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pwatrack.arrays import number_text
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
-from pwatrack.control.route import Answer, Facts, Needs, No, Route, Tracking, Yes, sides, stable
 from pwatrack.errors import OutsideTheory, PwatrackError
 from pwatrack.model.merging import merged, widest
-from pwatrack.model.normal_form import normal_form
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import is_hurwitz
 
+Tracking = Literal["output", "state", "practical"]
+_ROUNDING = 1e-12  # of the largest eigenvalue, up to which a real part may be 0
 _OUTPUT: frozenset[Tracking] = frozenset({"output"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What routes are judged by.
+
+    Attributes:
+        plant: The system (1); that it is one has been proved.
+        form: Its normal form (11), or None.
+        refusal: Why there is no normal form, else None.
+        zero_dynamics: Eigenvalues of A_η in each cell, (l, n − r); None without a normal form.
+        stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
+        tracking: What was asked for.
+        asked: Whether practical tracking is asked for, after any refusal of the theory.
+        uncertain: Whether only intervals of some parameters are known.
+        known: Whether the reference is known beforehand.
+        merged: The same of the plant with all cells merged that can be; None where none can.
+    """
+
+    plant: PWASystem
+    form: NormalForm | None
+    refusal: OutsideTheory | None
+    zero_dynamics: NDArray[np.complex128] | None
+    stuck: str = ""
+    tracking: Tracking = "output"
+    asked: bool = False
+    uncertain: bool = False
+    known: bool = True
+    merged: "Facts | None" = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What can be said of a route."""
+
+    word: ClassVar[str]
+    reason: str = ""
+    remark: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.word}{self.reason}{self.remark and '; '}{self.remark}"
+
+
+class Yes(Answer):
+    """It can be gone, whatever an inequality says."""
+
+    word = "yes"
+
+
+class No(Answer):
+    """It cannot be gone, and why."""
+
+    word = "no: "
+
+
+class Needs(Answer):
+    """It can be gone if some inequalities, the reason, have a solution, which is not tried here."""
+
+    word = "needs "
+
+
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """A way to a controller.
+
+    Attributes:
+        name: In a few words.
+        takes: For which kinds of tracking `design` goes it; nothing where it is only of interest.
+        judge: What can be said of it.
+    """
+
+    name: str
+    takes: frozenset[Tracking] = frozenset()
+    judge: Callable[[Facts], Answer]
+
+
+def stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
+    """Return `then` if all eigenvalues (l, k) are in the left half plane, else no, with the worst one and its cell."""
+    abscissa = eigenvalues.real.max(axis=1, initial=-np.inf)
+    worst = int(np.argmax(abscissa))
+    if abscissa[worst] < 0:
+        return then
+    is_rounding = sides(eigenvalues[worst]).max() == 0
+    size = "0 to rounding" if is_rounding else number_text(abscissa[worst], "+.4g")
+    return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")
+
+
+def sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
+    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it.
+
+    Example:
+        >>> sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
+        [-1, 0, 1]
+    """
+    real = eigenvalues.real
+    near = np.abs(real) <= _ROUNDING * np.abs(eigenvalues).max(initial=0.0)
+    return np.where(near, 0, np.sign(real)).astype(np.int64)
 
 
 def _alone(facts: Facts) -> Answer:
     if len(facts.plant.A) == 1 and is_hurwitz(facts.plant.exact.A[0].centre):
-        return Yes("its one cell is stable")
+        return Yes(remark="its one cell is stable")
     eigenvalues = np.linalg.eigvals(facts.plant.A).astype(complex)
     then = Needs("(7)", "every cell by itself is stable")
     return stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
@@ -107,8 +211,7 @@ def _practical(facts: Facts) -> Answer:
     exact = _state(facts.merged) if facts.tracking == "state" else _kinked_or(facts.merged, kinked=bent)
     if isinstance(exact, No):
         return No(f"with all cells merged that can be: {exact.reason}")
-    assert isinstance(exact, Needs)
-    return Needs(f"{exact.inequalities}, with cells merged", "errors end below a bound")
+    return Needs(f"{exact.reason}, with cells merged", "errors end below a bound")
 
 
 ROUTES: tuple[Route, ...] = (
@@ -120,7 +223,7 @@ ROUTES: tuple[Route, ...] = (
     Route(name="preview", judge=_preview, takes=_OUTPUT),
     Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"})),
 )
-"""In the order in which `design` tries them. A new one is a module with its Route, and a line here."""
+"""In the order in which `design` tries them. A new one is a line here."""
 
 
 def exact_is_open(facts: Facts) -> bool:
@@ -174,14 +277,6 @@ def applicability(
     known: bool = True,
 ) -> Applicability:
     """Return what the theory can do for a plant.
-
-    Args:
-        plant: The system (1).
-        tracking: What is asked for.
-        sizes: Those of its signals; those that balance it by default.
-        asked: Whether practical tracking is asked for.
-        uncertain: Whether only intervals of some parameters are known.
-        known: Whether the reference is known beforehand.
 
     Example:
         >>> from pwatrack import load_spec

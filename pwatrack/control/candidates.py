@@ -9,14 +9,15 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import EPS, Array
 from pwatrack.control.task import Task
-from pwatrack.lmi.coordinates import Coordinates
 from pwatrack.lmi.inequality import Inequality, bounded_cost, quadratic_cost, state_feedback
-from pwatrack.lmi.limited import gain_from_starts, least_worst_cost
-from pwatrack.lmi.presolve import extreme
+from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
+    Program,
     Solution,
+    bound_of_gain,
     largest_margin,
     least_cost,
+    of_P,
     smaller_gain,
     smallest_gain,
 )
@@ -109,7 +110,7 @@ class Candidates:
         inequality = bounded_cost(at.system(self.A) + shift, at.input(self.task.B), at.rows(rows), R)
         found, least = list[Candidate](), np.inf
         for _ in range(WEIGHINGS):
-            solution = solve(least_worst_cost(inequality, box.around, box.limits), gap=_NEAR)
+            solution = solve(box.program(inequality, largest=False), gap=_NEAR)
             if solution is None or solution.impossible or not _definite(solution.P) or not solution.t < least:
                 break
             found, least = [self._candidate(at, solution), *found], solution.t
@@ -123,7 +124,7 @@ class Candidates:
         inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
         box, best, most = _Box.of(at, starts, left), None, 0.0
         for _ in range(WEIGHINGS):
-            solution = solve(gain_from_starts(inequality, box.around, box.limits), gap=_NEAR)
+            solution = solve(box.program(inequality, largest=True), gap=_NEAR)
             if solution is None or not _definite(solution.P) or not solution.t > most:
                 break
             best, most = self._candidate(at, solution), solution.t
@@ -151,7 +152,6 @@ class Candidates:
 
         Args:
             rate: In 1/s.
-            soon: Whether to give up sooner.
         """
         for faster in (FASTER,) if soon else (FASTER, _HARDLY_FASTER):
             shift = self._shift(rate, faster)
@@ -241,6 +241,18 @@ class _Box:
     def around(self) -> Array:
         """The ellipsoid: Σ ⪰ z zᵀ for every start z."""
         return np.asarray(self.G / self.weights @ self.G.T)
+
+    def program(self, inequality: Inequality, *, largest: bool) -> Program:
+        """Maximise t with P ⪰ t Σ, the multiple of the ellipsoid, or minimise t, the worst cost, with P ⪰ Σ.
+
+        [ū², r Y; ·, P] ⪰ 0 keeps |r Y P⁻¹ z| ≤ ū from there, for inputs r with a bound ū.
+
+        Args:
+            inequality: From `state_feedback`, or from `bounded_cost`.
+        """
+        kept = (bound_of_gain(inequality, row[None], most=bound**2) for row, bound in self.limits)
+        around = of_P(inequality, -1.0, **{"T" if largest else "constant": self.around})
+        return Program(constraints=(inequality, around, *kept), price=-1.0 if largest else 1.0)
 
     def weighed(self, P: Array) -> "_Box":
         """Return the same with an ellipsoid that is more like that of P."""

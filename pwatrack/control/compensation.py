@@ -1,26 +1,18 @@
 """What makes up for unknown loads in the desired trajectory, and how the errors of their estimates drive it.
 
-With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ; (9) for [A_i, E; 0, S] and [C, 0] proves ŝ → s. For
-output tracking differentiate y along f(x) + B u + E s: with g_0 = 0, g_{k+1} = c_k E + g_k S for each output
+With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ; (9) for [A_i, E; 0, S] and [C, 0] proves ŝ → s. With
+g_0 = 0, g_{k+1} = c_k E + g_k S for each output, G = [g; 0], X = −T_i⁻¹ G and W_i = T_i (A_i X + E) + G S the desired
+trajectory takes x_d + X ŝ, u_ff − (right inverse of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ: then y_d stays exact, and
+e = x − x_d, σ = ŝ − s have
 
-    ξ = (c_k x + o_k + g_k s),  η = N x,  so  x = T_i⁻¹ ([ξ; η] − o_i − G s),  G = [g; 0],
+    e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ),
 
-and with X = −T_i⁻¹ G (c_0 X = 0, since g_0 = 0) and W_i = T_i (A_i X + E) + G S
-
-    y⁽ʳ⁾ = (11) + the last rows of W_i s,        η' = (14) + the rows below r of W_i s.
-
-So the desired trajectory takes x_d + X ŝ, u_ff − (right inverse of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ. X is to be the
-same in all cells, as it is unless a last derivative is piecewise affine. As ŝ' = S ŝ + L_s C Δ, Δ = x̂ − x, and
-c_0 X = 0, y_d = c_0 x_d stays exact, ẋ_d = f(x_d) + B u_ff + E ŝ + X L_s C Δ, and for e = x − x_d, σ = ŝ − s
-
-    e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ):
-
-e → 0 as (8) and (9) say, for every s, matched (E = B U: X = 0, W_i[η] = 0, u_ff − U ŝ) or not. For state tracking x_d
-is given: loads must be matched then, X = 0 and u_ff − U ŝ.
+so that e → 0 as (8) and (9) say, for every s, matched (E = B U: X = 0, W_i[η] = 0, u_ff − U ŝ) or not: it is derived in
+`docs/theory/beyond.md`. X is to be the same in all cells, as it is unless a last derivative is piecewise affine. For
+state tracking x_d is given: loads must be matched then, X = 0 and u_ff − U ŝ.
 
 Where η is worked out beforehand, there is no η̂ to be driven. With η + H ŝ in its place, G = [g; −H] in all of this, it
-need not be, if one H makes the rows of W_i below r vanish in all cells: A_ηi H − H S = −W_i[η] with H = 0 on the
-right. It has one solution, as no eigenvalue of A_ηi is on the imaginary axis and those of S are.
+need not be, if one H makes the rows of W_i below r vanish in all cells: A_ηi H − H S = −W_i[η] with H = 0 on the right.
 """
 
 from dataclasses import dataclass
@@ -63,7 +55,6 @@ def compensation(
     """Return what makes up for the loads.
 
     Args:
-        plant: The system (1) with its loads.
         form: Its normal form, for output tracking.
         filtered: How many η̂ there are.
         played_back: Whether η was worked out beforehand.

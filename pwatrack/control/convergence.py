@@ -5,24 +5,21 @@ from functools import partial
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
 from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
-from pwatrack.lmi.certificate import Certificate, prove
-from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
 from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
-from pwatrack.lmi.precise import Precise, square
-from pwatrack.lmi.presolve import distinct, extreme
+from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, square
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import decimals, floats, is_hurwitz
+from pwatrack.rational import decimals, is_hurwitz
 
 _DOUBTFUL = 1e-3  # of the size of a matrix: cells that decay no faster are looked at for a proof that there is no P
 _STEPS = 14  # at most so many rates are tried
@@ -43,7 +40,7 @@ def best_certificate(
     sizes: Array | None = None,
     soon: bool = False,
 ) -> Certificate | None:
-    """Return a proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found.
+    """Return the proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found, or None.
 
     The largest margin of M_i P + P M_iᵀ + 2αP is a convex function of the rate α and falls, so the line through
     its values at two rates meets 0 below the largest rate: the secant method gets there from below. Where a
@@ -53,10 +50,6 @@ def best_certificate(
         M: (l, n, n), with all eigenvalues in the open left half plane.
         start: A P (n, n) that may prove something.
         sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
-        soon: Whether to give up sooner.
-
-    Returns:
-        The certificate, or None if no P was found that proves anything.
     """
     search, points = _Rates(M, start, sizes), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
@@ -83,11 +76,7 @@ def best_certificate(
 
 
 def first_certificate(M: Array, *, sizes: Array | None = None) -> Certificate | None:
-    """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None.
-
-    Args:
-        M, sizes: As for `best_certificate`.
-    """
+    """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None."""
     if not (np.isfinite(M).all() and np.linalg.eigvals(M).real.max(initial=-1.0) < 0):
         return None
     corners, at = extreme(M), _near(M, None, sizes)
@@ -106,8 +95,6 @@ def precise_certificate(at: Precise, role: Role, M: Sequence[BallMatrix], start:
     """Return what `best_certificate` finds in coordinates to hundreds of bits, proved in exact numbers.
 
     Args:
-        at: The coordinates.
-        role: Which inequality it is.
         M: The matrices M_i, each different.
         start: A P (n, n) in these coordinates that may prove something.
     """
@@ -116,9 +103,7 @@ def precise_certificate(at: Precise, role: Role, M: Sequence[BallMatrix], start:
         return None
     found = best_certificate(inside, start=start, soon=True)
     proof = None if found is None else prove_exactly(role, M, at.matrix(found.P / np.linalg.norm(found.P)), found.rate)
-    if proof is None:
-        return None
-    return Certificate(M=stack(M), P=readonly(floats(proof.P)), rate=proof.rate, margin=proof.margin, precise=proof.P)
+    return None if proof is None else of_proof(stack(M), proof)
 
 
 class _Rates:
@@ -158,16 +143,13 @@ def least_overshoot_certificate(
 ) -> Certificate | None:
     """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P), P in sizes.
 
-    Its root is the overshoot: how many times its first size an error can reach on its way to 0.
+    Its root is the overshoot: how many times its first size an error can reach on its way to 0. None if none is found.
 
     Args:
         M: (l, n, n).
         rate: In 1/s, below the best one.
         sizes: Of the states, (n,); 1 by default.
         start: A P (n, n) to begin near.
-
-    Returns:
-        The certificate, or None if no P was found that proves anything.
 
     Example: by itself each of the two turns any error towards 0 at once.
 
@@ -211,9 +193,7 @@ def prove_convergence(
     Args:
         M: (l, n, n).
         claim: What is to be proved, for messages: `"(17)"`.
-        cells: Names of the l cells.
         exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
-        role: Which inequality it is.
         sizes: Of the states, (n,); as for `best_certificate`.
         subject: What in the description a refusal is about.
         hint, remedy: What to do where a cell is unstable by itself.

@@ -6,22 +6,21 @@ and so does the sum of the bounds for each entry of the start.
 """
 
 from collections.abc import Mapping, Sequence
-from fractions import Fraction
 
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.control.bounds import Bounds, Channel, Form
 from pwatrack.control.trajectory import Preview
-from pwatrack.lmi.exact import unpacked
+from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.norm import root_above
-from pwatrack.rational import rational
+from pwatrack.rational import doubles
 
 
 def from_start(
     found: Sequence[Bounds], starts: Sequence[Bounds], start: Array, t: Array, *, states: int
 ) -> dict[Form, Array]:
-    """Return the most that each signal is over time from a start, where nothing else acts.
+    """Return the most that each signal is over time from a start, (K,), where nothing else acts and it is proved.
 
     Args:
         found: Bounds whose ellipsoids are looked at.
@@ -29,9 +28,6 @@ def from_start(
         start: (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,).
         t: Times in s, (K,).
         states: n.
-
-    Returns:
-        (K,) for each signal for which something is proved.
 
     Example: from 0 nothing comes.
 
@@ -51,9 +47,7 @@ def from_start(
     for part in (part for bounds in (*found, *starts) for part in bounds.parts):
         if part.loop == "controller":
             continue  # e by itself is driven by Δ
-        size = _norm(
-            part.ellipsoid.integers, part.ellipsoid.exponents, start if part.loop == "joint" else start[states:]
-        )
+        size = _norm(part.ellipsoid, start if part.loop == "joint" else start[states:])
         decay = size * np.exp(-part.ellipsoid.a / 2 * t) * OVER_POWERS
         for signal, bound in zip(part.signals, part.ellipsoid.sizes, strict=True):
             if part.loop == "joint" or signal[0] == "estimate":  # the observer's loop has its half of others
@@ -77,7 +71,7 @@ def from_preview(found: Sequence[Bounds], columns: Array, preview: Preview) -> d
             most |= {signal: 0.0 for signal in part.signals if signal[0] == "estimate"}
             continue
         Q, rest = part.ellipsoid, [0.0] * (len(part.ellipsoid.exponents) - columns.shape[1])
-        each = [[_norm(Q.integers, Q.exponents, np.append(column, rest)) for column in cell.T] for cell in columns]
+        each = [[_norm(Q, np.append(column, rest)) for column in cell.T] for cell in columns]
         size = preview.measured(np.array(each), Q.a / 2) * OVER_POWERS
         for signal, bound in zip(part.signals, Q.sizes, strict=True):
             most[signal] = 0.0 if signal[0] == "estimate" else min(most.get(signal, np.inf), bound * size)
@@ -87,15 +81,12 @@ def from_preview(found: Sequence[Bounds], columns: Array, preview: Preview) -> d
 def with_acting(
     most: Mapping[Form, Array], found: Sequence[Bounds], acting: Mapping[Channel, Array]
 ) -> dict[Form, Array]:
-    """Add what disturbances and noises do, as large as each has been so far.
+    """Add what disturbances and noises do, as large as each has been so far, where all of that is bounded.
 
     Args:
         most: From `from_start`.
         found: The bounds of what acts.
         acting: The largest size of each so far, (K,).
-
-    Returns:
-        (K,) for each signal for which all that acts is bounded.
     """
     by_channel = {bounds.channel: bounds.sizes for bounds in found}
     return {
@@ -105,7 +96,7 @@ def with_acting(
     }
 
 
-def _norm(integers: Sequence[Sequence[int]], exponents: Sequence[int], z: Array) -> float:
+def _norm(Q: Packed, z: Array) -> float:
     """Return √(zᵀ Q⁻¹ z), rounded up."""
-    column = rational([[Fraction(v)] for v in z.tolist()], (len(z), 1))
-    return root_above((column.transpose() * unpacked(integers, exponents).solve(column))[0, 0])
+    column = doubles(z[:, None])
+    return root_above((column.transpose() * Q.P.solve(column))[0, 0])

@@ -73,10 +73,6 @@ class TrajectoryGenerator:
 def trajectory_generator(form: NormalForm, *, preview: bool = True) -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17); or (17±), for a reference known beforehand.
 
-    Args:
-        form: The normal form (11).
-        preview: Whether the reference is known beforehand.
-
     Raises:
         Infeasible: If (17) is proved to have no solution, the zero dynamics do not converge; and, for a reference
             known beforehand, (17±) too.

@@ -14,7 +14,6 @@ in `bounds`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 
@@ -23,11 +22,9 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Design
 from pwatrack.control.trajectory import Preview
-from pwatrack.lmi.changes import largest_share
-from pwatrack.lmi.exact import Proof, unsure
+from pwatrack.lmi.exact import Proof, left_side
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.lmi.gauge import Gauge
-from pwatrack.lmi.norm import Norm, largest_gain
+from pwatrack.lmi.norm import Gauge, Norm, largest_gain, largest_share
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -144,9 +141,6 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
     """Read off the exact proofs what they promise. Every number is rounded to the safe side.
 
     Args:
-        plant: The system (1).
-        design: Its gains K and L.
-        proofs: What `prove_design` returned for them.
         sizes: Those of the states, in which errors of all of them are counted together.
         X: Of the `Compensation` of loads.
 
@@ -191,9 +185,7 @@ def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], siz
 
 def _slack(M: BallMatrix, proof: Proof) -> Rational:
     """Return −sym(M P) − 2 rate P, or what is below it for every M in the ball."""
-    P, MP = proof.P, M.centre * proof.P
-    left = -(MP + MP.transpose()) - scalar(2 * proof.rate) * P
-    return left if M.radius is None else left - unsure(M.radius, P, [Fraction(2) ** e for e in proof.exponents])
+    return left_side(M, proof) - scalar(2 * proof.rate) * proof.P
 
 
 def _size(X: BallMatrix, of: Norm, to: Norm) -> float:

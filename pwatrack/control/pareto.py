@@ -7,6 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly
 from pwatrack.control.synthesis import Search
 from pwatrack.control.task import Task
+from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.role import Role
 
 _FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
@@ -37,7 +38,6 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
     """Return the smallest gains at rates around that of a design.
 
     Args:
-        task: The inequality.
         K: The gain of the design, (m, n).
         rate: Its certified rate in 1/s.
 
@@ -56,13 +56,14 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
             limit = factor * rate
             break
         points.append(point)
-    for _ in range(_BISECTIONS if np.isfinite(limit) and points else 0):
-        trial = (points[-1][0] + limit) / 2
-        point = _smallest(search, trial)
-        if point is None:
-            limit = trial
-        else:
-            points.append(point)
+    if np.isfinite(limit) and points:
+
+        def at(trial: float) -> tuple[float, None] | None:
+            point = _smallest(search, trial)
+            points.extend([point] if point else [])
+            return None if point is None else (point[0], None)
+
+        limit = bisected((points[-1][0], None), limit, at, near=0.0, most=_BISECTIONS)[2]
     chosen = rate, task.norm(K)
     found = np.array([*points, chosen])  # what reaches a rate reaches every lower one
     points = [(a, float(found[found[:, 0] >= a * (1 - _SAME_RATE), 1].min())) for a, _ in points]

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.controller import Controller
-from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.control.realisable import input_trajectory, state_trajectory
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.model.reference import Exosystem
@@ -114,7 +114,6 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
     """Return the program of a controller that is sampled.
 
     Args:
-        controller: The design.
         conditions: Sample time, method and delay; limits, rates and steps of the inputs.
         given: Whether w is given at each tick: y_d and its derivatives up to the relative degree, between ticks a
             Taylor polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.

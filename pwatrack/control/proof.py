@@ -37,12 +37,6 @@ def prove_design(
     matrices. A second P gives up a tenth of the rate for the least condition number in sizes, and another tenth
     for a margin. Where no such proof is found the first stands alone.
 
-    Args:
-        plant: The system (1).
-        design: Its gains K and L.
-        generator: That of output tracking.
-        sizes: Those of the plant's signals; those that balance it by default.
-
     Raises:
         Undecided: If a certificate that holds in floating point could not be proved exactly.
 
@@ -77,8 +71,6 @@ def prove_inequality(
     """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof.
 
     Args:
-        role: Which inequality it is.
-        M: The matrices M_i of it.
         certificate: What shows it in floating point.
         hull: Places of some that have all in their hull: what is affine in M_i is proved for these. A polynomial has an
             N_i of its own for each.

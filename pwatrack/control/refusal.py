@@ -8,11 +8,11 @@ from pwatrack.arrays import Array, complex_text, number_text
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
-from pwatrack.lmi.between import Between
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.lmi.solve import asked
+from pwatrack.lmi.uncontrollable import Between
 from pwatrack.rational import floats, unreachable
 
 _SEEN = 1e-9  # of the largest entry of a mode: what is smaller is rounding
@@ -23,7 +23,6 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
     """Return the refusal with the proof that no gain reaches the rate (1/s), or say that there is neither.
 
     Args:
-        task: The inequality.
         rate: What was asked; 0 where any would do.
         refutation: The proof, if there is one.
         margin: The best that was found, relative to the largest entries.
@@ -75,7 +74,6 @@ def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
     the order of |v_k|, counted in sizes; for (9) all is transposed, and v is what a sensor c must see, c v ≠ 0.
 
     Args:
-        task: The inequality.
         cell: That of the mode.
         eigenvalue: λ, shifted by
         rate: in 1/s.

@@ -15,11 +15,11 @@ from pwatrack.control.convergence import best_certificate, precise_certificate, 
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.task import Task, reaches
 from pwatrack.control.within import Within
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.exact import Certificate
 from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
-from pwatrack.lmi.precise import Precise, square
-from pwatrack.lmi.presolve import corners
+from pwatrack.lmi.presolve import Precise, corners, square
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -72,10 +72,8 @@ def synthesize(
     """Find K and L by Theorem 2, or prove the ones that are given.
 
     Args:
-        plant: The system (1).
         controller: What K is to achieve, in the sign convention of (10).
         observer: What L is to achieve.
-        sizes: Those of the plant's signals; those that balance it by default.
         within: What the inputs may do and from which errors, see `gain`.
 
     Raises:
@@ -97,7 +95,7 @@ def synthesize(
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
 def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tuple[Array, Found]:
-    """Return a gain K for (8) that meets a goal, found or given, with the proof of its best rate.
+    """Return a gain K (m, n) for (8), or Lᵀ, that meets a goal, found or given, with the proof of its best rate.
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
     added to A). Its weights are one in sizes, Bryson's rule: Q = diag(1 / size²) for the states and R = diag(1 / size²)
@@ -111,12 +109,8 @@ def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tupl
     gain is to be.
 
     Args:
-        task: The inequality.
         goal: What is asked.
         within: Bounds of the inputs, and the errors from which they are to be kept; None for none.
-
-    Returns:
-        K (m, n), or Lᵀ, and its certificate.
 
     Raises:
         Infeasible: If no gain exists, proved.
@@ -314,7 +308,7 @@ class Search:
             at = self.candidates.at
             act = float(np.linalg.norm(at.input(self.task.B), "nuc")) * at.speed / self.task.gain_unit
             fast = float(bound * act - traces.max()) / self.task.A.shape[1]
-        best, slow = _bisected(best, slow, fast, lambda rate: self._within(rate, bound))
+        best, slow = _fastest(best, slow, fast, lambda rate: self._within(rate, bound))
         small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
         K, certificate = small or best
         return self.proved(Candidate(K=K, P=certificate.P), 0.0)
@@ -361,7 +355,7 @@ class Search:
         slow = best[1].rate
         if not np.isfinite(fast):
             fast = _FAST * max(self.candidates.at.speed, slow)
-        best, _ = _bisected(best, slow, fast, lambda rate: self._kept(within, rate, bound))
+        best, _ = _fastest(best, slow, fast, lambda rate: self._kept(within, rate, bound))
         return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
 
     def _kept(self, within: Within, rate: float, bound: float) -> Proved | None:
@@ -406,15 +400,16 @@ class Search:
         return None
 
 
-def _bisected(best: Proved, slow: float, fast: float, at: Callable[[float], Proved | None]) -> tuple[Proved, float]:
+def _fastest(best: Proved, slow: float, fast: float, at: Callable[[float], Proved | None]) -> tuple[Proved, float]:
     """Return the fastest gain that is found between a rate that `best` reaches and one out of reach, and its rate."""
-    for _ in range(_RATES):
-        if not fast > slow * (1 + _ENDED):
-            break
-        trial = float(np.sqrt(slow) * np.sqrt(fast))
-        found = at(trial)
-        if found is None:
-            fast = trial
-        else:
-            best, slow = found, max(found[1].rate, trial)
-    return best, slow
+
+    def reached(rate: float) -> tuple[float, Proved] | None:
+        found = at(rate)
+        return None if found is None else (max(found[1].rate, rate), found)
+
+    rate, found, _ = bisected((slow, best), max(slow, fast), reached, near=_ENDED, most=_RATES, middle=_mean)
+    return found, rate
+
+
+def _mean(one: float, other: float) -> float:
+    return float(np.sqrt(one) * np.sqrt(other))

@@ -6,16 +6,15 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import Part, Subject
-from pwatrack.lmi.certificate import Certificate, likely_rate, prove
-from pwatrack.lmi.exact import RATE_GIVEN, prove_exactly
+from pwatrack.lmi.exact import RATE_GIVEN, Certificate, likely_rate, of_proof, prove, prove_exactly
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import Rational, decimals, floats
+from pwatrack.rational import Rational, decimals
 
 _SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried in exact numbers
 
@@ -44,13 +43,7 @@ class Task:
 
     @classmethod
     def of(cls, plant: PWASystem, role: Role, *, sizes: Sizes | None = None) -> "Task":
-        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here.
-
-        Args:
-            plant: The system (1).
-            role: CONTROLLER or OBSERVER.
-            sizes: Those of the plant's signals; those that balance it by default.
-        """
+        """Return (8), or (9) as (8) for the transposed plant: K there is Lᵀ here."""
         sizes, seen = sizes or Sizes.of(plant), plant.observed
         A, B = (plant.exact.A, plant.exact.B) if role is CONTROLLER else (seen.A, seen.C)
         return cls(
@@ -130,15 +123,7 @@ class Task:
         M = different(self.exactly_closed(K))
         proofs = (prove_exactly(self.role, M, P, rate * share) for share in _SHARES)
         proof = next((proof for proof in proofs if proof is not None), None)
-        if proof is None:
-            return None
-        return Certificate(
-            M=readonly(self.closed(K)),
-            P=readonly(floats(proof.P)),
-            rate=proof.rate,
-            margin=proof.margin,
-            precise=proof.P,
-        )
+        return None if proof is None else of_proof(self.closed(K), proof)
 
 
 def reaches(certificate: Certificate, rate: float) -> bool:

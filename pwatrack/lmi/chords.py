@@ -1,13 +1,25 @@
-"""The peak gain of one linear system, enclosed: what a bounded scalar can do to a signal at most, ∫ |c e^(Mt) g| dt.
+"""What a bounded scalar can do to a linear system: its peak gain, enclosed, and a proof that the auditor can walk.
 
-On a step h from z, f(t) = c e^(Mt) z differs from its chord by at most h²/8 ∫ |f''| in the mean of its size, so
-∫ |f| ≤ ∫ |chord| + h^(5/2)/8 (∫ f''²)^(1/2). With w = c M² and MᵀP + P M + wᵀw ≺ 0 the last integral is at most
-zᵀP z − z₊ᵀP z₊, z₊ = e^(Mh) z. What is left after the last step is bounded by an ellipsoid, V = zᵀQ⁻¹z, V' ≤ −a V:
-∫ |c z| ≤ 2/a √(c Q cᵀ) √V. Steps are h = 2^unit 2^k, with k growing as fast modes die out; e^(Mh) is enclosed by balls.
+Let z' = M z + g d from z = 0, with one matrix M, all of whose eigenvalues λ_k decay. Then |c z| ≤ γ sup |d| with
+
+    γ = ∫ |s(t)| dt,      s(t) = c e^(M t) g = Σ r_k e^(λ_k t),
+
+and no smaller number does: d(t) = sign s(T − t) comes as near to it as is wanted. λ_k and r_k are enclosed by FLINT.
+With S(t) = Σ r_k e^(λ_k t) / λ_k the integral over [a, b] is |S(b) − S(a)| where s keeps its sign, which it does if
+|s(m)| > |s'(m)| h + h² sup |s''| / 2 in the middle m, h = (b − a) / 2; elsewhere that is a lower bound and
+(b − a) sup |s| an upper one. Intervals are halved where the two are furthest apart.
+
+A proof needs no eigenvalues. On a step h from z, f(t) = c e^(Mt) z differs from its chord by at most h²/8 ∫ |f''| in
+the mean of its size, so ∫ |f| ≤ ∫ |chord| + h^(5/2)/8 (∫ f''²)^(1/2). With w = c M² and MᵀP + P M + wᵀw ≺ 0 the last
+integral is at most zᵀP z − z₊ᵀP z₊, z₊ = e^(Mh) z. What is left after the last step is bounded by an ellipsoid,
+V = zᵀQ⁻¹z, V' ≤ −a V: ∫ |c z| ≤ 2/a √(c Q cᵀ) √V. Steps are h = 2^unit 2^k, with k growing as fast modes die out;
+e^(Mh) is enclosed by balls.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
+from heapq import heappop, heappush
 from itertools import groupby
 from typing import Any
 
@@ -18,9 +30,26 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Ellipsoid
-from pwatrack.lmi.exact import BITS, unpacked
-from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, rational, working_bits
+from pwatrack.lmi.exact import BITS, Packed
+from pwatrack.rational import (
+    Rational,
+    diagonal,
+    dyadic,
+    floats,
+    fraction_of,
+    identity,
+    is_positive_definite,
+    lyapunov_map,
+    middle,
+    number,
+    symmetric,
+    working_bits,
+)
 
+_BITS = 192  # of the balls: modes far apart in speed lose many of them
+_LONG = 24.0  # time constants of the slowest mode: what comes after is e^−24 of it
+_NEAR = 2e-3  # of the gain, how far its bounds may be apart
+_MOST = 400  # times that intervals are halved
 _STEP, _TAIL = 1e-5, 1e-3  # of the ellipsoid's size: what one step, and the end, may be off
 _MOST_STEPS, _MOST_ORDER = 2500, 16  # of a walk: some seconds in the auditor
 _PRECISION = 300  # bits of the balls
@@ -29,21 +58,113 @@ _INSIDE = Fraction(1, 2**60)  # of the square of w: by so much P is inside its i
 _ABOVE = Fraction(1_000_001, 1_000_000)  # so that other balls come to no more
 
 
+@dataclass(frozen=True)
+class _Modes:
+    """λ_k of one matrix and e^(λ_k t) at the times that were looked at."""
+
+    rates: list[Any]
+    seen: dict[float, list[Any]] = field(default_factory=dict)
+
+    def at(self, t: float) -> list[Any]:
+        """Return e^(λ_k t)."""
+        if t not in self.seen:
+            self.seen[t] = [(rate * flint.arb(t)).exp() for rate in self.rates]
+        return self.seen[t]
+
+
+def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[float, float]] | None:
+    """Return the peak gain from d to each form, between a lower and an upper bound.
+
+    Args:
+        M: (N, N).
+        g: (N, 1).
+        forms: The rows c, (s, N).
+
+    Returns:
+        One pair for each row; None where eigenvalues cannot be told apart, or one does not decay.
+
+    Example: |z| ≤ 3 / 2 sup |d| for z' = −2 z + 3 d.
+
+        >>> found = peak_gains(*(BallMatrix.of([[v]]) for v in (-2, 3, 1)))
+        >>> found[0][0] <= 1.5 <= found[0][1] < 1.5 * 1.003
+        True
+    """
+    with working_bits(_BITS):
+        matrix = _complex(M)
+        try:
+            rates, vectors = matrix.eig(right=True)
+            weights = vectors.solve(_complex(g))
+        except (ValueError, ZeroDivisionError):
+            return None
+        if not all(rate.real < 0 for rate in rates):
+            return None
+        modes, seen = _Modes(rates), _complex(forms) * vectors
+        N = len(rates)
+        return [_between(modes, [seen[j, k] * weights[k, 0] for k in range(N)]) for j in range(forms.shape[0])]
+
+
+def _between(modes: _Modes, residues: Sequence[Any]) -> tuple[float, float]:
+    """Return a lower and an upper bound of ∫ |Σ r_k e^(λ_k t)| dt."""
+    rates = modes.rates
+    end = float(np.ldexp(1.0, int(np.ceil(np.log2(_LONG / min(-float(rate.real.mid()) for rate in rates))))))
+    rest = sum(
+        (abs(r) * abs(e) / -rate.real for r, e, rate in zip(residues, modes.at(end), rates, strict=True)), flint.arb(0)
+    )
+    heap = list[tuple[float, float, float, Any, Any]]()
+    _add(heap, modes, residues, 0.0, end)
+    for _ in range(_MOST):
+        apart, total = sum(-entry[0] for entry in heap), sum(float(entry[3].mid()) for entry in heap)
+        if apart <= _NEAR / 2 * total:
+            break
+        _, a, b, _, _ = heappop(heap)
+        _add(heap, modes, residues, a, (a + b) / 2)
+        _add(heap, modes, residues, (a + b) / 2, b)
+    low = sum((entry[3] for entry in heap), flint.arb(0))
+    high = sum((entry[4] for entry in heap), rest)
+    return max(float(np.nextafter(float(low.lower()), -np.inf)), 0.0), float(np.nextafter(float(high.upper()), np.inf))
+
+
+def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Sequence[Any], a: float, b: float) -> None:
+    """Put an interval on the heap, with how far its bounds are apart, and both of them."""
+    first, last, middle, rates = modes.at(a), modes.at(b), modes.at((a + b) / 2), modes.rates
+    h = flint.arb((b - a) / 2)
+    moved = abs(sum(((y - x) * v / p for x, y, v, p in zip(first, last, r, rates, strict=True)), flint.acb(0)).real)
+    here = abs(sum((e * v for e, v in zip(middle, r, strict=True)), flint.acb(0)).real)
+    slope = abs(sum((e * v * p for e, v, p in zip(middle, r, rates, strict=True)), flint.acb(0)).real)
+    sizes = [abs(e) * abs(v) for e, v in zip(first, r, strict=True)]
+    curve = sum((size * abs(p) ** 2 for size, p in zip(sizes, rates, strict=True)), flint.arb(0))
+    away = slope * h + h * h * curve / 2
+    if here > away:
+        high = moved
+    else:
+        most, least = sum(sizes, flint.arb(0)), here + away
+        high = 2 * h * (most if most < least else least)
+    apart = 0.0 if here > away else max(float(high.upper()) - float(moved.lower()), 0.0)
+    heappush(heap, (-apart, a, b, moved, high))
+
+
+def _complex(X: BallMatrix) -> Any:
+    """Return a matrix as FLINT's complex balls."""
+    rows, columns = X.shape
+    entries = [flint.arb(X.centre[j, k]) for j in range(rows) for k in range(columns)]
+    if X.radius is not None:
+        spread = (flint.arb(X.radius[j, k]) for j in range(rows) for k in range(columns))
+        entries = [entry + flint.arb(0, radius.upper()) for entry, radius in zip(entries, spread, strict=True)]
+    return flint.acb_mat(rows, columns, [flint.acb(entry) for entry in entries])
+
+
 @dataclass(frozen=True, kw_only=True)
-class PeakGain:
+class PeakGain(Packed):
     """∫ |c e^(Mt) g| dt ≤ size, proved.
 
     Attributes:
         unit: The shortest step is 2^unit s.
         steps: One after the other: k, and how many steps of 2^(unit + k) s.
-        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
         size: Rounded up.
     """
 
     unit: int
     steps: tuple[tuple[int, int], ...]
-    integers: tuple[tuple[int, ...], ...]
-    exponents: tuple[int, ...]
     size: float
 
 
@@ -67,10 +188,10 @@ def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: Ellipsoid)
     if any(X.radius is not None for X in (M, g, c)) or M.shape[0] > _MOST_ORDER:
         return None
     powers = [e + BITS // 2 for e in ellipsoid.exponents]  # in these coordinates Q has a diagonal of about 1
-    scale = [Fraction(2) ** e for e in powers]
-    exact = _scaled(M.centre, [1 / s for s in scale], scale)
-    column, row = _scaled(g.centre, [1 / s for s in scale], [Fraction(1)]), _scaled(c.centre, [Fraction(1)], scale)
-    Q = _scaled(unpacked(ellipsoid.integers, ellipsoid.exponents), [1 / s for s in scale], [1 / s for s in scale])
+    scale = diagonal([Fraction(2) ** e for e in powers])
+    inverse = scale.inv()
+    exact, column, row = inverse * M.centre * scale, inverse * g.centre, c.centre * scale
+    Q = inverse * ellipsoid.P * inverse
     planned = _plan(floats(exact), floats(column)[:, 0], floats(row)[0], floats(Q), ellipsoid)
     if planned is None:
         return None
@@ -88,12 +209,6 @@ def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: Ellipsoid)
         exponents=tuple(-e - digits for e in powers),
         size=float(np.nextafter(float(total * _ABOVE), np.inf)),
     )
-
-
-def _scaled(X: Rational, left: list[Fraction], right: list[Fraction]) -> Rational:
-    lines = zip(X.tolist(), left, strict=True)
-    rows = [[fraction_of(v) * a * b for v, b in zip(line, right, strict=True)] for line, a in lines]
-    return rational(rows, (X.nrows(), X.ncols()))
 
 
 def _plan(M: Array, g: Array, c: Array, Q: Array, ellipsoid: Ellipsoid) -> tuple[int, list[int]] | None:
@@ -123,24 +238,14 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
     """Return P with MᵀP + P M + wᵀw a little below 0, w = c M², and the power of 4 that makes its entries whole."""
     n, w = M.nrows(), c * M * M
     square = w.transpose() * w
-    more = _INSIDE * sum((fraction_of(square[j, j]) for j in range(n)), Fraction(0))
-    right = [-fraction_of(square[j, k]) - more * (j == k) for j in range(n) for k in range(n)]
-    system = [[Fraction(0)] * (n * n) for _ in range(n * n)]
-    for j in range(n):
-        for k in range(n):
-            for i in range(n):
-                system[n * j + k][n * i + k] += fraction_of(M[i, j])
-                system[n * j + k][n * j + i] += fraction_of(M[i, k])
+    right = -square - identity(n) * number(_INSIDE * sum((fraction_of(square[j, j]) for j in range(n)), Fraction(0)))
+    column = flint.fmpq_mat([[right[j, k]] for j in range(n) for k in range(j, n)])
     with working_bits(_PRECISION):
-        solution = flint.arb_mat(rational(system, (n * n, n * n))).solve(
-            flint.arb_mat(rational([[v] for v in right], (n * n, 1)))
-        )
-        found = [_dyadic(solution[j, 0].mid()) for j in range(n * n)]
+        found = middle(flint.arb_mat(lyapunov_map(M)).solve(flint.arb_mat(column))).entries()
     largest = max(map(abs, found))
-    digits = _DIGITS - (largest.numerator.bit_length() - largest.denominator.bit_length()) // 2
-    whole = [round(v * Fraction(4) ** digits) / Fraction(4) ** digits for v in found]
-    rows = [[whole[n * min(j, k) + max(j, k)] for k in range(n)] for j in range(n)]
-    return rational(rows, (n, n)), digits
+    digits = _DIGITS - (int(largest.p).bit_length() - int(largest.q).bit_length()) // 2
+    scale = Fraction(4) ** digits
+    return symmetric([number(round(fraction_of(v) * scale) / scale) for v in found], n), digits
 
 
 def _enclosed(
@@ -162,14 +267,8 @@ def _enclosed(
             value, energy = following, less
         inverse = flint.arb_mat(Q.inv())
         left = (z.transpose() * inverse * z)[0, 0].abs_upper() * (row * flint.arb_mat(Q) * row.transpose())[0, 0]
-        total += 2 * left.sqrt() / flint.arb(flint.fmpq(a.numerator, a.denominator))
-        return _dyadic(total.abs_upper())
-
-
-def _dyadic(value: Any) -> Fraction:
-    """Return an exact number as a fraction."""
-    mantissa, exponent = value.man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+        total += 2 * left.sqrt() / flint.arb(number(a))
+        return dyadic(total.abs_upper())
 
 
 def _chord(one: Any, other: Any) -> Any:

@@ -9,8 +9,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.lmi.blocks import Scaling
-from pwatrack.lmi.linear_map import Equations, LinearMap, Side, Triangle
-from pwatrack.lmi.normal import Normal
+from pwatrack.lmi.linear_map import Equations, LinearMap, Normal, Side, Triangle
 from pwatrack.lmi.program import Program
 
 

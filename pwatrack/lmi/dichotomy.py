@@ -8,54 +8,41 @@ these slopes and F(·, 0) bounded, has exactly one bounded solution, periodic wh
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import exponents_of, left_side, margin_of, unpacked, whole
-from pwatrack.lmi.inequality import Inequality, lyapunov
+from pwatrack.lmi.exact import Packed, left_side, margin_of
+from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.presolve import extreme
-from pwatrack.lmi.program import Program, of_P
+from pwatrack.lmi.program import largest_margin
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import Rational, is_positive_definite
+from pwatrack.rational import is_positive_definite
 
 _NEAR = 1e-3  # gap: any P with a margin does
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dichotomy:
+class Dichotomy(Packed):
     """−(M_i P + P M_iᵀ) − margin I ≻ 0 for every i, with a P of any sign, proved exactly; P is invertible then.
 
     Where M_i has irrational entries, for every matrix in its ball.
 
     Attributes:
         role: Which inequality it takes the place of.
-        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
         margin: μ > 0, a short decimal.
     """
 
     role: Role
-    integers: tuple[tuple[int, ...], ...]
-    exponents: tuple[int, ...]
     margin: float
-
-    @property
-    def P(self) -> Rational:
-        """The matrix, exactly."""
-        return unpacked(self.integers, self.exponents)
 
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
     """Find such a P and prove it exactly, or return None.
-
-    Args:
-        role: Which inequality it takes the place of.
-        M: The matrices M_i of it.
 
     Example: two saddles with one P, diag(1, −1).
 
@@ -83,7 +70,7 @@ def _candidates(M: Array) -> Iterator[Array]:
     T, inverse = vectors * np.sqrt(np.abs(values)), (vectors / np.sqrt(np.abs(values))).T
     at = inverse @ extreme(M) @ T
     speed = float(np.linalg.norm(at, 2, axis=(1, 2)).max())
-    found = solve(_largest_margin(lyapunov(at / speed)), gap=_NEAR)
+    found = solve(largest_margin(lyapunov(at / speed), any_sign=True), gap=_NEAR)
     if found is not None:
         yield T @ found.P @ T.T
 
@@ -109,29 +96,13 @@ def _hyperbolic(M: Array) -> Array | None:
     return symmetric_part(found) / 2 if np.isfinite(found).all() else None
 
 
-def _largest_margin(inequality: Inequality) -> Program:
-    """Maximise t subject to F_i(P) ⪯ −t I for all cells and −I ⪯ P ⪯ I."""
-    n, eye = inequality.n, np.eye(inequality.n)
-    return Program(
-        constraints=(
-            replace(inequality, T=np.broadcast_to(eye, inequality.constant.shape)),
-            of_P(inequality, -1.0, eye, constant=-eye),
-            of_P(inequality, 1.0, eye, constant=-eye),
-            of_P(inequality, 1.0, np.zeros((1, n)), constant=-np.eye(1), T=np.eye(1)),
-        ),
-        price=-1.0,
-    )
-
-
 def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
     values, vectors = np.linalg.eigh(P)
     size = (vectors * np.abs(values)) @ vectors.T  # |P|, of positive diagonal
     if not (np.isfinite(size).all() and (np.diag(size) > 0).all()):
         return None
-    exponents = exponents_of(size)
-    integers = whole(P, exponents)
-    exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
-    left = [left_side(M_i, exact, unit) for M_i in M]
+    short = Packed.of(P, like=size)
+    left = [left_side(M_i, short) for M_i in M]
     if not all(is_positive_definite(S) for S in left):
         return None
-    return Dichotomy(role=role, integers=integers, exponents=exponents, margin=margin_of(left))
+    return Dichotomy(role=role, margin=margin_of(left), **short.parts)

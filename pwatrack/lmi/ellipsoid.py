@@ -4,12 +4,9 @@ Let z' = M(t) z + g d with M(t) in the convex hull of the M_p, and Q ≻ 0, a > 
 
     M_p Q + Q M_pᵀ + a Q + g gᵀ / a ≺ 0   for every p.
 
-It is affine in M_p, so it holds for M(t). With V = zᵀ Q⁻¹ z, q = Q⁻¹ z and s = gᵀ q that gives
-
-    V' = qᵀ (M Q + Q Mᵀ) q + 2 s d ≤ −a V − s² / a + 2 s d ≤ −a V + a d²,
-
-so from z = 0 always V ≤ sup d², and |c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear
-Matrix Inequalities in System and Control Theory, 1994, section 6.1.3).
+Then V = zᵀ Q⁻¹ z has V' ≤ −a V + a d² (proved in `docs/theory/beyond.md`): from z = 0 always V ≤ sup d², and
+|c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear Matrix Inequalities in System and Control
+Theory, 1994, section 6.1.3).
 
 Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
 
@@ -18,7 +15,7 @@ Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
 V ≤ 1 at the start, V' ≤ −a V, and |c z(t)| ≤ √(c Q cᵀ) e^(−a t / 2) at all times.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -28,7 +25,7 @@ from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.exact import exponents_of, unpacked, unsure, whole
+from pwatrack.lmi.exact import Packed, left_side
 from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import least_sizes
@@ -45,20 +42,21 @@ _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay 
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 
 
+Columns = tuple[BallMatrix, Sequence[Fraction]]  # g_k (N, k), and the weight w_k of each
+
+
 @dataclass(frozen=True, kw_only=True)
-class Ellipsoid:
+class Ellipsoid(Packed):
     """Q ≻ 0 and −(M_p Q + Q M_pᵀ) − a Q − g gᵀ / a ≻ 0 for every p, proved exactly; and c Q cᵀ ≤ size² for rows c.
 
-    Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls.
+    Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls. So
+    |c z| ≤ size · sup |d| from z = 0, or at all times from a start.
 
     Attributes:
-        integers, exponents: Q_jk = integers_jk · 2^(exponents_j + exponents_k).
         a: In 1/s, a short decimal.
-        sizes: One for each c, rounded up: |c z| ≤ size · sup |d| from z = 0, or at all times from a start.
+        sizes: One for each c, rounded up.
     """
 
-    integers: tuple[tuple[int, ...], ...]
-    exponents: tuple[int, ...]
     a: float
     sizes: tuple[float, ...]
 
@@ -95,7 +93,7 @@ class Inner:
 def ellipsoid(
     M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner], *, tries: int = 3
 ) -> Ellipsoid | None:
-    """Return an ellipsoid in which all of c z are small at once: the sum of c Q cᵀ, each over its usual size.
+    """Return an ellipsoid, if one is proved, in which all c z are small: the sum of c Q cᵀ, each over its usual size.
 
     Args:
         M: The matrices M_p (N, N).
@@ -103,9 +101,6 @@ def ellipsoid(
         forms: The rows c, (s, N).
         inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
         tries: Of a.
-
-    Returns:
-        The ellipsoid, or None if none could be proved.
 
     Example: |z| ≤ |g| / λ · sup |d| for z' = −λ z + g d.
 
@@ -124,8 +119,7 @@ def ellipsoid(
         a = _short(most / (1 + np.exp(-where)))
         Q, far, slope = _smallest(matrices, column, rows, a, [i for i in inners if i.most > a][-1], weights)
         squares = np.einsum("sj,jk,sk->s", rows, Q, rows)
-        if weights is None:
-            weights = 1 / np.maximum(squares, _FLAT * squares.max(initial=1e-300))
+        weights = 1 / _sizes(squares) if weights is None else weights
         cost = float(weights @ squares)
         if cost < least:
             best, least = (Q, far, a), cost
@@ -133,7 +127,11 @@ def ellipsoid(
         where = _next(steps)
         if abs(where - steps[-1][0]) <= _CLOSE:
             break
-    return None if best is None else _proved(M, g, forms, *best)
+    if best is None:
+        return None
+    Q, far, a = best
+    proved = enclosure(M, forms, _mixed(Q, far), a=a, driven=(g, [1 / Fraction(repr(a))]))
+    return None if proved is None else Ellipsoid(a=a, sizes=proved[1], **proved[0].parts)
 
 
 def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]) -> Ellipsoid | None:
@@ -160,14 +158,13 @@ def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners
         return None
     V, inside = near
     within = solve_triangular(V, start, lower=True)
-    size = float(np.linalg.norm(within, 2)) ** 2
-    seen = rows @ V
-    squares = (seen**2).sum(axis=1)
-    W = (seen.T / np.maximum(squares, _FLAT * squares.max(initial=1e-300))) @ seen
-    W = W / max(float(np.trace(W)), 1e-300) + _SLACK * np.eye(len(V)) / len(V)
+    size, seen = float(np.linalg.norm(within, 2)) ** 2, rows @ V
+    W = _weight(seen.T / _sizes((seen**2).sum(axis=1)), seen)[0]
     found = solve(least_sizes(lyapunov(inside / a, 0.5), W, above=within @ within.T / size), gap=_NEAR)
     far = 2 * size * inner.Q
-    return _proved(M, G, forms, far if found is None else size * V @ found.P @ V.T, far, a, start=True)
+    Q = far if found is None else size * V @ found.P @ V.T
+    proved = enclosure(M, forms, _mixed(Q, far), a=a, around=(G, [Fraction(1)] * G.shape[1]))
+    return None if proved is None else Ellipsoid(a=a, sizes=proved[1], **proved[0].parts)
 
 
 def _next(steps: Sequence[tuple[float, float]]) -> float:
@@ -199,19 +196,15 @@ def _smallest(
     short = a / speed
     slack = -float(np.linalg.eigvalsh(symmetric_part(scaled) + short * np.eye(N)).max())
     forms = rows @ V
-    squares = (forms**2).sum(axis=1)
-    if weights is None:
-        weights = 1 / np.maximum(squares, _FLAT * squares.max(initial=1e-300))
     if not slack > 0:
         return np.full_like(inner.Q, np.inf), inner.Q, 1 / a
     size = 2 * float(column @ column) / short / slack  # for size · I there is room
     far = size * V @ V.T
-    W = (forms.T * weights) @ forms * size
-    total = float(np.trace(W))
+    weights = 1 / _sizes((forms**2).sum(axis=1)) if weights is None else weights
+    W, total = _weight(forms.T * weights, forms, size)
     if not total > 0:
         return far, far, 0.0
     drive = np.outer(column, column) / (short * size)
-    W = W / total + _SLACK * np.eye(N) / N
     program = least_sizes(weighted(scaled + short / 2 * np.eye(N), drive), W)
     found = solve(program, gap=_NEAR)
     if found is None or found.multipliers is None:
@@ -220,43 +213,60 @@ def _smallest(
     return size * V @ found.P @ V.T, far, slope / float((W * found.P).sum()) / speed
 
 
-def _proved(
-    M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, Q: Array, far: Array, a: float, *, start: bool = False
-) -> Ellipsoid | None:
-    """Round Q to short numbers and prove the inequality, for what g drives or for a `start` g; or return None."""
-    for share in _SHARES:
-        mixed = (1 - share) * Q + share * far
-        if not np.isfinite(mixed).all():
+def _sizes(squares: Array) -> Array:
+    """Return squares by which forms are divided to count alike; those that are next to nothing count less."""
+    return np.asarray(np.maximum(squares, _FLAT * squares.max(initial=1e-300)))
+
+
+def _weight(weighed: Array, forms: Array, size: float = 1.0) -> tuple[Array, float]:
+    """Return W of trace 1 with tr W P in proportion to the weighed sum of c P cᵀ, and that sum for P = size I."""
+    W = weighed @ forms * size
+    total = float(np.trace(W))
+    return W / max(total, 1e-300) + _SLACK * np.eye(len(W)) / len(W), total
+
+
+def _mixed(Q: Array, far: Array) -> Iterator[Array]:
+    """Yield Q, then with more and more of another one mixed in that is far inside the inequality."""
+    return ((1 - share) * Q + share * far for share in _SHARES)
+
+
+def enclosure(
+    M: Sequence[BallMatrix],
+    forms: BallMatrix,
+    trials: Iterable[Array],
+    *,
+    a: float = 0.0,
+    around: Columns | None = None,
+    driven: Columns | None = None,
+) -> tuple[Packed, tuple[float, ...]] | None:
+    """Return the first Q, in short numbers, for which the inequalities are proved, with a size for each c; or None.
+
+    They are −(M_p Q + Q M_pᵀ) − a Q − Σ w_k g_k g_kᵀ ≻ 0 for every p, and Q − Σ w_k g_k g_kᵀ ≻ 0.
+
+    Args:
+        M: The matrices M_p (N, N).
+        forms: The rows c, (s, N).
+        trials: Q (N, N).
+        a: In 1/s, as printed.
+        around, driven: g_k of the second and of the first; None for none.
+    """
+    for trial in trials:
+        if not np.isfinite(trial).all():
             continue
-        integers, exponents = rounded(mixed)
-        exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
-        weight = Fraction(1) if start else 1 / Fraction(repr(a))
-        square = square_above(g, [weight] * g.shape[1], unit)
-        inside, rest = (exact - square, scalar(a) * exact) if start else (exact, scalar(a) * exact + square)
-        if is_positive_definite(inside) and all(is_positive_definite(-change(X, exact, unit) - rest) for X in M):
-            sizes = tuple(root_above(square) for square in squares(forms, exact))
-            return Ellipsoid(integers=integers, exponents=exponents, a=a, sizes=sizes)
+        Q = Packed.of(trial)
+        inside = Q.P if around is None else Q.P - square_above(*around, Q.scale)
+        rest = scalar(a) * Q.P if driven is None else scalar(a) * Q.P + square_above(*driven, Q.scale)
+        if is_positive_definite(inside) and all(is_positive_definite(left_side(X, Q) - rest) for X in M):
+            return Q, tuple(root_above(square) for square in _squares(forms, Q.P))
     return None
 
 
-def change(M: BallMatrix, Q: Rational, unit: Sequence[Fraction]) -> Rational:
-    """Return M Q + Q Mᵀ, or what is above it for every M in the ball."""
-    MQ = M.centre * Q
-    return MQ + MQ.transpose() + unsure(M.radius, Q, unit)
-
-
-def squares(forms: BallMatrix, Q: Rational) -> list[Any]:
+def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
     """Return c Q cᵀ for each row c, or the most that it is in the ball."""
     squares = forms @ BallMatrix(Q) @ forms.transpose()
     return [
         squares.centre[k, k] + (0 if squares.radius is None else squares.radius[k, k]) for k in range(forms.shape[0])
     ]
-
-
-def rounded(Q: Array) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
-    """Return integers and exponents with Q_jk near integers_jk · 2^(exponents_j + exponents_k)."""
-    exponents = exponents_of(np.diag(np.maximum(np.diag(Q), 1e-300)))
-    return whole(Q, exponents), exponents
 
 
 def _short(value: float) -> float:

@@ -1,43 +1,189 @@
-"""Exact proof of a solution: whole-number P, decimals as printed, positive definiteness decided by balls.
+"""What a solver proposes, decided: proof that a P works, in floating point or exactly.
 
-`audit` checks the same claim again with another method; the two share no code.
+In NumPy with a bound on every rounding error: an eigenvalue counts as positive only where it exceeds that bound.
+Exactly with a whole-number P and decimals as printed, positive definiteness decided by balls: `audit` checks the same
+claim again with another method; the two share no code.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, absolute
+from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
+_LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
 BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 _MORE_BITS = (BITS, 80, 160)  # the same, more where P is so ill-conditioned that fewer do not hold it
 
+Whole = tuple[tuple[int, ...], ...]
+
 
 @dataclass(frozen=True, kw_only=True)
-class Proof:
+class Certificate:
+    """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell.
+
+    Attributes:
+        M: The matrices it speaks of, (l, n, n), as used: A_i + B K for (8),
+            (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
+        P: (n, n).
+        rate: Certified decay rate in 1/s, positive.
+        margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less
+            its rounding error, with the states scaled by powers of two to make the
+            diagonal of P about 1 (which changes no sign); positive.
+        precise: P with more digits, where doubles do not hold what proves it; else None.
+    """
+
+    M: Array
+    P: Array
+    rate: float
+    margin: float
+    precise: Rational | None = None
+
+
+def of_proof(M: Array, proof: "Proof") -> Certificate:
+    """Return the certificate of an exact proof about M (l, n, n)."""
+    P = readonly(floats(proof.P))
+    return Certificate(M=readonly(M), P=P, rate=proof.rate, margin=proof.margin, precise=proof.P)
+
+
+def prove(M: Array, P: Array) -> Certificate | None:
+    """Return a certificate for the largest rate that this P proves, or None if it proves none.
+
+    Args:
+        M: (l, n, n).
+        P: A candidate (n, n); only its symmetric part counts.
+
+    Example:
+        >>> prove(np.array([[[-1.0]], [[-3.0]]]), np.eye(1)).rate > 0.999
+        True
+        >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
+        True
+    """
+    scaled = _scaled(M, P)
+    if scaled is None or not _definite(scaled[1], np.abs(scaled[1])):
+        return None
+    scaled_M, scaled_P = scaled
+    left = symmetric_part(scaled_M @ scaled_P)
+    if not np.isfinite(left).all():
+        return None
+    rate = _rate(left, scaled_P)
+    size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
+    for shrunk in (rate * (1 - less) for less in _LESS):
+        slack = -left - 2 * shrunk * scaled_P
+        margin = min(_least(S, s) for S, s in zip(slack, size, strict=True))
+        if shrunk > 0 and margin > 0:
+            return Certificate(M=readonly(M), P=readonly(symmetric_part(P) / 2), rate=shrunk, margin=margin)
+    return None
+
+
+def likely_rate(M: Array, P: Array) -> float:
+    """Return the rate in 1/s that a P seems to prove, as far as floating point can tell; 0 for none.
+
+    Example: of so ill-conditioned a P only exact numbers can prove anything.
+
+        >>> P = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-13]])
+        >>> likely_rate(-np.eye(2)[None], P) > 0, prove(-np.eye(2)[None], P) is None
+        (True, True)
+    """
+    scaled = _scaled(M, P)
+    if scaled is None or not np.linalg.eigvalsh(scaled[1])[0] > 0:
+        return 0.0
+    left = symmetric_part(scaled[0] @ scaled[1])
+    try:
+        return max(0.0, _rate(left, scaled[1])) if np.isfinite(left).all() else 0.0
+    except np.linalg.LinAlgError:  # P is not definite to working precision
+        return 0.0
+
+
+def _scaled(M: Array, P: Array) -> tuple[Array, Array] | None:
+    """Return each different M, and P, with states scaled by powers of two so that the diagonal of P is about 1."""
+    diagonal = np.diag(P)
+    if not (np.isfinite(P).all() and (diagonal > 0).all()):
+        return None
+    d = 2.0 ** np.round(np.log2(diagonal) / 2)
+    return distinct(M)[0] / d[:, None] * d, symmetric_part(P) / 2 / d[:, None] / d
+
+
+def _rate(left: Array, P: Array) -> float:
+    return min(-float(eigh(side, P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
+
+
+def _definite(X: Array, size: Array) -> bool:
+    return _least(X, size) > 0
+
+
+def _least(X: Array, size: Array) -> float:
+    """Return a lower bound of the least eigenvalue of X, computed with entries of magnitude `size`.
+
+    Forming a product of order n errs by at most n eps |·||·| per entry, and the
+    symmetric eigenvalue solver by a modest multiple of n eps ‖X‖ (Anderson et
+    al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
+    """
+    n = len(X)
+    bound = 16 * n * EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
+    return float(np.linalg.eigvalsh(X)[0]) - bound
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packed:
+    """A symmetric matrix in short numbers.
+
+    Attributes:
+        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
+    """
+
+    integers: Whole
+    exponents: tuple[int, ...]
+
+    @classmethod
+    def of(cls, X: Array | Rational, like: Array | None = None, bits: int = BITS) -> "Packed":
+        """Round X (n, n) to whole numbers of about so many bits, for the diagonal of X or of another, both positive."""
+        near = like if like is not None else X if isinstance(X, np.ndarray) else floats(X)
+        sizes = np.maximum(np.diag(near), 1e-300)
+        exponents = tuple((np.round(np.log2(sizes) / 2).astype(int) - bits // 2).tolist())
+        return Packed(integers=whole(X, exponents), exponents=exponents)
+
+    @cached_property
+    def P(self) -> Rational:
+        """The matrix, exactly."""
+        return unpacked(self.integers, self.exponents)
+
+    @property
+    def scale(self) -> list[Fraction]:
+        """About the root of each entry of its diagonal, but for one factor."""
+        return [Fraction(2) ** e for e in self.exponents]
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What makes another object that holds the same matrix."""
+        return {"integers": self.integers, "exponents": self.exponents}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proof(Packed):
     """P ≻ 0 and −(M_i P + P M_iᵀ) − 2 rate P − margin I ≻ 0 for every i, proved exactly.
 
     Where M_i has irrational entries, for every matrix in its ball.
 
     Attributes:
         role: Which inequality it is.
-        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
         rate: Certified decay rate in 1/s, a short decimal.
         margin: μ > 0, a short decimal.
         radius: Any change of the matrices M_i below it, in the spectral norm, is covered too: at most μ / (2 ‖P‖).
     """
 
     role: Role
-    integers: tuple[tuple[int, ...], ...]
-    exponents: tuple[int, ...]
     rate: float
     margin: float
     radius: float
@@ -52,57 +198,34 @@ class Proof:
         """That of the quadratic form."""
         return 2
 
-    @cached_property
-    def P(self) -> Rational:
-        """The matrix, exactly."""
-        return unpacked(self.integers, self.exponents)
-
 
 def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate: float) -> Proof | None:
     """Round P and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
-        role: Which inequality it is.
-        M: The matrices M_i.
         P: A solution, (n, n), in floating point or with more digits.
         rate: The rate that it seems to prove, in 1/s.
     """
-    proofs = (_proved(role, M, P, rate, bits) for bits in _MORE_BITS)
-    return next((proof for proof in proofs if proof is not None), None)
-
-
-def _proved(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate: float, bits: int) -> Proof | None:
-    """Round P to so many bits and prove the inequality for that, or return None."""
-    exponents = exponents_of(P if isinstance(P, np.ndarray) else floats(P), bits)
-    unit = [Fraction(2) ** e for e in exponents]
-    integers = whole(P, exponents)
-    exact_P = unpacked(integers, exponents)
-    if not is_positive_definite(exact_P):
-        return None
-    left = [left_side(M_i, exact_P, unit) for M_i in M]
-    size = float(np.linalg.norm(floats(exact_P)))
-    for shrink in GIVEN:
-        short_rate = rounded_down(rate * (1 - shrink), 6)
-        slack = [S - scalar(2 * short_rate) * exact_P for S in left]
-        if short_rate > 0 and all(is_positive_definite(S) for S in slack):
-            margin = margin_of(slack)
-            return Proof(
-                role=role,
-                integers=integers,
-                exponents=exponents,
-                rate=short_rate,
-                margin=margin,
-                radius=rounded_down(margin / (2 * size) * (1 - 1e-9), 3),
-            )
+    for bits in _MORE_BITS:
+        short = Packed.of(P, bits=bits)
+        left = [left_side(M_i, short) for M_i in M] if is_positive_definite(short.P) else []
+        shown = proved_rate(left, short.P, 2, rate)
+        if shown is not None:
+            margin = margin_of([S - scalar(2 * shown) * short.P for S in left])
+            radius = rounded_down(margin / (2 * float(np.linalg.norm(floats(short.P)))) * (1 - 1e-9), 3)
+            return Proof(role=role, rate=shown, margin=margin, radius=radius, **short.parts)
     return None
 
 
-def exponents_of(P: Array, bits: int = BITS) -> tuple[int, ...]:
-    """Return those with which P (n, n), of positive diagonal, has whole numbers of about so many bits."""
-    return tuple((np.round(np.log2(np.diag(P)) / 2).astype(int) - bits // 2).tolist())
+def proved_rate(left: Sequence[Rational], P: Rational, degree: int, rate: float) -> float | None:
+    """Return a short decimal, the rate or a little less, with S − degree · rate P ≻ 0 for every S in `left`, if any."""
+    rates = (rounded_down(rate * (1 - given), 6) for given in GIVEN if left)
+    return next(
+        (r for r in rates if r > 0 and all(is_positive_definite(S - scalar(degree * r) * P) for S in left)), None
+    )
 
 
-def whole(X: Array | Rational, exponents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+def whole(X: Array | Rational, exponents: Sequence[int]) -> Whole:
     """Return the whole numbers nearest to X_jk / 2^(exponents_j + exponents_k), of the symmetric part of X (n, n)."""
     unit = [Fraction(2) ** e for e in exponents]
     if isinstance(X, np.ndarray):
@@ -114,11 +237,11 @@ def whole(X: Array | Rational, exponents: Sequence[int]) -> tuple[tuple[int, ...
     )
 
 
-def left_side(M: BallMatrix, P: Rational, unit: Sequence[Fraction]) -> Rational:
+def left_side(M: BallMatrix, of: Packed) -> Rational:
     """Return −(M P + P Mᵀ), or what is below it for everything in the ball."""
-    MP = M.centre * P
+    MP = M.centre * of.P
     left = -(MP + MP.transpose())
-    return left if M.radius is None else left - unsure(M.radius, P, unit)
+    return left if M.radius is None else left - unsure(M.radius, of.P, of.scale)
 
 
 def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Rational:
@@ -142,7 +265,7 @@ def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Ra
 
 
 def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> Rational:
-    """Return the matrix P of a `Proof`: P_jk = integers_jk · 2^(exponents_j + exponents_k)."""
+    """Return the matrix of a `Packed`."""
     n = len(exponents)
     entries = [
         [v * Fraction(2) ** (a + b) for v, b in zip(row, exponents, strict=True)]

@@ -2,25 +2,30 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.certificate import Certificate
-from pwatrack.lmi.exact import BITS, GIVEN, Proof, exponents_of, left_side, prove_exactly, rounded_down, unpacked, whole
-from pwatrack.lmi.monomials import Exponents, Monomials
-from pwatrack.lmi.polynomial import Polynomial
+from pwatrack.lmi.exact import (
+    BITS,
+    Certificate,
+    Packed,
+    Proof,
+    Whole,
+    left_side,
+    prove_exactly,
+    proved_rate,
+    unpacked,
+    whole,
+)
+from pwatrack.lmi.polynomial import Exponents, Monomials, Polynomial
 from pwatrack.lmi.role import Role
-from pwatrack.rational import Rational, is_positive_definite, scalar
-
-Whole = tuple[tuple[int, ...], ...]
+from pwatrack.rational import Rational, is_positive_definite
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolynomialProof:
+class PolynomialProof(Packed):
     """P ≻ 0 and −sym(P 𝒜_i) − N_i − 2 d rate P ≻ 0 for every i, proved exactly: see `polynomial`.
 
     𝒜_i is the lift of T A_i T⁻¹ on the monomials of degree d, A_i the matrix by which errors change. Where it has
@@ -30,8 +35,7 @@ class PolynomialProof:
         role: Which inequality it takes the place of.
         degree: 2 d.
         T: (n, n): the decimals that it prints as.
-        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
-        N: The same for each N_i, one for each different A_i, with
+        N: The integers of N_i, one for each different A_i, with
         N_exponents: their exponents.
         rate: Certified decay rate of errors in 1/s, a short decimal.
     """
@@ -39,8 +43,6 @@ class PolynomialProof:
     role: Role
     degree: int
     T: Array
-    integers: Whole
-    exponents: tuple[int, ...]
     N: tuple[Whole, ...]
     N_exponents: tuple[int, ...]
     rate: float
@@ -49,11 +51,6 @@ class PolynomialProof:
     def order(self) -> int:
         """That of the matrices it speaks of."""
         return len(self.T)
-
-    @cached_property
-    def P(self) -> Rational:
-        """The matrix, exactly."""
-        return unpacked(self.integers, self.exponents)
 
     @property
     def monomials(self) -> Monomials:
@@ -69,9 +66,7 @@ def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | Non
     """Prove for rounded numbers what was found in floating point, or return None.
 
     Args:
-        role: Which inequality it is.
         M: The matrices M_i of it, each different.
-        found: A common P, or a polynomial.
     """
     if isinstance(found, Polynomial):
         return prove_polynomial(role, M, found)
@@ -82,12 +77,11 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> 
     """Round P, N_i and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
-        role: Which inequality it takes the place of.
         M: The matrices M_i of it, each different.
         found: What shows it in floating point, for the matrices nearest to these.
 
     Example:
-        >>> from pwatrack.lmi.coordinates import Coordinates
+        >>> from pwatrack.lmi.presolve import Coordinates
         >>> from pwatrack.lmi.polynomial import best_polynomial
         >>> from pwatrack.lmi.role import CONTROLLER
         >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
@@ -98,34 +92,21 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> 
     """
     monomials, T = found.monomials, BallMatrix.of(found.T)
     weights = monomials.weights
-    P = found.P * weights[:, None] * weights
-    exponents = exponents_of(P)
-    integers = whole(P, exponents)
-    exact_P = unpacked(integers, exponents)
-    if not is_positive_definite(exact_P):
-        return None
+    short = Packed.of(found.P * weights[:, None] * weights)
     numbers = _numbers(found, [role.oriented(M_i.floats) for M_i in M])
-    if numbers is None:
+    if numbers is None or not is_positive_definite(short.P):
         return None
-    N, N_exponents = _rounded(numbers * weights[:, None] * weights, exponents, monomials)
-    unit, left = [Fraction(2) ** e for e in exponents], list[Rational]()
+    N, N_exponents = _rounded(numbers * weights[:, None] * weights, short.exponents, monomials)
+    left = list[Rational]()
     for M_i, N_i in zip(M, N, strict=True):
         lift = monomials.exactly(T @ role.exact(M_i) @ T.inverse())
-        left.append(left_side(lift.transpose(), exact_P, unit) - unpacked(N_i, N_exponents))
-    for shrink in GIVEN:
-        rate = rounded_down(found.rate * (1 - shrink), 6)
-        if rate > 0 and all(is_positive_definite(S - scalar(found.degree * rate) * exact_P) for S in left):
-            return PolynomialProof(
-                role=role,
-                degree=found.degree,
-                T=found.T,
-                integers=integers,
-                exponents=exponents,
-                N=N,
-                N_exponents=N_exponents,
-                rate=rate,
-            )
-    return None
+        left.append(left_side(lift.transpose(), short) - unpacked(N_i, N_exponents))
+    rate = proved_rate(left, short.P, found.degree, found.rate)
+    if rate is None:
+        return None
+    return PolynomialProof(
+        role=role, degree=found.degree, T=found.T, N=N, N_exponents=N_exponents, rate=rate, **short.parts
+    )
 
 
 def _numbers(found: Polynomial, A: Sequence[Array]) -> Array | None:

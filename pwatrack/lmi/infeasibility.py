@@ -7,19 +7,12 @@ import numpy as np
 from scipy.linalg import null_space, orth
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.between import Between, seems_stuck_between, stuck_between
-from pwatrack.lmi.conflict import conflict, sought
-from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.lmi.multipliers import whole
+from pwatrack.lmi.multipliers import conflict, sought, whole
 from pwatrack.lmi.no_dichotomy import NoDichotomy
-from pwatrack.lmi.presolve import corners
+from pwatrack.lmi.presolve import Coordinates, corners
 from pwatrack.lmi.role import Role
-from pwatrack.lmi.stuck import stuck_modes
-from pwatrack.rational import (
-    Rational,
-    decimals,
-    identity,
-)
+from pwatrack.lmi.uncontrollable import Between, seems_uncontrollable, uncontrollable_mean, uncontrollable_modes
+from pwatrack.rational import Rational, decimals, identity, scalar
 
 _HINT = 0.9  # gap at which the least violation is known to be above 0
 
@@ -60,13 +53,10 @@ class Impossibility:
         return "(17±)" if isinstance(self.refutation, NoDichotomy) else self.role.claim
 
 
-def refute(
-    A: Array,
-    B: Array,
-    *,
-    rate: float = 0.0,
-    exact: tuple[Sequence[Rational], Rational] | None = None,
-) -> Refutation | None:
+Exact = tuple[Sequence[Rational], Rational]  # A_i and B
+
+
+def refute(A: Array, B: Array, *, rate: float = 0.0, exact: Exact | None = None) -> Refutation | None:
     """Prove that no P ≻ 0, Y have A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ≺ 0 for all cells, or return None.
 
     Args:
@@ -81,27 +71,41 @@ def refute(
         >>> found.Z[0], found.eigenvalues
         (((1,),), {0: 0j})
     """
-    shift = decimals(np.array([[rate]]))[0, 0] * identity(A.shape[1])
-    numbers, exact_B = ([decimals(A_i) for A_i in A], decimals(B)) if exact is None else exact
-    exact_A = [A_i + shift for A_i in numbers]
-    Z, eigenvalues = stuck_modes(exact_A, exact_B)
-    if Z:
-        return Refutation(Z=whole(Z), eigenvalues=eigenvalues)
+    found = refute_by_modes(A, B, range(len(A)), rate=rate, exact=exact)
+    if found is not None:
+        return found
     at = corners(A).tolist()
-    mean = stuck_between(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
-    if mean is not None:
-        return Refutation(Z={}, eigenvalues={}, between=mean.of(at))
-    found = conflict(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
-    if found is None:
-        return None
-    return Refutation(Z=whole({at[i]: Z_i for i, Z_i in found.items()}), eigenvalues={})
+    exact_A, exact_B = _shifted(A[at], B, rate, exact and ([exact[0][i] for i in at], exact[1]))
+    Z = conflict(A[at] + rate * np.eye(A.shape[1]), B, exact_A, exact_B)
+    return None if Z is None else Refutation(Z=whole({at[i]: Z_i for i, Z_i in Z.items()}), eigenvalues={})
+
+
+def refute_by_modes(
+    A: Array, B: Array, cells: Sequence[int], *, rate: float = 0.0, exact: Exact | None = None
+) -> Refutation | None:
+    """Prove the same by a mode of one of these cells, or of a mean of any, that no gain moves; or return None.
+
+    Args:
+        cells: Those of which modes are looked at.
+    """
+    exact_A, exact_B = _shifted(A, B, rate, exact)
+    Z, eigenvalues = uncontrollable_modes([exact_A[i] for i in cells], exact_B)
+    if Z:
+        named = {cells[i]: value for i, value in eigenvalues.items()}
+        return Refutation(Z=whole({cells[i]: Z_i for i, Z_i in Z.items()}), eigenvalues=named)
+    at = corners(A).tolist()
+    mean = uncontrollable_mean(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
+    return None if mean is None else Refutation(Z={}, eigenvalues={}, between=mean.of(at))
+
+
+def _shifted(A: Array, B: Array, rate: float, exact: Exact | None) -> tuple[list[Rational], Rational]:
+    """Return A_i + rate I and B in exact numbers."""
+    numbers, exact_B = exact or ([decimals(A_i) for A_i in A], decimals(B))
+    return [A_i + scalar(rate) * identity(A.shape[1]) for A_i in numbers], exact_B
 
 
 def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
     """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one.
-
-    Args:
-        A, B, rate: As for `refute`.
 
     Example:
         >>> unstable = np.array([[[0.1]]])
@@ -112,7 +116,7 @@ def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
     seen = null_space(at.input(B).T)
     if not seen.shape[1]:
         return False
-    if seems_stuck_between(A + rate * np.eye(A.shape[1]), B):
+    if seems_uncontrollable(A + rate * np.eye(A.shape[1]), B):
         return True
     scaled = at.system(A + rate * np.eye(A.shape[1]))
     return sought(scaled, [seen] * len(A), orth(at.input(B)), gap=_HINT) is not None

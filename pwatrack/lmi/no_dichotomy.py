@@ -17,12 +17,11 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.conflict import alike
 from pwatrack.lmi.dichotomy import Dichotomy, prove_dichotomy
-from pwatrack.lmi.multipliers import whole
+from pwatrack.lmi.multipliers import conflict, whole
 from pwatrack.lmi.presolve import corners
 from pwatrack.lmi.role import Role
-from pwatrack.lmi.stuck import symmetric_part_of_spectrum
+from pwatrack.lmi.uncontrollable import symmetric_part_of_spectrum
 from pwatrack.rational import floats, on_rows, positive_eigenvalues
 
 
@@ -45,7 +44,6 @@ def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
     """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, or return None.
 
     Args:
-        role: Which inequality it takes the place of.
         M: The matrices M_i of it; those in the middle of their balls are what is proved of.
 
     Example: one cell has a mode that grows, the other has none.
@@ -64,11 +62,11 @@ def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
         N = symmetric_part_of_spectrum(M_i.centre)
         if N.nrows():
             rest = on_rows(M_i.centre, N)
-            found = alike(floats(rest)[None], [rest])
+            found = conflict(floats(rest)[None], None, [rest], None)
             if found is not None:
                 return NoDichotomy(Z=whole({i: N.transpose() * found[0] * N}), P={}, unstable={})
     at = corners(near).tolist()
-    found = alike(near[at], [middles[i].centre for i in at]) if len(at) > 1 else None
+    found = conflict(near[at], None, [middles[i].centre for i in at], None) if len(at) > 1 else None
     return None if found is None else NoDichotomy(Z=whole({at[i]: Z for i, Z in found.items()}), P={}, unstable={})
 
 

@@ -1,6 +1,6 @@
-"""The norm that a proof speaks of, and how large a matrix is from one such norm to another, proved exactly."""
+"""The norm that a proof speaks of, how large a matrix is in it, and by how much a gain may change: proved exactly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -11,7 +11,21 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Proof, unsure
-from pwatrack.rational import Rational, floats, identity, is_positive_definite, rational
+from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
+from pwatrack.rational import (
+    Rational,
+    diagonal,
+    doubles,
+    floats,
+    fraction_of,
+    identity,
+    is_positive_definite,
+    number,
+    scalar,
+)
+
+_LEAST = 1e-15  # of the largest eigenvalue of P: below that the least one is rounding
+_ABOVE = Fraction(1) + Fraction(1, 10**9)  # more than the rounding of a power
 
 
 @dataclass(frozen=True)
@@ -33,8 +47,7 @@ class Norm:
             >>> 5.0 <= Norm.in_sizes(np.array([0.5, 2.0]))(np.array([1.5, 8.0])) < 5.0 + 1e-14
             True
         """
-        n, squares = len(sizes), [1 / Fraction(size) ** 2 for size in sizes.tolist()]
-        return cls(rational([[squares[j] if j == k else Fraction(0) for k in range(n)] for j in range(n)], (n, n)))
+        return cls(diagonal([1 / Fraction(size) ** 2 for size in sizes.tolist()]))
 
     @classmethod
     def of(cls, proof: Proof) -> "Norm":
@@ -52,7 +65,7 @@ class Norm:
             >>> 5.0 <= Norm.euclidean(2)(np.array([3.0, 4.0])) < 5.0 + 1e-14
             True
         """
-        column = rational([[Fraction(float(v))] for v in vector], (len(vector), 1))
+        column = doubles(np.asarray(vector)[:, None])
         return root_above((column.transpose() * self.Q * column)[0, 0])
 
 
@@ -72,24 +85,111 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     size = X.transpose() * to.Q * X
     if not any(size.entries()):
         return 0.0
-    c, grow = _estimate(size, of.Q), 1e-9
-    while not is_positive_definite(_square(c * (1 + grow)) * of.Q - size):
-        grow *= 10  # the estimate was off by its rounding
+    c = _estimate(size, of.Q)
+    grow = _until(
+        1e-9, 10, lambda grow: is_positive_definite(of.Q * number(Fraction(c * (1 + grow)) ** 2) - size)
+    )  # of its rounding
     return c * (1 + grow)
 
 
-def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
-    """Return U diag(weights) Uᵀ, or an exact matrix above it for every U in the ball.
+@dataclass(frozen=True, kw_only=True)
+class Gauge:
+    """W(e) ≥ 0 with d/dt W ≤ −rate W + ‖w‖_driven along e' = A(t) e + w, and ‖e‖_below ≤ W(e) ≤ ‖e‖_above.
+
+    Of a quadratic proof W is a norm, and all three are it. Of a polynomial one W = V^(1/2d), and with
+    λ |z|^2d ≤ V ≤ Λ |z|^2d they are multiples of |z| = |T e|: λ^(1/2d), Λ^(1/2d) and √Λ λ^(−(d−1)/2d). The last since
+    V = mᵀ P m gives |∇V w| = 2 |mᵀ P ∇m w| ≤ 2 √V √Λ |∇m w|, and |∇m w| ≤ d |z|^(d−1) |w|, as m is z ⊗ … ⊗ z in other
+    coordinates.
+    """
+
+    above: Norm
+    below: Norm
+    driven: Norm
+
+    @classmethod
+    def of(cls, proof: AnyProof) -> "Gauge":
+        """Return that of a proof.
+
+        Example: (e₁² + e₂²)² measures as the length does.
+
+            >>> from pwatrack.lmi.role import OBSERVER
+            >>> P = ((2**39, 0, 0), (0, 2**40, 0), (0, 0, 2**39))
+            >>> proof = PolynomialProof(role=OBSERVER, degree=4, T=np.eye(2), integers=P, exponents=(0, 0, 0), N=(),
+            ...     N_exponents=(), rate=1.0)
+            >>> found = Gauge.of(proof)
+            >>> [round(norm(np.array([3.0, 4.0])) / 2**9.75, 5) for norm in (found.above, found.below, found.driven)]
+            [5.0, 5.0, 5.0]
+        """
+        if isinstance(proof, Proof):
+            norm = Norm.of(proof)
+            return cls(above=norm, below=norm, driven=norm)
+        d, (low, high) = proof.degree // 2, _limits(proof)
+        T = BallMatrix.of(proof.T).centre
+        square = T.transpose() * T
+        return cls(
+            above=Norm(square * number(Fraction(high ** (1 / d)) * _ABOVE)),
+            below=Norm(square * number(Fraction(low ** (1 / d)) / _ABOVE)),
+            driven=Norm(square * number(Fraction(high / low ** ((d - 1) / d)) * _ABOVE)),
+        )
+
+
+def largest_share(slack: Sequence[Rational], U: BallMatrix, V: BallMatrix, gain: Array) -> float:
+    """Return ρ ≤ 1 such that S_i − U δ Vᵀ − V δᵀ Uᵀ ≻ 0 for all i and all δ with |δ_jk| ≤ ρ |gain_jk|, proved exactly.
+
+    For any t_jk > 0, U δ Vᵀ + V δᵀ Uᵀ ⪯ ρ R with R = Σ_jk |gain_jk| (t_jk u_j u_jᵀ + v_k v_kᵀ / t_jk): so S_i − ρ R ≻ 0
+    is enough. The t_jk make both terms alike where the slack is least.
 
     Args:
-        U: (n, k).
-        weights: k numbers, none negative.
-        unit: n sizes, for the diagonal that is added; see `unsure`.
+        slack: S_i (n, n), positive definite.
+        U, V: (n, a) and (n, b); where they have irrational entries, it is proved for everything in their balls.
+        gain: (a, b), as printed.
+
+    Example: −2 (−3 + δ) − 2 > 0 for |δ| < 2, two thirds of 3.
+
+        >>> one = BallMatrix.of([[1]])
+        >>> 0.65 < largest_share([4 * one.centre], one, one, np.array([[3.0]])) < 2 / 3
+        True
     """
-    k = len(weights)
-    diagonal = rational([[w if j == i else Fraction(0) for i in range(k)] for j, w in enumerate(weights)], (k, k))
-    square = U @ BallMatrix(diagonal) @ U.transpose()
-    return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
+    S, u, v = np.array([floats(S_i) for S_i in slack]), U.floats, V.floats
+    size = np.abs(gain)
+    d = 1 / np.sqrt(S.diagonal(axis1=1, axis2=2).mean(axis=0))
+    try:
+        inverse = np.linalg.inv((S * d[:, None] * d).mean(axis=0))
+    except np.linalg.LinAlgError:
+        inverse = np.eye(len(d))
+    lengths = [np.einsum("ij,ik,kj->j", X, inverse, X) for X in (u * d[:, None], v * d[:, None])]
+    used = (size > 0) & (lengths[0][:, None] > 0) & (lengths[1] > 0)
+    if not used.any():
+        return 1.0
+    ratio = np.divide(lengths[1], lengths[0][:, None], out=np.ones_like(size), where=used)
+    t = np.sqrt(ratio)
+    unit = [Fraction(2) ** int(e) for e in np.round(-np.log2(d))]
+    R = square_above(U, _weights(size, t), unit) + square_above(V, _weights(size.T, t.T, inverse=True), unit)
+    change = floats(R) * d[:, None] * d
+    try:
+        share = 1 / max(float(eigh(change, S_i * d[:, None] * d, eigvals_only=True)[-1]) for S_i in S)
+    except np.linalg.LinAlgError:
+        share = 1.0
+    share = min(share, 1.0)
+    for _ in range(200):
+        share = float(f"{0.99 * share:.2e}")
+        if all(is_positive_definite(S_i - scalar(share) * R) for S_i in slack):
+            return share
+        share *= 0.9
+    return 0.0
+
+
+def _limits(proof: PolynomialProof) -> tuple[float, float]:
+    """Return λ and Λ with λ |z|^2d ≤ mᵀ P m ≤ Λ |z|^2d, proved exactly."""
+    monomials, P = proof.monomials, proof.P
+    scale = 1 / monomials.weights
+    values = np.linalg.eigvalsh(floats(P) * scale[:, None] * scale)
+    length = diagonal([Fraction(square) for square in monomials.squares])
+    least, most = float(max(values[0], _LEAST * values[-1])) * (1 - 1e-6), float(values[-1]) * (1 + 1e-6)
+    return (
+        _until(least, 0.5, lambda low: is_positive_definite(P - length * number(Fraction(low)))),
+        _until(most, 2.0, lambda high: is_positive_definite(length * number(Fraction(high)) - P)),
+    )
 
 
 def _estimate(size: Rational, Q: Rational) -> float:
@@ -104,9 +204,16 @@ def _estimate(size: Rational, Q: Rational) -> float:
     return float(np.sqrt(largest if trace / (2 * n) <= largest <= trace else trace))
 
 
-def _square(value: float) -> Any:
-    """Return the exact square."""
-    return rational([[Fraction(value) ** 2]], (1, 1))[0, 0]
+def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
+    """Return U diag(weights) Uᵀ, or an exact matrix above it for every U in the ball.
+
+    Args:
+        U: (n, k).
+        weights: k numbers, none negative.
+        unit: n sizes, for the diagonal that is added; see `unsure`.
+    """
+    square = U @ BallMatrix(diagonal(weights)) @ U.transpose()
+    return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
 
 
 def root_above(value: Any) -> float:
@@ -114,12 +221,29 @@ def root_above(value: Any) -> float:
 
     Example: numbers whose squares are no floats.
 
-        >>> [root_above(rational([[Fraction(10) ** k]], (1, 1))[0, 0]) for k in (-600, 0, 600)]
+        >>> [root_above(number(Fraction(10) ** k)) for k in (-600, 0, 600)]
         [1e-300, 1.0, 1e+300]
     """
-    exact = Fraction(int(value.p), int(value.q))
+    exact = fraction_of(value)
     shift = (exact.denominator.bit_length() - exact.numerator.bit_length()) // 2  # keeps floats away from their limits
     root = float(np.ldexp(np.sqrt(float(exact * Fraction(4) ** shift)), -shift))
     while Fraction(root) ** 2 < exact:
         root = float(np.nextafter(root, np.inf))
     return root
+
+
+def _until(value: float, factor: float, holds: Callable[[float], bool]) -> float:
+    """Return the first number, further and further away by a factor, for which something is proved."""
+    while not holds(value):
+        value *= factor
+    return value
+
+
+def _weights(size: Array, t: Array, *, inverse: bool = False) -> list[Fraction]:
+    """Return Σ_k size_jk t_jk, or with 1 / t_jk, for each j, exactly: sizes as printed, t to four bits."""
+    mantissa, exponent = np.frexp(t)
+    short = np.ldexp(np.round(16 * mantissa), exponent - 4)
+    return [
+        sum((Fraction(repr(v)) * Fraction(w) ** (-1 if inverse else 1) for v, w in zip(*row, strict=True)), Fraction(0))
+        for row in zip(size.tolist(), short.tolist(), strict=True)
+    ]

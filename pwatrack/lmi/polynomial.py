@@ -1,39 +1,175 @@
 """Polynomials that decay along every switching: sought where no quadratic form does.
 
 Let e' = A(t) e with A(t) in the convex hull of matrices A_i, and let m hold the monomials of degree d of z = T e; their
-lifts 𝒜_i are those of T A_i T⁻¹ (see `monomials`). If there are P ≻ 0 and N_i with
+lifts 𝒜_i are those of T A_i T⁻¹. If there are P ≻ 0 and N_i with
 
     sym(P 𝒜_i) + N_i + 2 d α P ≺ 0   and   mᵀ N_i m = 0 for all z,
 
-then V = mᵀ P m has V > 0 and V' < −2 d α V for all e ≠ 0. *Proof.* V > 0 since P ≻ 0 and m = 0 for z = 0 only. At
-A = Σ λ_i A_i the lift is Σ λ_i 𝒜_i, as it is linear in A; so V' = mᵀ sym(P 𝒜) m = Σ λ_i mᵀ (sym(P 𝒜_i) + N_i) m, which
-is below −2 d α mᵀ P m. ∎ Hence V(t) ≤ V(0) e^(−2dαt). V^(1/2d) is homogeneous of degree 1 and positive, so it lies
-between two multiples of |e|, and |e| falls as e^(−αt).
-
-With a disturbance, e' = A(t) e + w, V' ≤ −2 d α V + |∇V| |w|. ∇V is homogeneous of degree 2d − 1, so |∇V| is at most
-c V^((2d−1)/2d), and W = V^(1/2d) has W' ≤ −α W + c/(2d) |w|: errors stay bounded while w does, and go to 0 with it.
-That is what Theorems 2 and 3 use of (8), (9) and (17), and all they use: the difference of two solutions of a
-continuous piecewise affine system obeys such an e' = A(t) e + w.
+then V = mᵀ P m has V > 0 and V' < −2 d α V for all e ≠ 0, and |e| falls as e^(−αt). With a disturbance,
+e' = A(t) e + w, W = V^(1/2d) has W' ≤ −α W + c/(2d) |w|: errors stay bounded while w does, and go to 0 with it. That is
+what Theorems 2 and 3 use of (8), (9) and (17), and all they use: the difference of two solutions of a continuous
+piecewise affine system obeys such an e' = A(t) e + w. It is proved in `docs/theory/beyond.md`.
 
 For d = 1 there is no N but 0, and these are the inequalities of the paper. A term N_0 beside P would add nothing:
 P + N_0 has the same V, and the difference in sym(P 𝒜_i) is half of d/dt mᵀ N_0 m = 0.
+
+**Monomials.** For e ∈ ℝⁿ let m(e) hold the N = C(n + d − 1, d) monomials e^a of degree d. Along e' = A e they obey
+m' = 𝒜 m with 𝒜[a, a − ε_j + ε_k] = Σ a_j A_jk: the lift 𝒜 is linear in A, and its coefficients are whole numbers, none
+negative. A polynomial of degree 2d is mᵀ X m for many X: mᵀ N m is 0 for all e where the entries N_ab with the same
+a + b add up to 0, and only there.
+
+Counted in weights w_a = √(d! / a!) the monomials w_a e^a have |m|² = |e|^2d, and the lift of a rotation is one.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import combinations_with_replacement
+from math import comb, factorial, prod
 
+import flint
 import numpy as np
+from scipy import sparse
 from scipy.linalg import eigh
 
-from pwatrack.arrays import Array, symmetric_part
-from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.lmi.monomials import Monomials, symmetric_of, upper
+from pwatrack.arrays import Array, IntArray, symmetric_part
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.solve import semidefinite
+from pwatrack.rational import Rational
 
+Exponents = tuple[int, ...]
 DEGREES = (4, 6, 8, 10)  # that are tried
 MOST_ROWS = 1200  # of a program: one takes half a second then, its time grows as their cube
 TRIALS = 8  # rates that are tried
-_ENCLOSED = 1e-2  # of a rate that is out of reach: where the best one is that near, the search ends
+_ENCLOSED = 1 / 99  # of the best rate: where one that is out of reach is that near, the search ends
 _DIGITS = 12  # binary, of the coordinates
+
+
+@dataclass(frozen=True)
+class Monomials:
+    """Those of degree d in n variables, e_1^d first, in falling order of their exponents.
+
+    Example: along e' = −e every product of two entries falls as e^(−2t).
+
+        >>> two = Monomials.of(2, 2)
+        >>> two.exponents, two.lift(-np.eye(2)[None]).tolist()
+        (((2, 0), (1, 1), (0, 2)), [[[-2.0, 0.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, -2.0]]])
+    """
+
+    n: int
+    d: int
+
+    @staticmethod
+    @cache
+    def of(n: int, d: int) -> "Monomials":
+        """Return them; equal ones are one object."""
+        return Monomials(n, d)
+
+    def __len__(self) -> int:
+        """Return N."""
+        return comb(self.n + self.d - 1, self.d)
+
+    @cached_property
+    def exponents(self) -> tuple[Exponents, ...]:
+        """Those of each monomial."""
+        chosen = combinations_with_replacement(range(self.n), self.d)
+        return tuple(tuple(some.count(j) for j in range(self.n)) for some in chosen)
+
+    @cached_property
+    def squares(self) -> tuple[int, ...]:
+        """The squares of the weights, d! / a!: Σ w_a² e^2a = |e|^2d."""
+        return tuple(factorial(self.d) // prod(map(factorial, a)) for a in self.exponents)
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weights, (N,)."""
+        return np.sqrt(np.array(self.squares, dtype=np.float64))
+
+    @cached_property
+    def _moves(self) -> IntArray:
+        """Rows (a, b, j, k, a_j): the lift has a_j A_jk in its entry (a, b), beside what else is there."""
+        at = {a: place for place, a in enumerate(self.exponents)}
+        rows = [
+            (at[a], at[_moved(a, j, k)], j, k, a[j])
+            for a in self.exponents
+            for j in range(self.n)
+            for k in range(self.n)
+            if a[j]
+        ]
+        return np.array(rows, dtype=np.int64).reshape(-1, 5)
+
+    def lift(self, A: Array) -> Array:
+        """Return the lifts of A (l, n, n) for the monomials in weights, (l, N, N)."""
+        rows, columns, j, k, times = self._moves.T
+        lifts = np.zeros((len(self), len(self), len(A)))
+        np.add.at(lifts, (rows, columns), times[:, None] * A[:, j, k].T)
+        return np.asarray(lifts.transpose(2, 0, 1) * self.weights[:, None] / self.weights)
+
+    def exactly(self, A: BallMatrix) -> BallMatrix:
+        """Return the lift of an exact matrix for the monomials e^a, with all lifts of what is in its ball."""
+        return BallMatrix(self._lifted(A.centre), None if A.radius is None else self._lifted(A.radius))
+
+    def _lifted(self, A: Rational) -> Rational:
+        found = flint.fmpq_mat(len(self), len(self))
+        for row, column, j, k, times in self._moves.tolist():
+            found[row, column] += times * A[j, k]
+        return found
+
+    @cached_property
+    def products(self) -> Mapping[Exponents, tuple[tuple[int, int], ...]]:
+        """The pairs (a, b), a ≤ b, of monomials with each product."""
+        found: dict[Exponents, list[tuple[int, int]]] = {}
+        for j, a in enumerate(self.exponents):
+            for k, b in enumerate(self.exponents[j:], j):
+                found.setdefault(tuple(s + t for s, t in zip(a, b, strict=True)), []).append((j, k))
+        return {product: tuple(pairs) for product, pairs in found.items()}
+
+    @cached_property
+    def nothing(self) -> sparse.csc_matrix:
+        """Orthonormal columns that span all N with mᵀ N m = 0, m in weights, each as `upper` has it."""
+        place, columns = upper_place(len(self)), list[tuple[Array, list[int]]]()
+        for pairs in self.products.values():
+            v = np.array([self.weights[j] * self.weights[k] * (1.0 if j == k else np.sqrt(2.0)) for j, k in pairs])
+            basis = np.linalg.qr(np.column_stack([v, np.eye(len(pairs))[:, 1:]]))[0][:, 1:]
+            columns += [(column, [place[pair] for pair in pairs]) for column in basis.T]
+        entries = np.concatenate([np.zeros(0), *(column for column, _ in columns)])
+        rows = [row for _, places in columns for row in places]
+        ends = np.cumsum([0, *(len(places) for _, places in columns)])
+        return sparse.csc_matrix((entries, rows, ends), shape=(len(place), len(columns)))
+
+
+def upper(X: Array) -> Array:
+    """Return the upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2.
+
+    Example:
+        >>> upper(np.array([[[1.0, 0.0], [0.0, 4.0]]])).tolist()
+        [[1.0, 0.0, 4.0]]
+    """
+    column, row = np.tril_indices(X.shape[-1])
+    return np.asarray(X[..., row, column] * np.where(row == column, 1.0, np.sqrt(2.0)))
+
+
+def symmetric_of(x: Array, N: int) -> Array:
+    """Return the symmetric matrices (l, N, N) with these upper triangles (l, N (N + 1) / 2)."""
+    column, row = np.tril_indices(N)
+    X = np.zeros((*x.shape[:-1], N, N))
+    X[..., row, column] = X[..., column, row] = x / np.where(row == column, 1.0, np.sqrt(2.0))
+    return X
+
+
+def upper_place(N: int) -> dict[tuple[int, int], int]:
+    """Return where `upper` has the entry (j, k), j ≤ k."""
+    return {(j, k): k * (k + 1) // 2 + j for k in range(N) for j in range(k + 1)}
+
+
+def _moved(a: Exponents, j: int, k: int) -> Exponents:
+    """Return a − ε_j + ε_k."""
+    moved = list(a)
+    moved[j] -= 1
+    moved[k] += 1
+    return tuple(moved)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,19 +235,10 @@ def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = T
     if not 0 < speed < np.inf:
         return None
     sought = _Sought(G / speed, Monomials.of(A.shape[1], degree // 2))
-    slow, fast, best = 0.0, -float(np.linalg.eigvals(A).real.max()) / speed, None
-    for trial in range(trials):
-        found = sought.at((slow + fast) / 2 if trial else 0.0)
-        if found is None and best is None:
-            return None
-        if found is None:
-            fast = (slow + fast) / 2
-        else:
-            best, slow = found, found[2]
-        if fast - slow <= _ENCLOSED * fast:
-            break
-    assert best is not None
-    P, N, rate = best
+    fast, first = -float(np.linalg.eigvals(A).real.max()) / speed, sought.at(0.0)
+    if first is None:
+        return None
+    rate, (P, N), _ = bisected(first, fast, sought.at, near=_ENCLOSED, most=trials - 1)
     return Polynomial(A=A, degree=degree, T=T, P=P, N=N * speed, rate=rate * speed)
 
 
@@ -140,8 +267,8 @@ class _Sought:
         self.maps = [upper(symmetric_part(basis @ lift)).T for lift in self.lifts]
         self.of_P = upper(symmetric_part(basis)).T  # of sym(P), 2 P
 
-    def at(self, rate: float) -> tuple[Array, Array, float] | None:
-        """Return P, N_i and the rate that they show, at least this one; None if none is found."""
+    def at(self, rate: float) -> tuple[float, tuple[Array, Array]] | None:
+        """Return the rate that is shown, at least this one, with P and N_i that do; None if none is found."""
         cells, free = len(self.lifts), self.nothing.shape[1]
         G = np.zeros((cells + 2, self.size, 1 + self.size + cells * free))
         G[:, :, 0] = self.one
@@ -165,7 +292,7 @@ class _Sought:
         N = symmetric_of((self.nothing @ y.T).T, self.order)
         return self._shown(P, N, rate)
 
-    def _shown(self, P: Array, N: Array, rate: float) -> tuple[Array, Array, float] | None:
+    def _shown(self, P: Array, N: Array, rate: float) -> tuple[float, tuple[Array, Array]] | None:
         """Return them with the largest rate for which all slacks are definite, if it is above the one given."""
         left = symmetric_part(P @ self.lifts) + N
         if not np.isfinite(left).all():
@@ -174,4 +301,4 @@ class _Sought:
             shown = min(-float(eigh(side, P, eigvals_only=True)[-1]) for side in left) / (2 * self.d)
         except np.linalg.LinAlgError:  # P is not positive definite to working precision
             return None
-        return (P, N, shown) if shown > rate else None
+        return (shown, (P, N)) if shown > rate else None

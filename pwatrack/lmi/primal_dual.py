@@ -70,7 +70,6 @@ def solve(
     """Minimise from an infeasible start.
 
     Args:
-        program: What is asked.
         gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
         against: A number; ends where the objective is less, and where it cannot be, of which P and Y need not be exact:
             `gap` is a share of the distance.

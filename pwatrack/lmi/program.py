@@ -188,22 +188,28 @@ class Solution:
         return np.asarray(np.linalg.lstsq(columns, -rest.ravel())[0])
 
 
-def largest_margin(inequality: Inequality, most: float | None = None) -> Program:
+def largest_margin(inequality: Inequality, most: float | None = None, *, any_sign: bool = False) -> Program:
     """Maximise t subject to F_i(P, Y) ⪯ −t I for all cells and t I ⪯ P ⪯ I, t ≤ 1, and ‖Y‖ ≤ most where that is given.
 
-    Without a bound Y may become large for a margin that is hardly better.
+    Without a bound Y may become large for a margin that is hardly better. For a P of any sign −I ⪯ P in place of t I.
     """
-    n, N = inequality.n, inequality.L.shape[1]
+    n, N, eye = inequality.n, inequality.L.shape[1], np.eye(inequality.n)
     return Program(
         constraints=(
             replace(inequality, T=np.broadcast_to(np.eye(N), inequality.constant.shape)),
-            of_P(inequality, -1.0, np.eye(n), T=np.eye(n)),
-            of_P(inequality, 1.0, np.eye(n), constant=-np.eye(n)),
+            of_P(inequality, -1.0, constant=-eye) if any_sign else of_P(inequality, -1.0, T=eye),
+            of_P(inequality, 1.0, constant=-eye),
             of_P(inequality, 1.0, np.zeros((1, n)), constant=-np.eye(1), T=np.eye(1)),
-            *([] if most is None or not inequality.m else [norm_of_Y(inequality, most)]),
+            *([] if most is None or not inequality.m else [_norm_of_Y(inequality, most)]),
         ),
         price=-1.0,
     )
+
+
+def _norm_of_Y(like: Inequality, most: float) -> Inequality:
+    """Return ‖Y‖ ≤ most, as [most I, Y; Yᵀ, most I] ⪰ 0."""
+    nothing, eye = np.zeros((like.n, like.n)), np.eye(like.n)
+    return bound_of_gain(like, np.eye(like.m), most=most, factors=(nothing, eye), constant=-most * eye)
 
 
 def least_violation(inequalities: Sequence[Inequality], definite: int | None = None) -> Program:
@@ -242,7 +248,7 @@ def least_condition(inequality: Inequality, unit: Array) -> Program:
     return Program(
         constraints=(
             inequality,
-            of_P(inequality, -1.0, np.eye(inequality.n), T=unit / values[-1]),
+            of_P(inequality, -1.0, T=unit / values[-1]),
             of_P(inequality, 1.0, narrow.T, constant=-np.eye(len(unit))),
         ),
         price=-1.0,
@@ -251,7 +257,7 @@ def least_condition(inequality: Inequality, unit: Array) -> Program:
 
 def least_trace(inequality: Inequality) -> Program:
     """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
-    return Program(constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))), price=0.0)
+    return Program(constraints=(inequality, of_P(inequality, -1.0)), price=0.0)
 
 
 def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> Program:
@@ -262,7 +268,7 @@ def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) ->
         W: (n, n), positive semidefinite.
         above: D (n, n), positive semidefinite.
     """
-    more = () if above is None else (of_P(inequality, -1.0, np.eye(inequality.n), constant=above),)
+    more = () if above is None else (of_P(inequality, -1.0, constant=above),)
     return Program(constraints=(inequality, *more), price=0.0, cost=W)
 
 
@@ -274,7 +280,7 @@ def least_cost(inequality: Inequality, weight: Array) -> Program:
         weight: V (n, n): its rows are the initial states whose costs are added up.
     """
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n))),
+        constraints=(inequality, of_P(inequality, -1.0)),
         price=0.0,
         weight=weight / np.linalg.norm(weight, 2),
     )
@@ -293,8 +299,8 @@ def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array)
     return Program(
         constraints=(
             inequality,
-            of_P(inequality, -1.0, np.eye(inequality.n), constant=_metric(metric_root)),
-            _bound_of_gain(inequality, input_root),
+            of_P(inequality, -1.0, constant=_metric(metric_root)),
+            bound_of_gain(inequality, input_root),
         ),
         price=1.0,
     )
@@ -328,7 +334,7 @@ def smaller_gain(
     norm = max(float(np.linalg.norm(scale * input_root @ Y @ columns, 2)), _LEAST_NORM)
     P0 = scale * P if first is None else last[0]
     tangent = np.linalg.solve(metric_root, P0 @ columns)
-    gain = _bound_of_gain(
+    gain = bound_of_gain(
         inequality,
         input_root / norm,
         columns=columns,
@@ -336,7 +342,7 @@ def smaller_gain(
         constant=tangent.T @ tangent,
     )
     return Program(
-        constraints=(inequality, of_P(inequality, -1.0, np.eye(inequality.n)), gain),
+        constraints=(inequality, of_P(inequality, -1.0), gain),
         price=1.0,
     )
 
@@ -346,36 +352,38 @@ def _metric(root: Array) -> Array:
     return np.asarray(root @ root.T / np.linalg.norm(root, 2) ** 2)
 
 
-def _bound_of_gain(
+def bound_of_gain(
     like: Inequality,
-    input_root: Array,
+    E: Array,
     *,
+    most: float | None = None,
     columns: Array | None = None,
     factors: tuple[Array, Array] | None = None,
     constant: Array | None = None,
 ) -> Inequality:
-    """Return [t I, E Y X; ·, sym(V P W) − C] ⪰ 0 with t for κ²; X = I, V = I / 2, W = I, C = 0 by default."""
-    n, m = like.n, like.m
-    eye, low, right = np.eye(n), np.vstack([np.zeros((m, n)), np.eye(n)]), np.hstack([np.zeros((n, m)), np.eye(n)])
+    """Return [t I, E Y X; ·, sym(V P W) − C] ⪰ 0, or with a number for t; X = I, V = I / 2, W = I, C = 0 by default."""
+    n, k = like.n, len(E)
+    eye, low, right = np.eye(n), np.vstack([np.zeros((k, n)), np.eye(n)]), np.hstack([np.zeros((n, k)), np.eye(n)])
     V, W = (eye / 2, eye) if factors is None else factors
-    corner = np.zeros((1, m + n, m + n))
-    corner[0, :m, :m] = -np.eye(m)
-    known = np.zeros_like(corner)
-    known[0, m:, m:] = 0.0 if constant is None else constant
+    corner = np.zeros((1, k + n, k + n))
+    corner[0, :k, :k] = -np.eye(k)
+    known = np.zeros_like(corner) if most is None else most * corner
+    known[0, k:, k:] = 0.0 if constant is None else constant
     return Inequality(
         L=-(low @ V)[None],
         R=(W @ right)[None],
-        M=-np.vstack([input_root, np.zeros((n, m))])[None],
+        M=-np.vstack([E, np.zeros((n, like.m))])[None],
         N=(right if columns is None else columns @ right)[None],
         constant=known,
-        T=corner,
+        T=corner if most is None else None,
     )
 
 
 def of_P(
-    like: Inequality, sign: float, V: Array, *, constant: Array | None = None, T: Array | None = None
+    like: Inequality, sign: float, V: Array | None = None, *, constant: Array | None = None, T: Array | None = None
 ) -> Inequality:
-    """Return sign · V P Vᵀ + constant + t T ⪯ 0 for the P of an inequality."""
+    """Return sign · V P Vᵀ + constant + t T ⪯ 0 for the P of an inequality; V = I by default."""
+    V = np.eye(like.n) if V is None else V
     N = len(V)
     return Inequality(
         L=sign / 2 * V[None],
@@ -384,16 +392,4 @@ def of_P(
         N=np.zeros((1, like.n, N)),
         constant=np.zeros((1, N, N)) if constant is None else constant[None],
         T=None if T is None else T[None],
-    )
-
-
-def norm_of_Y(like: Inequality, most: float) -> Inequality:
-    """Return ‖Y‖ ≤ most for the Y of an inequality, as [most I, Y; Yᵀ, most I] ⪰ 0."""
-    n, m = like.n, like.m
-    return Inequality(
-        L=np.zeros((1, m + n, n)),
-        R=np.zeros((1, n, m + n)),
-        M=-np.eye(m + n, m)[None],
-        N=np.hstack([np.zeros((n, m)), np.eye(n)])[None],
-        constant=-most * np.eye(m + n)[None],
     )

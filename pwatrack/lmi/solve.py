@@ -62,7 +62,6 @@ def solve(
     """Return a minimiser of a program, or None if nothing was found.
 
     Args:
-        program: What is asked.
         gap: Share of the objective that may be missed; PICOS' solvers miss less.
         against: It is enough to know whether the objective can be below this number: see `primal_dual`.
         after: The answer to a program that differs little, as the one before it in a sequence.

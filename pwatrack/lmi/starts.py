@@ -1,11 +1,8 @@
 """From which starts a switched system keeps some linear forms small for good: an ellipsoid around them, proved exactly.
 
 Let z' = M(t) z with M(t) in the convex hull of the M_p, and z(0) = G ζ with |ζ_k| ≤ 1, a box seen through G = [g_1 …].
-For weights w_k > 0 with Σ w_k ≤ 1 and every v, by Cauchy and Schwarz
-
-    (vᵀ z(0))² ≤ (Σ |vᵀ g_k|)² ≤ Σ w_k · Σ (vᵀ g_k)² / w_k,      so      z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ.
-
-With Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
+For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved in `docs/theory/beyond.md`). With
+Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
 |c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., Linear Matrix Inequalities in System and Control Theory,
 1994, section 5.2). What holds from z(0) holds in proportion from multiples of it.
 """
@@ -20,13 +17,11 @@ from scipy.linalg import eigh, solve_triangular
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.ellipsoid import Inner, change, rounded, squares
-from pwatrack.lmi.exact import unpacked
-from pwatrack.lmi.inequality import lyapunov
-from pwatrack.lmi.limited import farthest_starts
-from pwatrack.lmi.norm import root_above
+from pwatrack.lmi.ellipsoid import Inner, enclosure
+from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.inequality import Inequality, lyapunov
+from pwatrack.lmi.program import Program, of_P
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import decimals, is_positive_definite
 
 _DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
 WEIGHINGS = 3  # times that the weights of the directions are chosen anew
@@ -37,25 +32,22 @@ _SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in, until it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class Held(Packed):
     """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
 
-    Where M_p or c have irrational entries, for everything in their balls.
+    Where M_p or c have irrational entries, for everything in their balls. So |c z| ≤ size at all times.
 
     Attributes:
-        integers, exponents: Q_jk = integers_jk · 2^(exponents_j + exponents_k).
         weights: w_k, short decimals; one for each column of G.
-        sizes: One for each c, rounded up: |c z| ≤ size at all times.
+        sizes: One for each c, rounded up.
     """
 
-    integers: tuple[tuple[int, ...], ...]
-    exponents: tuple[int, ...]
     weights: tuple[float, ...]
     sizes: tuple[float, ...]
 
 
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> Held | None:
-    """Return an ellipsoid around starts in which the forms are small, the largest of |c z| / most as small as can be.
+    """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
 
     Args:
         M: The matrices M_p (N, N).
@@ -63,9 +55,6 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         forms: The rows c, (s, N).
         most: What each of them is held against, (s,), positive; infinite for what does not count.
         inner: What to start from.
-
-    Returns:
-        The ellipsoid, or None if none could be proved.
 
     Example: z' = −z from |z(0)| ≤ 3, seen as 2 z.
 
@@ -93,7 +82,17 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         return None
     all_weights = np.full(G.shape[1], _LEAST / G.shape[1])
     all_weights[acts] = best[1]
-    return _proved(M, G, forms, best[0], np.array([*_short(all_weights / all_weights.sum())]), inner.Q)
+    weights = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
+    short, decimal = tuple((np.maximum(weights, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
+    proved = enclosure(M, forms, _mixed(best[0], inner.Q), around=(decimal, [1 / Fraction(repr(w)) for w in short]))
+    return None if proved is None else Held(weights=short, sizes=proved[1], **proved[0].parts)
+
+
+def _mixed(Q: Array, far: Array) -> Iterator[Array]:
+    """Yield what is a little larger than Q, then with more and more of another one mixed in."""
+    for share, room in product(_SHARES, _ROOM):
+        shape = (1 - share) * Q + share * float(np.trace(Q) / np.trace(far)) * far
+        yield (shape + shape.T) / 2 * float(1 + 1e-5 + room + 2 * share)
 
 
 def weighed(G: Array, Q: Array) -> Array:
@@ -109,12 +108,6 @@ def weighed(G: Array, Q: Array) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _short(weights: Array) -> Iterator[float]:
-    """Yield weights as short decimals, none larger."""
-    for w in weights.tolist():
-        yield max(np.floor(w * 1e7 - 1), 1.0) / 1e7
-
-
 def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> Array | None:
     """Return Q ⪰ G diag(1 / w) Gᵀ with the least of the largest c Q cᵀ, in floating point.
 
@@ -128,7 +121,7 @@ def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> 
     starts = directions @ directions.T
     starts = starts / float(np.linalg.norm(starts, 2))
     forms = forms / float(np.linalg.norm(forms, axis=1).max())
-    solution = solve(farthest_starts(lyapunov(scaled, _DECAY), forms[forms.any(axis=1)], starts), gap=_NEAR)
+    solution = solve(_farthest_starts(lyapunov(scaled, _DECAY), forms[forms.any(axis=1)], starts), gap=_NEAR)
     if solution is None or not solution.t > 0:
         return None
     Q, needed = V @ solution.P @ V.T, G / np.sqrt(weights)
@@ -139,20 +132,23 @@ def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> 
     return Q * share
 
 
-def _proved(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, Q: Array, weights: Array, far: Array) -> Held | None:
-    """Round Q to short numbers and prove the inequalities, or return None."""
-    columns = decimals(G)
-    inverse = decimals(np.diag(weights)).inv()
-    around = columns * inverse * columns.transpose()
-    for share, room in product(_SHARES, _ROOM):
-        shape = (1 - share) * Q + share * float(np.trace(Q) / np.trace(far)) * far
-        integers, exponents = rounded((shape + shape.T) / 2 * float(1 + 1e-5 + room + 2 * share))
-        exact, unit = unpacked(integers, exponents), [Fraction(2) ** e for e in exponents]
-        if (
-            is_positive_definite(exact)
-            and is_positive_definite(exact - around)
-            and all(is_positive_definite(-change(X, exact, unit)) for X in M)
-        ):
-            sizes = tuple(root_above(square) for square in squares(forms, exact))
-            return Held(integers=integers, exponents=exponents, weights=tuple(weights.tolist()), sizes=sizes)
-    return None
+def _farthest_starts(inequality: Inequality, rows: Array, starts: Array) -> Program:
+    """Maximise t subject to F_i(P) ⪯ 0 for all cells, P ⪰ t Σ, P ⪯ 1e6 I and c P cᵀ ≤ 1 for some rows c.
+
+    What starts in √t times an ellipsoid, {z: z zᵀ ⪯ Σ}, then has |c z| ≤ 1.
+
+    Args:
+        inequality: From `lyapunov`.
+        rows: c, (s, n), of size 1 at most.
+        starts: Σ (n, n), positive semidefinite, of size 1.
+    """
+    eye = np.eye(inequality.n)
+    return Program(
+        constraints=(
+            inequality,
+            of_P(inequality, -1.0, eye, T=starts),
+            of_P(inequality, 1.0, 1e-3 * eye, constant=-eye),
+            *(of_P(inequality, 1.0, row[None], constant=-np.eye(1)) for row in rows),
+        ),
+        price=-1.0,
+    )

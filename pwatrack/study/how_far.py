@@ -1,21 +1,27 @@
 """How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.control.convergence import FEW_ROWS
-from pwatrack.control.feasible import common_P, polynomial, some_gain
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, different, stack
+from pwatrack.control.candidates import Candidates
+from pwatrack.control.convergence import FEW_ROWS, first_certificate, near_polynomial
 from pwatrack.control.goal import Given
 from pwatrack.control.task import Task
 from pwatrack.errors import PwatrackError
+from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.dichotomy import prove_dichotomy
-from pwatrack.lmi.infeasibility import Impossibility
+from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
+from pwatrack.lmi.infeasibility import Impossibility, seems_impossible
 from pwatrack.lmi.no_dichotomy import NoDichotomy
-from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
+from pwatrack.lmi.polynomial import best_polynomial, degrees
+from pwatrack.lmi.presolve import distinct
+from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.expression import Expression
@@ -75,11 +81,6 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
 
     Each independent parameter of the file that enters it is moved by itself: outwards in growing steps, then by
     bisection between the last value without a proof and the first with one.
-
-    Args:
-        spec: What was asked, and
-        evidence: what the refusal of it proves.
-        progress: Is told what is being looked at.
 
     Returns:
         What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
@@ -179,7 +180,7 @@ class _Inequality:
 
         def proved(value: float) -> bool:
             M = self._matrices(name, value) if self._paid() else None
-            proof = None if M is None else polynomial(self._role, M, most_rows=FEW_ROWS)
+            proof = None if M is None else _polynomial(self._role, M, most_rows=FEW_ROWS)
             if proof is not None:
                 seen[value] = proof.degree
             return proof is not None
@@ -192,7 +193,7 @@ class _Inequality:
         task = self._task(self._spec.problem.plant)
 
         def proved(rate: float) -> bool:
-            return self._paid() and some_gain(task, _ROOM * rate) is not None
+            return self._paid() and _some_gain(task, _ROOM * rate) is not None
 
         slow = _short(self._rate / 2)
         while not proved(slow):
@@ -203,15 +204,9 @@ class _Inequality:
 
     def _bisected(self, proved: Callable[[float], bool], without: float, value: float) -> float:
         """Return the value nearest to one without a proof that has one, by bisection."""
-        while abs(value - without) > _CLOSE * abs(value):
-            middle = _short((value + without) / 2)
-            if middle in (value, without):
-                break
-            if proved(middle):
-                value = middle
-            else:
-                without = middle
-        return value
+        return bisected(
+            (value, None), without, lambda v: (v, None) if proved(v) else None, near=_CLOSE, middle=_middle
+        )[0]
 
     def _proved(self, name: str, value: float) -> bool:
         if not self._paid():
@@ -220,10 +215,10 @@ class _Inequality:
             M = self._matrices(name, value)
             return M is not None and self._has_P(M)
         plant = self._plant(name, value)
-        return plant is not None and some_gain(self._task(plant), _ROOM * self._rate) is not None
+        return plant is not None and _some_gain(self._task(plant), _ROOM * self._rate) is not None
 
     def _has_P(self, M: list[BallMatrix]) -> bool:
-        if common_P(self._role, M) is not None:
+        if _common_P(self._role, M) is not None:
             return True
         return self._any_sign and prove_dichotomy(self._role, M) is not None
 
@@ -277,6 +272,68 @@ class _Inequality:
         return False
 
 
+def _middle(one: float, other: float) -> float:
+    return _short((one + other) / 2)
+
+
 def _short(value: float) -> float:
     """Return a number of few digits."""
     return float(np.format_float_scientific(value, precision=_DIGITS - 1))
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
+def _common_P(role: Role, M: Sequence[BallMatrix], *, sizes: Array | None = None) -> Proof | None:
+    """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found.
+
+    Example:
+        >>> from pwatrack.lmi.role import GENERATOR
+        >>> M = BallMatrix.of([[-1.0, 1.0], [0.0, -2.0]])
+        >>> _common_P(GENERATOR, [M]).rate > 0, _common_P(GENERATOR, [M, M - M])
+        (True, None)
+    """
+    exact = different(M)
+    found = first_certificate(stack(exact), sizes=sizes)
+    return None if found is None else prove_exactly(role, exact, found.P, found.rate)
+
+
+def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> PolynomialProof | None:
+    """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found.
+
+    Example: the zero dynamics of the example with k2 = 1.
+
+        >>> from pwatrack.lmi.role import CONTROLLER
+        >>> M = [BallMatrix.of([["0", "1"], [k, "-0.3"]]) for k in ("-1", "-2")]
+        >>> _polynomial(CONTROLLER, M, most_rows=250).degree
+        10
+    """
+    exact = different(M)
+    A = distinct(role.oriented(stack(exact)))[0]
+    tried = degrees(A.shape[1], len(A), most_rows)
+    if not tried or not np.linalg.eigvals(A).real.max() < 0:
+        return None
+    found = best_polynomial(A, tried[-1], near_polynomial(A), trials=1)
+    return None if found is None else prove_polynomial(role, exact, found)
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def _some_gain(task: Task, rate: float) -> Array | None:
+    """Return a gain K, or Lᵀ, that is proved exactly to reach a rate (1/s), of whatever size; None where none is found.
+
+    Example: a double integrator has no largest rate, and one that is not controllable has.
+
+        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
+        >>> _some_gain(Task(A=A, B=B, cells=["all"]), 3.0).shape
+        (1, 2)
+        >>> _some_gain(Task(A=-np.eye(2)[None], B=B, cells=["all"]), 3.0) is None
+        True
+    """
+    candidates = Candidates.of(task)
+    if seems_impossible(candidates.A, task.B, rate=rate):
+        return None
+    for candidate in candidates.largest_margins(rate):
+        found = None if candidate.P is None else task.reached(candidate.K, candidate.P, rate)
+        if found is not None:
+            proof = prove_exactly(task.role, different(task.exactly_closed(candidate.K)), found.P, found.rate)
+            if proof is not None and proof.rate >= rate:
+                return candidate.K
+    return None

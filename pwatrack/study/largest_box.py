@@ -4,14 +4,15 @@ from dataclasses import dataclass
 
 from pwatrack.control.controller import Controller
 from pwatrack.errors import OutsideTheory, Undecided
+from pwatrack.lmi.bisection import bisected
 from pwatrack.model.box import Box
 from pwatrack.real import Real
 from pwatrack.spec.spec import Spec
 from pwatrack.study.pipeline import prove_for_box
 
-_NEAR = 0.01  # of the factor: where the search ends
-_MOST = 64.0  # times
-_TRIALS = 16  # from 1 up to the largest factor in doublings, then ten halvings
+_NEAR = 1 / 99  # of the factor: where the search ends
+_DOUBLED = tuple(2.0**k for k in range(7))  # factors that are tried first
+_TRIALS = 16  # together with these: ten halvings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,20 +51,25 @@ def largest_box(spec: Spec, controller: Controller) -> LargestBox:
         >>> largest_box(wide, design(spec)).factor > 1
         True
     """
-    low, high, factor, refusal = 0.0, _MOST, 1.0, Undecided()
-    failed = False
-    for _ in range(_TRIALS):
+    uncertain, refusals = spec.objectives.uncertain, [Undecided()]
+
+    def at(factor: float) -> tuple[float, None] | None:
         try:
-            prove_for_box(spec, controller, scaled(spec.objectives.uncertain, factor))
-            low = factor
+            prove_for_box(spec, controller, scaled(uncertain, factor))
         except (Undecided, OutsideTheory) as error:
-            high, failed, refusal = factor, True, Undecided(*error.problems)
-        if high - low <= _NEAR * high:
+            refusals.append(Undecided(*error.problems))
+            return None
+        return factor, None
+
+    low, beyond = 0.0, None
+    for tried, factor in enumerate(_DOUBLED, 1):
+        if at(factor) is None:
+            low, _, beyond = bisected((low, None), factor, at, near=_NEAR, most=_TRIALS - tried, middle=_middle)
             break
-        factor = _short((low + high) / 2 if failed else min(2 * factor, _MOST))
+        low = factor
     if not low:
-        raise refusal
-    return LargestBox(factor=low, beyond=high if failed else None, box=scaled(spec.objectives.uncertain, low))
+        raise refusals[-1]
+    return LargestBox(factor=low, beyond=beyond, box=scaled(uncertain, low))
 
 
 def scaled(box: Box, factor: float) -> Box:
@@ -71,6 +77,6 @@ def scaled(box: Box, factor: float) -> Box:
     return tuple(interval.scaled(Real.of(factor)) for interval in box)
 
 
-def _short(value: float) -> float:
+def _middle(one: float, other: float) -> float:
     """Return a number of four digits."""
-    return float(f"{value:.4g}")
+    return float(f"{(one + other) / 2:.4g}")

@@ -7,7 +7,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.limits import OFF, Peak, Room, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
-from pwatrack.lmi.certificate import Certificate
+from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak, w_alone
 from pwatrack.simulation.startup import steady_start
@@ -22,12 +22,6 @@ def room_within_limits(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
 ) -> Room | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
-
-    Args:
-        spec: What is asked.
-        trajectory: What makes u_ff.
-        generator: That of output tracking.
-        sizes: Those of its signals.
 
     Raises:
         OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
@@ -77,8 +71,6 @@ def _goes_on(
     (17), or if it rests from the start on, inside of a cell.
 
     Args:
-        trajectory: What makes u_ff.
-        generator: That of output tracking.
         peak: What was found in the run, and in a period.
         ends: η̂(0), and that of the steady state, where there is one.
         duration: Of the run, in s.

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 from pwatrack.arrays import up
 from pwatrack.claims.practical import Practical, deviation_bounds, least_merges
-from pwatrack.control.applicability import exact_is_open, practical_is_open
+from pwatrack.control.applicability import Facts, exact_is_open, practical_is_open
 from pwatrack.control.controller import Controller
 from pwatrack.control.modes import check_modes
-from pwatrack.control.route import Facts
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
@@ -40,7 +39,6 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     """Check what can be known before gains are sought; of the merged plant where practical tracking is to be tried.
 
     Args:
-        spec: What is asked.
         facts: What is known of its plant, as from `applicability`.
 
     Returns:
@@ -80,8 +78,6 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     of what is tracked is taken.
 
     Args:
-        spec: What is asked.
-        refusal: Why exact tracking is refused.
         designed: Designs for a spec, whatever its plant, without claims.
     """
     plant, failed = spec.problem.plant, list[PwatrackError]()
@@ -126,7 +122,6 @@ def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> 
     """Return what is designed for: the same for the plant in which some elements are merged.
 
     Args:
-        spec: What is asked.
         ways: How elements of its plant are merged.
         watched: Whether the observer runs the true cells.
     """

@@ -12,10 +12,10 @@ from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import Controller
 from pwatrack.control.goal import Given
 from pwatrack.control.limits import Room
+from pwatrack.control.modes import check_loads
 from pwatrack.control.program import Program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
-from pwatrack.control.visibility import check_loads
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.solve import asking
 from pwatrack.model.box import Box
@@ -46,7 +46,6 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
     """Find the gains and prove that the closed loop tracks: Theorem 2 or 3, or with cells merged practically.
 
     Args:
-        spec: What is asked.
         growing: Whether to design also where x_d, the response to given inputs, is seen to grow without bound: the
             proofs hold, and the theorem does not speak of it. For a look at how it grows.
 
@@ -149,7 +148,6 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
     Of a long run some samples are kept in memory and all of them in a temporary file: see `Spool`.
 
     Args:
-        spec: What to simulate.
         controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
             the outcome says.
         runs: Where the controller is sampled, the program of it, if it was kept; else it is made.

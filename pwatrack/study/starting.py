@@ -58,9 +58,6 @@ def plant_start(
     """Return x(0); in steady state it is x_d(0), from which the plant follows its reference, or rests with it.
 
     Args:
-        spec: What is asked.
-        trajectory: What makes x_d.
-        generator: That of output tracking.
         eta: η̂(0), where the reference says it; else it is that of `consistent_start`.
 
     Raises:

@@ -8,12 +8,10 @@ from pwatrack.causes import Subject
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import Controller
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
-from pwatrack.control.set_point import set_point
-from pwatrack.control.state_tracking import input_trajectory, state_trajectory
+from pwatrack.control.modes import check_loads
+from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Design
-from pwatrack.control.timing import check_timing
-from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.control.visibility import check_loads
+from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.model.course import Table
 from pwatrack.model.normal_form import NormalForm
@@ -40,7 +38,6 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
 
     Args:
-        spec: What was asked.
         form: The normal form of its plant, where it is at hand.
 
     Raises:
@@ -95,11 +92,6 @@ def desired_trajectory(
 
 def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGenerator:
     """Return the generator of a spec's plant in the form (11).
-
-    Args:
-        spec: What is asked.
-        form: Its plant.
-        known: Whether the reference is known beforehand.
 
     Raises:
         PwatrackError: As `trajectory_generator`; state tracking is advised where no eigenvalue decides against it.

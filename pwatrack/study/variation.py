@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -285,6 +286,7 @@ def other_noise(result: Result, count: int, seed: int) -> Variation:
 
 _VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}
 _OVER: Subject = ("simulation", "ensemble", "parameters")
+_NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h")  # of a plant
 
 
 def _member(result: Result, loop: ClosedLoop) -> Member:
@@ -334,18 +336,7 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
         except PwatrackError as refusal:
             hint = "say under simulation.ensemble.parameters which parameters vary, and how far"
             raise type(refusal)(*(replace(p, hint=hint, remedy=None) for p in refusal.problems)) from None
-        if any(
-            not np.array_equal(a, b)
-            for a, b in (
-                (plant.A, other.A),
-                (plant.b, other.b),
-                (plant.B, other.B),
-                (plant.C, other.C),
-                (plant.tracked, other.tracked),
-                (plant.partition.H, other.partition.H),
-                (plant.partition.h, other.partition.h),
-            )
-        ):
+        if not all(map(np.array_equal, _NUMBERS(plant), _NUMBERS(other))):
             intervals[name] = (value - away, value + away)
     if not intervals:
         message = "the spec has no simulation.ensemble.parameters, and its plant depends on no parameter"

@@ -1,5 +1,8 @@
-"""A mean of cells whose mode no gain moves, though it moves those of each cell: proved by Newton's method in fractions.
+"""Modes that no gain moves and that do not decay: of one cell, with a multiplier, or of a mean of cells.
 
+A mode of one cell that B does not reach, vᵀ B = 0 and vᵀ A_i = μ vᵀ with Re μ ≥ 0, is refuted in exact numbers.
+
+A mean of cells whose mode no gain moves, though it moves those of each cell, is proved by Newton's method in fractions:
 (8) speaks of all matrices in the hull of the cells. Let v ≠ 0, μ ≥ 0 and w_i ≥ 0 with Σ w_i = 1 have vᵀ B = 0 and
 vᵀ Σ w_i A_i = μ vᵀ. Then vᵀ Σ w_i (A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ) v = 2 μ vᵀ P v ≥ 0: no P ≻ 0 and Y have all these ≺ 0.
 The multipliers w_i v vᵀ say the same, but v, μ and w are hardly ever fractions.
@@ -14,6 +17,7 @@ where |C F(x)| + |I − C J| r + |C| q r² ≤ r in every row: there it has a fi
 ‖I − C J‖ < 1, C is invertible: there is a root within r of x, and that μ ≥ 0 and w ≥ 0 there is seen from x and r.
 """
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -22,18 +26,90 @@ from typing import Any, NamedTuple
 
 import flint
 import numpy as np
-from scipy.linalg import eig, orth
+from scipy.linalg import eig, orth, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import absolute, text, texts
-from pwatrack.lmi.coordinates import Coordinates
-from pwatrack.rational import Rational, beside, decimals, floats, fraction_of, identity, left_null_space
+from pwatrack.lmi.multipliers import refutes, rounded
+from pwatrack.lmi.presolve import Coordinates
+from pwatrack.rational import (
+    Rational,
+    beside,
+    decimals,
+    floats,
+    fraction_of,
+    identity,
+    is_hurwitz,
+    is_positive_definite,
+    is_positive_semidefinite,
+    left_null_space,
+    lyapunov_map,
+    on_rows,
+    symmetric,
+    unreachable,
+)
 
 _MOST = 400  # sets of neighbours that are looked at
 _RANK_ONE = 1e-9  # of the largest entry: two cells that differ by more than a product g hᵀ by this are no neighbours
 _REAL = 1e-6  # of an eigenvalue: an imaginary part that rounding may make of a double one
 _STEPS = 12  # of Newton's method at most
 _BITS = 160  # behind the point
+
+
+def uncontrollable_modes(A: Sequence[Rational], B: Rational) -> tuple[dict[int, Rational], dict[int, complex]]:
+    """Return a multiplier for a cell with a mode that does not decay and B does not reach, and all such eigenvalues."""
+    eigenvalues, found = dict[int, complex](), dict[int, Rational]()
+    for i, A_i in enumerate(A):
+        N, A_u = unreachable(A_i, B)
+        if is_hurwitz(A_u):
+            continue
+        values = np.linalg.eigvals(floats(A_u))
+        eigenvalues[i] = complex(values[np.argmax(values.real)])
+        if not found:
+            Z = {i: N.transpose() * _instability(A_u) * N}
+            found = Z if refutes(A, B, Z) else {}
+    return found, eigenvalues
+
+
+def _instability(M: Rational) -> Rational:
+    """Return a symmetric Z, not ⪯ 0, with Z M + Mᵀ Z ⪰ 0, for a matrix that is not Hurwitz.
+
+    If no two eigenvalues (or one twice) add up to 0, Z M + Mᵀ Z = I has a solution, and by the inertia
+    theorem it has a positive eigenvalue for each one of M in the right half plane. If two do,
+    Z M + Mᵀ Z = 0 has solutions that are not 0, on the invariant subspace of those
+    eigenvalues; Z or −Z is then not ⪯ 0.
+    """
+    n = M.nrows()
+    N = symmetric_part_of_spectrum(M)
+    if N.nrows():
+        M = on_rows(M, N)
+        kernel = left_null_space(lyapunov_map(M).transpose())
+        Z = symmetric(kernel.tolist()[0], M.nrows())
+        Z = N.transpose() * Z * N
+        return -Z if is_positive_semidefinite(-Z) else Z
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # nearly singular: then the exact solution decides
+        close = solve_continuous_lyapunov(floats(M).T, np.eye(n)).astype(np.float64)
+    if np.isfinite(close).all():
+        Z = rounded(close)
+        if is_positive_definite(Z * M + (Z * M).transpose()):
+            return Z
+    rows, columns = np.triu_indices(n)
+    right = decimals((rows == columns).astype(float)[:, None])
+    return symmetric(lyapunov_map(M).solve(right).entries(), n)
+
+
+def symmetric_part_of_spectrum(M: Rational) -> Rational:
+    """Return rows that span the left invariant subspace of the eigenvalues λ of M for which −λ is one too."""
+    falling = M.charpoly()
+    mirrored = flint.fmpq_poly([c * (-1) ** k for k, c in enumerate(falling.coeffs())])
+    common = falling.gcd(mirrored)
+    if common.degree() < 1:
+        return decimals(np.zeros((0, M.nrows())))
+    power = decimals(np.zeros((M.nrows(), M.nrows())))
+    for c in reversed(common.coeffs()):
+        power = power * M + c * identity(M.nrows())
+    return left_null_space(power)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +155,7 @@ class Between:
         return np.asarray(np.array([float(a) for a in self.mode]) @ rows)
 
 
-def stuck_between(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
+def uncontrollable_mean(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
     """Return a mean of cells with a mode that does not decay and that B does not reach, if there is one.
 
     It is looked for among cells each of which differs from a first one by a product g hᵀ, as those on both sides of a
@@ -93,7 +169,7 @@ def stuck_between(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rati
 
         >>> A = np.array([[[0.0, 0, 0], [g, 1, 1], [h, 0, 2]] for g, h in ((1.0, 1.0), (3.0, -2.0))])
         >>> B = np.array([[1.0], [0.0], [0.0]])
-        >>> found = stuck_between(A, B, [decimals(A_i) for A_i in A], decimals(B))
+        >>> found = uncontrollable_mean(A, B, [decimals(A_i) for A_i in A], decimals(B))
         >>> float(found.eigenvalue), {i: round(float(w), 6) for i, w in found.weights.items()}
         (2.0, {0: 0.666667, 1: 0.333333})
     """
@@ -101,12 +177,8 @@ def stuck_between(A: Array, B: Array, exact_A: Sequence[Rational], exact_B: Rati
     return next((found for found in proofs if found is not None), None)
 
 
-def seems_stuck_between(A: Array, B: Array) -> bool:
-    """Say whether floating point sees such a mean of cells.
-
-    Args:
-        A, B: As for `stuck_between`.
-    """
+def seems_uncontrollable(A: Array, B: Array) -> bool:
+    """Say whether floating point sees such a mean of cells."""
     return next(_guesses(A, B), None) is not None
 
 
