@@ -81,7 +81,7 @@ def test_no_bit_differs_from_the_controller(name: str) -> None:
 
 @pytest.mark.slow
 def test_what_compilers_get_wrong_is_not_in_it(tmp_path: Path) -> None:
-    """Numbers in expressions that no REAL holds: matiec refuses them; loops to where they begin: some leave them out."""
+    """Numbers that no REAL holds, which matiec refuses; loops to where they begin, which some leave out."""
     subject = of_spec(load_spec(cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)), steps=20)
     for single in (False, True):
         text, real = function_block(source(subject, single=single)), np.float32 if single else np.float64
