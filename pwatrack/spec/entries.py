@@ -3,8 +3,7 @@
 import keyword
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from fractions import Fraction
 from math import inf
 from typing import Annotated, Any, Literal
@@ -20,6 +19,7 @@ from pydantic import (
     Tag,
     ValidationInfo,
     WithJsonSchema,
+    WrapValidator,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core.core_schema import CoreSchema
@@ -27,52 +27,13 @@ from pydantic_core.core_schema import CoreSchema
 from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
 from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, number, real
+from pwatrack.spec.section import Context, rows
 from pwatrack.spec.wording import odd_character, shown
 
 _LONGEST_NAME = 100  # characters: names are columns of tables and of the trace
 _COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
 _LONGEST_LABEL = 200  # of a title, or the name of a cell
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
-
-
-@dataclass(frozen=True)
-class Context:
-    """What the rest of the file is read with.
-
-    Attributes:
-        parameters: Their values; None for one that is itself in error.
-        states, inputs, outputs: The names declared under `system`.
-        tracked: Those of what is to follow a reference, where they are declared for that.
-        loads: Those of the loads to be estimated, with how many states each has.
-        chosen: Those of the outputs that are to follow a reference, where some are named.
-        follow: Whether all states are to follow x_d.
-    """
-
-    parameters: Mapping[str, Real | None]
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    tracked: tuple[str, ...] = ()
-    loads: Mapping[str, int] = field(default_factory=dict)
-    chosen: tuple[str, ...] = ()
-    follow: bool = False
-
-    @property
-    def followed(self) -> tuple[str, ...]:
-        """What is to follow a reference: all outputs where nothing is said."""
-        return self.tracked or self.chosen or self.outputs
-
-    @property
-    def errors(self) -> tuple[str, ...]:
-        """What has a tracking error of its own."""
-        return (*self.followed, *self.states) if self.follow else self.followed
-
-    @property
-    def states_and_estimates(self) -> tuple[str, ...]:
-        """The states of the observer."""
-        return (
-            (*self.states, *(name for name, order in self.loads.items() for _ in range(order))) if self.states else ()
-        )
 
 
 def _number(value: Any, info: ValidationInfo[Context]) -> float:
@@ -382,9 +343,9 @@ Names = Annotated[
 ]
 Point = Annotated[list[Number], WithJsonSchema(_PAIR)]
 Vector = list[Number]
-Rows = list[list[Number]]
+Rows = Annotated[list[list[Number]], WrapValidator(rows)]
 ExactVector = list[Exact]
-ExactRows = list[list[Exact]]
+ExactRows = Annotated[list[list[Exact]], WrapValidator(rows)]
 _ByName = Annotated[dict[str, Number], Tag("by name")]
 _InOrder = Annotated[Vector, Tag("in order")]
 StartOrMeasured = Annotated[

@@ -10,7 +10,7 @@ from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.spec.build import build_plant
-from pwatrack.spec.entries import Context, not_all_zero, sized_form, sized_inequalities, sized_real
+from pwatrack.spec.entries import not_all_zero, sized_form, sized_inequalities, sized_real
 from pwatrack.spec.expression import (
     RESERVED,
     BrokenParameter,
@@ -24,8 +24,7 @@ from pwatrack.spec.expression import (
 )
 from pwatrack.spec.paths import path_text
 from pwatrack.spec.plant_section import HyperplaneSection, SystemSection
-from pwatrack.spec.problems import MOST
-from pwatrack.spec.section import Section
+from pwatrack.spec.section import MOST, Context, Section
 
 Value = str | float | Expression | Real
 

@@ -1,5 +1,6 @@
 """The section `system` as pydantic models: cells or nonlinearities, matrices, names."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
@@ -26,7 +27,8 @@ from pwatrack.spec.entries import (
     Tracked,
     increasing,
 )
-from pwatrack.spec.section import Section
+from pwatrack.spec.section import Context, Fault, Section, distinct, named, shaped, unknown_names
+from pwatrack.spec.wording import shown
 
 
 class CellSection(Section):
@@ -37,15 +39,15 @@ class CellSection(Section):
     name: Label
     where: list[Inequalities] | None = None
     signs: list[Literal["+", "-", "0"]] | None = None
-    A: ExactRows
-    b: ExactVector | None = None
-    B: ExactRows | None = None
+    A: Annotated[ExactRows, shaped("states", "states")]
+    b: Annotated[ExactVector, shaped("states")] | None = None
+    B: Annotated[ExactRows, shaped("states", "inputs")] | None = None
 
 
 class HyperplaneSection(Section):
     """The set H x + h = 0."""
 
-    H: Normal
+    H: Annotated[Normal, shaped("states")]
     h: Exact = Real.of(0)
 
 
@@ -55,6 +57,11 @@ class ElementSection(Section):
     name: Label
     of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield what it acts on that is no state."""
+        for state, meant in unknown_names(self.into, context.states) if context.states else ():
+            yield Fault(f"nonlinearity '{self.name}': {shown(state)} is no state{meant}", ("into",), key=(state,))
 
 
 class DeadZoneSection(ElementSection):
@@ -147,15 +154,49 @@ class SystemSection(Section):
     inputs: Names
     outputs: Names
     track: Tracked | None = None
-    units: dict[str, Label] = {}
-    sizes: dict[str, Positive] = {}
-    B: ExactRows
-    C: ExactRows
-    cells: Annotated[list[CellSection], Field(min_length=1)] | None = None
+    units: Annotated[dict[str, Label], named("state, input or output", "signals", "")] = {}
+    sizes: Annotated[dict[str, Positive], named("state, input or output", "sized", "")] = {}
+    B: Annotated[ExactRows, shaped("states", "inputs")]
+    C: Annotated[ExactRows, shaped("outputs", "states")]
+    cells: Annotated[list[CellSection], Field(min_length=1), distinct("cell")] | None = None
     hyperplanes: list[HyperplaneSection] | None = None
-    A: ExactRows | None = None
-    b: ExactVector | None = None
-    nonlinearities: list[Element] | None = None
+    A: Annotated[ExactRows, shaped("states", "states")] | None = None
+    b: Annotated[ExactVector, shaped("states")] | None = None
+    nonlinearities: Annotated[list[Element], distinct("nonlinearity")] | None = None
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where it is not written in exactly one of the three ways."""
+        if self.cells is not None:
+            for name in ("A", "b", "nonlinearities"):
+                if getattr(self, name) is not None:
+                    yield Fault(f".{name} does not go with cells: give one or the other", key=(name,))
+            yield from self._wrong_signs(self.cells)
+        elif self.A is None:
+            yield Fault(".cells, or system.A with nonlinearities, is missing")
+        if self.cells is None and self.hyperplanes is not None:
+            yield Fault("hyperplanes need cells with signs", ("hyperplanes",))
+        yield from self._not_tracked()
+
+    def _wrong_signs(self, cells: list[CellSection]) -> Iterator[Fault]:
+        """Yield the cells that have not one sign for each hyperplane, or some without hyperplanes."""
+        for k, cell in enumerate(cells):
+            at, given, wanted = ("cells", k, "signs"), len(cell.signs or []), len(self.hyperplanes or [])
+            if self.hyperplanes is None and cell.signs is not None:
+                yield Fault(f"cell '{cell.name}' has signs but the system has no hyperplanes", at)
+            if self.hyperplanes is not None and (cell.where is not None or given != wanted):
+                found = "none" if cell.signs is None else given
+                yield Fault(f"cell '{cell.name}': {found} signs, expected {wanted}, one per hyperplane", at)
+
+    def _not_tracked(self) -> Iterator[Fault]:
+        """Yield what is tracked and no output, or a form with a constant: its desired value is the reference."""
+        if isinstance(self.track, dict):
+            for name, form in self.track.items():
+                if form.offset.centre:
+                    text = "a constant does not belong into what is tracked: put it into the reference"
+                    yield Fault(f"track: {name}: {text}", ("track", name))
+            return
+        for name, meant in unknown_names(self.track or (), self.outputs):
+            yield Fault(f"track: {shown(name)} is no output; outputs: {', '.join(self.outputs)}{meant}", ("track",))
 
     @property
     def tracked(self) -> tuple[str, ...]:
