@@ -66,7 +66,8 @@ class Dependence:
         self._parametric = parametric
         self._names = _polynomials(parametric, free)
         varying = {name for name, value in self._names.items() if value is None or isinstance(value, Polynomial)}
-        self._varying = {p: e for p, e in parametric.varying.items() if not e.names.isdisjoint(varying)}
+        self._of_any = dict(parametric.varying)
+        self._varying = {p: e for p, e in self._of_any.items() if not e.names.isdisjoint(varying)}
 
     def powers(self) -> dict[tuple[str, int], str]:
         """Return each power of a parameter that is in an entry of a matrix, and a place where it is from.
@@ -148,7 +149,7 @@ class Dependence:
             raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
 
     def _text(self, path: Subject, nominal: Real | None) -> str:
-        expression = self._parametric.varying.get(path)
+        expression = self._of_any.get(path)
         if expression is not None:
             return _named(path, expression)
         assert nominal is not None

@@ -3,10 +3,8 @@
 import keyword
 import re
 from collections import Counter
-from collections.abc import Callable
-from fractions import Fraction
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -26,91 +24,77 @@ from pydantic_core.core_schema import CoreSchema
 
 from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
-from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, number, real
+from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, real
 from pwatrack.spec.section import Context, rows
 from pwatrack.spec.wording import odd_character, shown
 
 _LONGEST_NAME = 100  # characters: names are columns of tables and of the trace
 _COARSEST = 0.01  # rounding of data: with more, little is left of the plant that was written
 _LONGEST_LABEL = 200  # of a title, or the name of a cell
+_Value = TypeVar("_Value", float, Real)
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
 
 
-def _number(value: Any, info: ValidationInfo[Context]) -> float:
-    if isinstance(value, float):
-        return value
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    return sized_number(value, info.context)
-
-
-def sized_number(text: str, context: Context) -> float:
-    """Return the value of an expression in the parameters, as a double; raises as `sized_real`."""
-    result = number(text, context.parameters)
-    _sized(result)
-    return result
-
-
-def _sized(value: float | Fraction) -> None:
-    size = abs(float(value))
-    if size > LARGEST:
-        raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
-    if value != 0 and size < 1 / LARGEST:
-        raise ValueError(f"{float(value):g} is smaller than {1 / LARGEST:g} but not 0: write 0, or use other units")
-
-
-def _sized_form(form: LinearForm) -> LinearForm:
-    for value in (*form.coefficients, form.offset):
-        _sized(value.centre)
-    return form
-
-
-def sized_real(text: str | Expression, context: Context) -> Real:
-    """Return the value of an expression in the parameters.
+def sized_real(value: Any, context: Context) -> Real:
+    """Return a number, or the value of an expression in the parameters.
 
     Raises:
         ValueError: If it has none, or one beyond the numbers that are read.
     """
-    result = real(text, context.parameters)
-    _sized(result.centre)
-    return result
+    result = value if isinstance(value, Real) else real(_text(value, "a number or an expression"), context.parameters)
+    return _sized(result)
 
 
-def sized_form(text: str | Expression, context: Context) -> LinearForm:
-    """Return a linear form of the states that is not constant; raises as `sized_real`."""
-    form = linear_form(text, context.states, context.parameters)
+def _text(value: Any, what: str) -> str | Expression:
+    if not isinstance(value, str | Expression):
+        raise ValueError(f"{what} is expected")
+    return value
+
+
+def _sized(value: Real) -> Real:
+    size = abs(float(value))
+    if size > LARGEST:
+        raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
+    if value.centre != 0 and size < 1 / LARGEST:
+        raise ValueError(f"{float(value):g} is smaller than {1 / LARGEST:g} but not 0: write 0, or use other units")
+    return value
+
+
+def _sized_form(form: LinearForm) -> LinearForm:
+    for value in (*form.coefficients, form.offset):
+        _sized(value)
+    return form
+
+
+def _real(value: Any, info: ValidationInfo[Context]) -> Real:
+    return sized_real(value, info.context)
+
+
+def _number(value: Any, info: ValidationInfo[Context]) -> float:
+    return value if isinstance(value, float) else float(sized_real(value, info.context))
+
+
+def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
+    """Return a linear form of the states that is not constant."""
+    if isinstance(value, LinearForm):
+        return value
+    text = _text(value, "a linear form of the states such as 'z2 - z1'")
+    form = linear_form(text, info.context.states, info.context.parameters)
     if not form.row.any():
         raise ValueError(f"'{text.text if isinstance(text, Expression) else text}' does not depend on any state")
     return _sized_form(form)
 
 
-def sized_inequalities(text: str | Expression, context: Context) -> list[LinearForm]:
-    """Return the forms that one or two inequalities say are ≥ 0; raises as `sized_real`."""
-    return [_sized_form(form) for form in inequalities(text, context.states, context.parameters)]
-
-
-def _real(value: Any, info: ValidationInfo[Context]) -> Real:
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    return sized_real(value, info.context)
-
-
-def _positive_real(value: Any, info: ValidationInfo[Context]) -> Real:
-    result = _real(value, info)
-    _positive(float(result))
-    return result
-
-
-def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
-    if not isinstance(value, str):
-        raise ValueError("a linear form of the states such as 'z2 - z1' is expected")
-    return sized_form(value, info.context)
+def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
+    """Return the forms that one or two inequalities say are ≥ 0."""
+    if isinstance(value, list) and value and all(isinstance(form, LinearForm) for form in value):
+        return value
+    text = _text(value, "an inequality such as 'z2 - z1 >= 0.05'")
+    return [_sized_form(form) for form in inequalities(text, info.context.states, info.context.parameters)]
 
 
 def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
-    if not isinstance(value, str):
-        raise ValueError("an expression in t is expected")
-    signal = formula(value, info.context.parameters)
+    signal = formula(_text(value, "an expression in t"), info.context.parameters)
     try:
         signal.check_size()
     except NotRepresentable as error:
@@ -147,9 +131,21 @@ def _share_or_interval(value: Any, info: ValidationInfo[Context]) -> Real | tupl
     return low, high
 
 
-def _positive(value: float) -> float:
-    if value <= 0:
-        raise ValueError(f"{value:g} is not positive")
+def _positive(value: _Value) -> _Value:
+    if float(value) <= 0:
+        raise ValueError(f"{float(value):g} is not positive")
+    return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0:
+        raise ValueError(f"{value:g} is negative")
+    return value
+
+
+def _rounding(value: float) -> float:
+    if value > _COARSEST:
+        raise ValueError(f"{value:g} is more than data are rounded by in print: at most {_COARSEST:g} is accepted")
     return value
 
 
@@ -167,16 +163,18 @@ def _pair(values: list[LinearForm]) -> list[LinearForm]:
     return values
 
 
+def _interval(values: list[float]) -> list[float]:
+    if len(values) != 2:
+        raise ValueError("two numbers [low, high] are expected")
+    if values[0] > values[1]:
+        raise ValueError(f"low {values[0]:g} is above high {values[1]:g}")
+    return values
+
+
 def _scale(value: Any, info: ValidationInfo[Context]) -> float | dict[str, float]:
     if isinstance(value, dict):
         return {name: _number(entry, info) for name, entry in value.items()}
     return _number(value, info)
-
-
-def _not_negative(value: float) -> float:
-    if value < 0:
-        raise ValueError(f"{value:g} is negative")
-    return value
 
 
 def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
@@ -188,26 +186,19 @@ def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
     return [low, high]
 
 
-def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | str]:
+def _positive_or(word: str) -> PlainValidator:
     """Return a validator of a positive number, or of one word."""
 
     def validate(value: Any, info: ValidationInfo[Context]) -> float | str:
         return word if value == word else _positive(_number(value, info))
 
-    return validate
+    return PlainValidator(validate)
 
 
-def not_all_zero(values: list[Real]) -> list[Real]:
-    """Return the normal of a hyperplane, which is not 0."""
+def _normal(values: list[Real]) -> list[Real]:
     if not any(value.centre for value in values):
         raise ValueError("all entries are 0: this is no hyperplane")
     return values
-
-
-def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
-    if not isinstance(value, str):
-        raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
-    return sized_inequalities(value, info.context)
 
 
 def _name(value: str) -> str:
@@ -249,14 +240,6 @@ def _names(values: tuple[str, ...]) -> tuple[str, ...]:
     return values
 
 
-def _interval(values: list[float]) -> list[float]:
-    if len(values) != 2:
-        raise ValueError("two numbers [low, high] are expected")
-    if values[0] > values[1]:
-        raise ValueError(f"low {values[0]:g} is above high {values[1]:g}")
-    return values
-
-
 def region_kind(value: Any) -> str:
     """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
     return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
@@ -278,12 +261,6 @@ def estimate_kind(value: Any) -> str:
 def listed(value: Any) -> Any:
     """One of them may stand without a list."""
     return [value] if isinstance(value, dict) else value
-
-
-def _rounding(value: float) -> float:
-    if value > _COARSEST:
-        raise ValueError(f"{value:g} is more than data are rounded by in print: at most {_COARSEST:g} is accepted")
-    return value
 
 
 class Or:
@@ -329,7 +306,7 @@ _NOT_DOWNWARD = _PAIR | {
 
 Number = Annotated[float, BeforeValidator(_number), WithJsonSchema(_VALUE)]
 Exact = Annotated[Real, PlainValidator(_real), WithJsonSchema(_VALUE)]
-ExactPositive = Annotated[Real, PlainValidator(_positive_real), WithJsonSchema(_ABOVE_0)]
+ExactPositive = Annotated[Exact, AfterValidator(_positive), WithJsonSchema(_ABOVE_0)]
 Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_ABOVE_0)]
 NotNegative = Annotated[Number, AfterValidator(_not_negative), WithJsonSchema(_VALUE | {"minimum": 0})]
 Name = Annotated[str, AfterValidator(_name)]
@@ -358,12 +335,8 @@ ShareOrInterval = Annotated[
     Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _UPWARD]})
 ]
 Interval = Annotated[list[Number], AfterValidator(_interval), WithJsonSchema(_NOT_DOWNWARD)]
-PositiveOrLargest = Annotated[
-    float | Literal["largest"], PlainValidator(_positive_or("largest")), WithJsonSchema(_ABOVE_0)
-]
-PositiveOrSmallest = Annotated[
-    float | Literal["smallest"], PlainValidator(_positive_or("smallest")), WithJsonSchema(_ABOVE_0)
-]
+PositiveOrLargest = Annotated[float | Literal["largest"], _positive_or("largest"), WithJsonSchema(_ABOVE_0)]
+PositiveOrSmallest = Annotated[float | Literal["smallest"], _positive_or("smallest"), WithJsonSchema(_ABOVE_0)]
 PeriodicOrVector = Annotated[
     list[float],
     PlainValidator(_start),
@@ -390,4 +363,4 @@ Tracked = Annotated[
     Discriminator(_start_kind),
 ]
 Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities), WithJsonSchema(_TEXT)]
-Normal = Annotated[ExactVector, AfterValidator(not_all_zero)]
+Normal = Annotated[ExactVector, AfterValidator(_normal)]

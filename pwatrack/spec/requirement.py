@@ -8,7 +8,7 @@ from pydantic import ValidationInfo
 
 from pwatrack.causes import Subject
 from pwatrack.simulation.enclosure import CLOSE
-from pwatrack.spec.entries import sized_number
+from pwatrack.spec.entries import sized_real
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.section import Context, Fault, Faults
 from pwatrack.spec.wording import guess, shown
@@ -172,9 +172,9 @@ def _limit(value: Any, quantity: Quantity, context: Context) -> float:
     if value.rstrip().endswith("%"):
         if not quantity.share:
             raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
-        limit = sized_number(value.rstrip()[:-1], context) / 100
+        limit = float(sized_real(value.rstrip()[:-1], context)) / 100
     else:
-        limit = sized_number(value, context)
+        limit = float(sized_real(value, context))
     if limit < 0:
         raise ValueError(f"{limit:g} is negative, and no figure is")
     return limit
