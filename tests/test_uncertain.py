@@ -24,7 +24,7 @@ from pwatrack.report.files import write_result
 from pwatrack.report.session import run
 from pwatrack.report.uncertain import box_figures, run_rows
 from pwatrack.report.verify import verify
-from pwatrack.spec.corners import corners
+from pwatrack.spec.box import corners
 from pwatrack.study.bands import covered
 from tests.boxes import judge
 

@@ -25,7 +25,7 @@ from pwatrack.lmi.starts import Held
 from pwatrack.model.merging import Merge, merges
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.report.certificate import output_form
-from pwatrack.spec.corners import corners
+from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Spec
 from pwatrack.study.limiting import room_within_limits
 from pwatrack.study.merged import merged_spec

@@ -10,9 +10,9 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.paths import path_text
 from pwatrack.spec.signal_section import CourseSection, PolylineSection, StepSection, TrapezoidSection
 from pwatrack.spec.table import FINEST, Folder, read_table
+from pwatrack.spec.yaml_tree import path_text
 
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits

@@ -20,9 +20,9 @@ from pwatrack.spec.entries import (
     ShareOrInterval,
     estimate_kind,
 )
-from pwatrack.spec.paths import at_path
 from pwatrack.spec.section import Context, Fault, Section, also, misfits, named, shaped, unknown_names
 from pwatrack.spec.wording import shown
+from pwatrack.spec.yaml_tree import at_path
 
 _SKEW = 1e-9  # of the largest entry of a weight: by less it is symmetric, and not negative, but for rounding
 
@@ -126,7 +126,7 @@ class DesignSection(Section):
         for name, given in self.uncertain.items():
             if (nominal := context.parameters.get(name)) is None:
                 continue
-            low, high = interval(nominal, given)
+            low, high = ends_of(nominal, given)
             if not low.centre < high.centre:
                 text = ": a share of a value that is 0 is no interval"
                 yield Fault(text, ("uncertain", name), "write [low, high]")
@@ -134,7 +134,7 @@ class DesignSection(Section):
                 yield Fault(f": the value of the design, {float(nominal):g}, is not in it", ("uncertain", name))
 
 
-def interval(nominal: Real, given: Real | tuple[Real, Real]) -> tuple[Real, Real]:
+def ends_of(nominal: Real, given: Real | tuple[Real, Real]) -> tuple[Real, Real]:
     """Return the ends of an interval, or of a share of a value about it."""
     if isinstance(given, tuple):
         return given

@@ -18,7 +18,6 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.axis import Axis, axes_of
 from pwatrack.spec.build import build_loads, build_plant, build_reference
 from pwatrack.spec.parametric import ParametricPlant, evaluated
-from pwatrack.spec.paths import at_path, path_text
 from pwatrack.spec.problems import validation_problems
 from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
 from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile
@@ -27,7 +26,7 @@ from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
 from pwatrack.spec.table import Folder
 from pwatrack.spec.values import WRITTEN, document_of, yaml_text
-from pwatrack.spec.yaml_tree import Document, parse_yaml
+from pwatrack.spec.yaml_tree import Document, at_path, parse_yaml, path_text
 
 _LARGEST_FILE = 4 * 2**20  # bytes
 _LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them

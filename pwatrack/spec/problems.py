@@ -9,11 +9,11 @@ from pydantic import ValidationError
 from pwatrack.causes import Subject
 from pwatrack.errors import Problem
 from pwatrack.spec.expression import BrokenParameter, UnknownName
-from pwatrack.spec.paths import path_text
 from pwatrack.spec.requirement import QUANTITIES
 from pwatrack.spec.schema import SpecFile
 from pwatrack.spec.section import MOST, Fault, Faults, Section
 from pwatrack.spec.wording import guess, shown
+from pwatrack.spec.yaml_tree import path_text
 
 _EXPECTED = {
     "list_type": "a list",

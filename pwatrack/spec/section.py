@@ -18,8 +18,8 @@ from pydantic import (
 
 from pwatrack.causes import Subject
 from pwatrack.real import Real
-from pwatrack.spec.paths import at_path
 from pwatrack.spec.wording import guess, shown
+from pwatrack.spec.yaml_tree import at_path
 
 MOST = 100  # for so many faults of a kind it is guessed what was meant
 _LISTED = 20  # names that a message repeats

@@ -14,9 +14,8 @@ from typing import Any
 
 from pwatrack.causes import Subject
 from pwatrack.errors import Place, Problem
-from pwatrack.spec.paths import path_text
 from pwatrack.spec.wording import shown
-from pwatrack.spec.yaml_tree import DEEPEST, Document
+from pwatrack.spec.yaml_tree import DEEPEST, Document, path_text
 
 WRITTEN = "from_python.yaml"  # what such a description is called as a file
 _PLAIN = re.compile(r"-?[A-Za-z0-9_.(](?:[A-Za-z0-9_.+*/()<>= -]*[A-Za-z0-9_.)])?", re.ASCII)

@@ -29,8 +29,7 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.box import Box
-from pwatrack.spec.corners import corners
+from pwatrack.spec.box import Box, corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.study.limiting import room_within_limits
 from pwatrack.study.merged import may_merge, not_worth, practical_design
