@@ -18,12 +18,11 @@ from pwatrack.spec.entries import (
     Positive,
     Scale,
     Time,
-    as_course,
-    listed,
 )
 from pwatrack.spec.section import Context, Fault, Section, shaped, unknown_names
 from pwatrack.spec.wording import shown
 
+_LISTED = BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)  # one may stand without a list
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
 
 
@@ -101,16 +100,23 @@ class CourseSection(Section):
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     constant: Number = 0.0
-    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), _LISTED, Or()] = []
     formula: Time | None = None
     until: Positive | None = None
-    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), _LISTED, Or()] = []
     trapezoid: TrapezoidSection | None = None
     polyline: PolylineSection | None = None
     table: TableSection | None = None
 
 
-Signal = Annotated[CourseSection, BeforeValidator(as_course), TEXT_OR_VALUE]
+def _as_course(value: Any) -> Any:
+    """A formula may stand for a course that is nothing else."""
+    if value == {}:
+        raise ValueError("nothing is given: write a formula in t, or entries such as constant, sine, step, table")
+    return {"formula": value} if isinstance(value, str) else value
+
+
+Signal = Annotated[CourseSection, BeforeValidator(_as_course), TEXT_OR_VALUE]
 
 
 def _signal_kind(value: Any) -> str:

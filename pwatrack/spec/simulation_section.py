@@ -18,7 +18,6 @@ from pwatrack.spec.entries import (
     StartOrMeasured,
     StartOrSteady,
     Whole,
-    region_kind,
     whole,
 )
 from pwatrack.spec.section import Context, Fault, Section, named, shaped
@@ -85,9 +84,14 @@ class EllipsoidSection(Section):
     ellipsoid: RadiiSection
 
 
+def _region_kind(value: Any) -> str:
+    """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
+    return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
+
+
 Region = Annotated[
     Annotated[dict[str, Interval], _OF_STATES, Tag("a box")] | Annotated[EllipsoidSection, Tag("an ellipsoid")],
-    Discriminator(region_kind),
+    Discriminator(_region_kind),
 ]
 
 
