@@ -1,4 +1,4 @@
-"""Checked sections of a signal -> its courses; what no course can be built from is refused, with the limit."""
+"""Checked sections of signals -> courses and the reference; what none can be built from is refused, with the limit."""
 
 import itertools
 from collections.abc import Callable
@@ -6,11 +6,13 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from pwatrack.arrays import readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
+from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.signal_section import CourseSection, PolylineSection, StepSection, TrapezoidSection
+from pwatrack.spec.signal_section import CourseSection, PolylineSection, ReferenceSection, StepSection, TrapezoidSection
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
@@ -18,6 +20,43 @@ _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signa
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
 _AT_ONCE = 1e-12  # of half of what is rounded: that begins at t = 0, but for rounding
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
+
+
+def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Folder, horizon: float) -> Reference:
+    """Return what is to be tracked.
+
+    Args:
+        section: The section of the file, with exactly one kind of reference.
+        tracked: Names of what follows the reference.
+        folder: Where table files are looked for.
+        horizon: Up to when a course that repeats is laid out, in s.
+
+    Raises:
+        InvalidSpec: If a table cannot be read, or a course ends before the horizon.
+    """
+    if section.setpoint is not None:
+        return SetPoint(readonly([section.setpoint[name] for name in tracked]))
+    kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
+    given, signals = getattr(section, kind), list[tuple[CourseSection, Subject]]()
+    if isinstance(given, CourseSection):
+        signals = [(given, ())]
+    elif isinstance(given, dict):
+        signals = [(given[name], (name,)) for name in tracked]
+    else:
+        signals = [(signal, (k,)) for k, signal in enumerate(given)]
+    courses, problems = list[tuple[Course, ...]](), list[Problem]()
+    for signal, where in signals:
+        try:
+            courses.append(build_courses(signal, folder, horizon, ("reference", kind, *where)))
+        except InvalidSpec as error:
+            problems += error.problems
+    if problems:
+        raise InvalidSpec(*problems)
+    if kind == "output":
+        return OutputReference(tuple(courses), preview=section.preview == "auto")
+    if kind == "state":
+        return StateReference(tuple(courses))
+    return InputReference(tuple(courses), readonly(section.start) if section.start else None)
 
 
 def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:

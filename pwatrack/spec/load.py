@@ -16,11 +16,11 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.axis import Axis, axes_of
-from pwatrack.spec.build import build_loads, build_plant, build_reference
+from pwatrack.spec.courses import build_reference
 from pwatrack.spec.parametric import ParametricPlant, evaluated
-from pwatrack.spec.problems import validation_problems
-from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
-from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile
+from pwatrack.spec.plant_section import build_plant
+from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_scenario
+from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile, validation_problems
 from pwatrack.spec.section import Context
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located

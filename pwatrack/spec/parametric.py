@@ -11,7 +11,6 @@ from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
-from pwatrack.spec.build import build_plant
 from pwatrack.spec.expression import (
     RESERVED,
     BrokenParameter,
@@ -23,9 +22,8 @@ from pwatrack.spec.expression import (
     parsed,
     real,
 )
-from pwatrack.spec.plant_section import SystemSection
-from pwatrack.spec.problems import validation_problems
-from pwatrack.spec.schema import PlantFile
+from pwatrack.spec.plant_section import SystemSection, build_plant
+from pwatrack.spec.schema import PlantFile, validation_problems
 from pwatrack.spec.section import MOST, Context, Section
 
 Value = str | float | Expression | Real

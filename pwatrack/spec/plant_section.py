@@ -1,18 +1,31 @@
-"""The section `system` as pydantic models: cells or nonlinearities, matrices, names."""
+"""The section `system` as pydantic models, with cells or nonlinearities -> the plant (1)."""
 
-from collections.abc import Iterator
-from typing import Annotated, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field
 
+from pwatrack.arrays import Array, number_text
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.causes import Subject
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import (
+    MOST_LISTED,
+    Nonlinearity,
     PiecewiseLinear,
+    ScalarForm,
     absolute,
     dead_zone,
+    drives_away,
+    generate_cells,
     piecewise_linear,
     saturation,
     spring,
 )
+from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.real import Real
 from pwatrack.spec.entries import (
     Exact,
@@ -202,3 +215,148 @@ class SystemSection(Section):
     def tracked(self) -> tuple[str, ...]:
         """Names of what is to follow a reference: all outputs where nothing is said."""
         return self.outputs if self.track is None else tuple(self.track)
+
+
+def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
+    """Return the plant from any of the three ways to write it.
+
+    Raises:
+        InvalidSpec: If a nonlinearity contradicts itself.
+        OutsideTheory: If it is not a continuous PWA system with one B.
+    """
+    _refuse_other_B(system)
+    A: Any
+    b: Any
+    odd: list[str] = []
+    written = None
+    if system.cells is None:
+        elements = _elements(system)
+        n = len(system.states)
+        base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
+        written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
+        partition, A, b = generate_cells(*base, elements)
+        if len(A) > MOST_LISTED:
+            odd.append(
+                f"{len(A):,} cells, of which no tables are written: there is no generator.json and no controller.json"
+            )
+        for section, element in zip(system.nonlinearities or [], elements, strict=True):
+            odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
+    else:
+        cells = system.cells
+        partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
+        A = [cell.A for cell in cells]
+        b = [cell.b or [0] * len(system.states) for cell in cells]
+    plant = PWASystem.create(
+        partition=partition,
+        A=A,
+        b=b,
+        B=system.B,
+        C=system.C,
+        tracked=_tracked_rows(system),
+        states=system.states,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        tracked_names=system.tracked,
+        tolerance=tolerance,
+        continuous=system.cells is None,
+    )
+    return replace(plant, written=written, remarks=(*plant.remarks, *odd))
+
+
+def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) -> list[str]:
+    """Say what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull."""
+    d, slopes = np.array([float(v) for v in element.direction]), any(map(float, element.function.slopes))
+    if not d.any() or not slopes:
+        return [f"nonlinearity '{element.name}' acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
+    wrong = drives_away(_doubles(system.A or []), element) if restoring else []
+    if not wrong:
+        return []
+    back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
+    of = linear_form_text(np.array([float(v) for v in element.row]), system.states)
+    return [
+        f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
+        f"write into: {{{back}}} if it should pull it back"
+    ]
+
+
+def _tracked_rows(system: SystemSection) -> list[Any] | None:
+    """Return the rows of what is to follow a reference; None for all that is measured."""
+    if system.track is None:
+        return None
+    if isinstance(system.track, dict):
+        return [form.coefficients for form in system.track.values()]
+    return [system.C[system.outputs.index(name)] for name in system.track]
+
+
+def _refuse_other_B(system: SystemSection) -> None:
+    problems = [
+        Problem(
+            message=f"cell '{cell.name}' has an input matrix of its own: class (1) has one B for all cells; "
+            f"it differs by up to {np.abs(_doubles(cell.B) - _doubles(system.B)).max():.4g}",
+            subject=("system", "cells", k, "B"),
+            hint="move what switches into the state, for example an actuator's own dynamics",
+        )
+        for k, cell in enumerate(system.cells or [])
+        if cell.B is not None and cell.B != system.B
+    ]
+    if problems:
+        raise OutsideTheory(*problems)
+
+
+def _from_inequalities(system: SystemSection) -> Partition:
+    cells = system.cells or []
+    forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
+    rows = [form.coefficients for cell in forms for form in cell]
+    signs = np.zeros((len(forms), len(rows)), dtype=np.int64)
+    start = 0
+    for i, cell in enumerate(forms):
+        signs[i, start : start + len(cell)] = 1
+        start += len(cell)
+    return Partition.create(
+        H=np.array(rows, dtype=object).reshape(-1, len(system.states)),
+        h=[form.offset for cell in forms for form in cell],
+        signs=signs,
+        names=[cell.name for cell in cells],
+    )
+
+
+def _from_signs(system: SystemSection) -> Partition:
+    values = {"+": 1, "-": -1, "0": 0}
+    planes, cells = system.hyperplanes or [], system.cells or []
+    return Partition.create(
+        H=np.array([plane.H for plane in planes], dtype=object).reshape(-1, len(system.states)),
+        h=[plane.h for plane in planes],
+        signs=[[values[sign] for sign in cell.signs or []] for cell in cells],
+        names=[cell.name for cell in cells],
+    )
+
+
+def _elements(system: SystemSection) -> list[Nonlinearity]:
+    n = len(system.states)
+    elements, problems = [], []
+    for k, section in enumerate(system.nonlinearities or []):
+        try:
+            function = section.function()
+        except ValueError as error:
+            subject: Subject = ("system", "nonlinearities", k)
+            problems.append(Problem(message=f"nonlinearity '{section.name}': {error}", subject=subject))
+            continue
+        direction = [Real.of(0)] * n
+        for state, factor in section.into.items():
+            direction[system.states.index(state)] = factor
+        elements.append(
+            Nonlinearity(
+                name=section.name,
+                function=function,
+                row=section.of.coefficients,
+                constant=section.of.offset,
+                direction=direction,
+            )
+        )
+    if problems:
+        raise InvalidSpec(*problems)
+    return elements
+
+
+def _doubles(rows: Sequence[Sequence[Real]]) -> Array:
+    return np.array([[float(v) for v in row] for row in rows])

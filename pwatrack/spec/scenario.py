@@ -1,24 +1,58 @@
 """Checked sections -> objectives of a design, and the scenario that is simulated: starts, what a machine adds."""
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Literal
 
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
+from pwatrack.model.loads import Load, Loads
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
+from pwatrack.rational import fraction_of
+from pwatrack.real import Real
 from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.box import build_box
 from pwatrack.spec.courses import build_courses
-from pwatrack.spec.design_section import DesignSection, GoalSection
+from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.signal_section import CourseSection
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
 from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady
 from pwatrack.spec.table import Folder
+
+
+def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:
+    """Return the loads that are to be estimated; None for none."""
+    if estimate is None:
+        return None
+    if isinstance(estimate, str):
+        columns = [_reals(plant.exact.B.part(range(len(plant.states)), [k])) for k in range(len(plant.inputs))]
+        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(plant.inputs, columns, strict=True)]
+    else:
+        loads = [
+            Load(
+                name=name,
+                into={plant.states.index(state): factor for state, factor in section.into.items()},
+                frequency=section.frequency or Real.of(0),
+            )
+            for name, section in estimate.items()
+        ]
+    return Loads.of(loads, states=len(plant.states))
+
+
+def _reals(column: BallMatrix) -> dict[int, Real]:
+    """Return the entries of a column that are not 0."""
+    centres = [fraction_of(v) for v in column.centre.entries()]
+    radii = [Fraction(0)] * len(centres)
+    if column.radius is not None:
+        radii = [fraction_of(v) for v in column.radius.entries()]
+    return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
 
 
 def initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
