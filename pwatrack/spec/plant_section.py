@@ -167,7 +167,7 @@ class SystemSection(Section):
     inputs: Names
     outputs: Names
     track: Tracked | None = None
-    units: Annotated[dict[str, Label], named("state, input or output", "signals", "")] = {}
+    units: Annotated[dict[str, Label], named("state, input or output", "measured", "")] = {}
     sizes: Annotated[dict[str, Positive], named("state, input or output", "sized", "")] = {}
     B: Annotated[ExactRows, shaped("states", "inputs")]
     C: Annotated[ExactRows, shaped("outputs", "states")]

@@ -198,18 +198,19 @@ def _unknown_key(subject: Subject) -> str:
 
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
     """Say what pydantic and the rules of sections found wrong with a tree, in the words and paths of the file."""
-    problems: list[Problem] = []
+    problems, late = list[Problem](), list[Problem]()
     for loc, item in _items(error):
         if isinstance(item, Fault):
             subject = (*_in_tree(loc, data), *item.at)
             message = path_text(subject) * (item.text[:1] in ":. ") + item.text
-            problems.append(Problem(message=message, subject=(*subject, *item.key), hint=item.hint))
+            problem = Problem(message=message, subject=(*subject, *item.key), hint=item.hint)
+            (late if item.late else problems).append(problem)
         else:
             missing = item["type"] == "missing"
             subject = (*_in_tree(loc[:-1] if missing else loc, data), *(loc[-1:] if missing else ()))
             message = f"{path_text(subject)}{_fault(item, subject, guessed=len(problems) < MOST)}"
             problems.append(Problem(message=message, subject=subject[:-1] if missing else subject))
-    return problems
+    return problems or late
 
 
 def _items(error: ValidationError, above: Subject = ()) -> Iterator[tuple[Subject, Any]]:

@@ -36,6 +36,7 @@ class Context:
         loads: Those of the loads to be estimated, with how many states each has.
         chosen: Those of the outputs that are to follow a reference, where some are named.
         tracking: What `design` says of it.
+        parametric: Whether the file has parameters in a form in which they can be told.
     """
 
     parameters: Mapping[str, Real | None]
@@ -46,6 +47,7 @@ class Context:
     loads: Mapping[str, int] = field(default_factory=dict)
     chosen: tuple[str, ...] = ()
     tracking: str = "output"
+    parametric: bool = True
 
     @staticmethod
     def of(data: Mapping[str, Any], parameters: Mapping[str, Real | None]) -> "Context":
@@ -64,6 +66,7 @@ class Context:
             else {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads.items()},
             chosen=tuple(filter(outputs.__contains__, _texts(tracked))),
             tracking=tracking if isinstance(tracking, str) else "output",
+            parametric=isinstance(data.get("parameters", {}), dict),
         )
 
     @property
@@ -83,13 +86,18 @@ class Context:
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """All that has a name and a unit."""
+        """All that has a name and a column in the trace."""
         return (*dict.fromkeys((*self.states, *self.ports, *self.tracked, *self.loads)),)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What a unit is said of; none where the states are not known."""
+        return self.signals if self.states else ()
 
     @property
     def sized(self) -> tuple[str, ...]:
         """What a deviation that matters is said of."""
-        return tuple(name for name in self.signals if name not in self.tracked)
+        return tuple(name for name in self.measured if name not in self.tracked)
 
     @property
     def states_and_estimates(self) -> tuple[str, ...]:
@@ -110,12 +118,14 @@ class Fault(NamedTuple):
         at: That path, from the value on.
         hint: What to do.
         key: Where it stands, from there on.
+        late: Whether it may follow from another fault, and is said only where there is none.
     """
 
     text: str
     at: Subject = ()
     hint: str = ""
     key: Subject = ()
+    late: bool = False
 
 
 class Faults(ValueError):
@@ -224,12 +234,12 @@ def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
 
     def check(value: Any, context: Context) -> Iterator[Fault]:
         known = getattr(context, of)
-        if not isinstance(value, dict) or not (known or kind == "parameter"):
+        if not isinstance(value, dict) or not (context.parametric if of == "parameters" else known):
             return  # they are in error themselves
         for name, meant in unknown_names(value, known):
             at = (name,) if form[:1] == ";" else ()
             text = f": {shown(name)} is no {kind}{form.format(listed(known))}{meant}"
-            yield Fault(text, at, key=() if at else (name,))
+            yield Fault(text, at, key=() if at else (name,), late=of == "followed")
 
     return also(check)
 

@@ -167,7 +167,8 @@ class ReferenceSection(Section):
         given = [kind for kind in (*kinds["output"], *kinds["state"]) if getattr(self, kind) is not None]
         if len(given) != 1 or given[0] not in fitting:
             found = " and ".join(given) or "nothing"
-            yield Fault(f"{context.tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}")
+            text = f"{context.tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
+            yield Fault(text, late=True)
         if self.start is not None and self.input is None:
             yield Fault("start goes with a reference 'input' only", ("start",))
         if self.preview != "auto" and self.output is None:
@@ -175,9 +176,9 @@ class ReferenceSection(Section):
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
         if self.output is not None and "output" in fitting and context.followed:
-            yield from _output_faults(self.output, context.followed)
+            yield from (fault._replace(late=True) for fault in _output_faults(self.output, context.followed))
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
-            yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",))
+            yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
 
 
 def _output_faults(output: CourseSection | dict[str, CourseSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
