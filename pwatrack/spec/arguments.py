@@ -170,7 +170,7 @@ def problem(
     asked = {"output": reference} if isinstance(reference, str) else reference
     sections = {"name": name, "description": description, **plant.sections, "design": design}
     sections |= {"reference": asked, "simulation": simulation, "require": require}
-    return read_spec(document_of(sections, argument), outside=True)
+    return read_spec(document_of(sections, argument), outside=True, plant=plant.system)
 
 
 def _check_plant(plant: object) -> None:

@@ -59,9 +59,6 @@ class Axis:
 def axis(text: str) -> Axis:
     """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
 
-    Raises:
-        InvalidSpec: If it is not written so.
-
     Example:
         >>> axis("k2=0.1:0.9:17").at(0.5)
         0.5

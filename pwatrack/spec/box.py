@@ -26,14 +26,7 @@ SUBJECT: Subject = ("design", "uncertain")
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """A parameter that may have any value of an interval.
-
-    Attributes:
-        name: Of the parameter.
-        nominal: Its value in the design.
-        low, high: The ends.
-        uses: The parameters that its value is made of in the file.
-    """
+    """A parameter that may have any value of an interval; in the file its value is made of those that it `uses`."""
 
     name: str
     nominal: Real
@@ -87,11 +80,6 @@ _MOST_CORNERS = 4096  # of 12 parameters: a plant is made for each
 
 def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[Matrices, ...]:
     """Return the matrices of the plant at all corners of a box that they speak for.
-
-    Args:
-        parametric: The plant as a function of its parameters.
-        nominal: The plant of the design.
-        box: What is uncertain.
 
     Raises:
         InvalidSpec: If a parameter is nowhere in the plant.

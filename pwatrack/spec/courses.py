@@ -23,17 +23,7 @@ _GROWN = 138.0  # λ times the duration: e^138 is 1e60
 
 
 def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Folder, horizon: float) -> Reference:
-    """Return what is to be tracked.
-
-    Args:
-        section: The section of the file, with exactly one kind of reference.
-        tracked: Names of what follows the reference.
-        folder: Where table files are looked for.
-        horizon: Up to when a course that repeats is laid out, in s.
-
-    Raises:
-        InvalidSpec: If a table cannot be read, or a course ends before the horizon.
-    """
+    """Return what is to be tracked, up to a `horizon` in s; raises as `build_courses`, for all of them at once."""
     if section.setpoint is not None:
         return SetPoint(readonly([section.setpoint[name] for name in tracked]))
     kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
@@ -60,13 +50,7 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
 
 
 def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
-    """Return the courses whose sum is a signal.
-
-    Args:
-        section: What the file says of it.
-        folder: Where table files are looked for.
-        horizon: Up to when it is needed, in s.
-        subject: Where the section stands.
+    """Return the courses whose sum is a signal, up to a `horizon` in s; table files are looked for in a folder.
 
     Raises:
         InvalidSpec: If numbers or a table make no course, or one ends before the horizon; all that is wrong at once.

@@ -80,24 +80,27 @@ def load_spec(
         raise InvalidSpec(Problem(message=message, subject=None))
     path = Path(source)
     document, digest = _read(path)
-    return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path=path, sha256=digest)
+    return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path, digest)
 
 
 def read_spec(
-    document: Document, parameters: Mapping[str, float | str] | None = None, *, outside: bool = False
+    document: Document,
+    parameters: Mapping[str, float | str] | None = None,
+    *,
+    outside: bool = False,
+    plant: PWASystem | None = None,
 ) -> Spec:
-    """Return the spec that a tree of values from Python describes; args and raises: as `load_spec`."""
+    """Return the spec that values from Python describe, `plant` being what its sections were read as, if they were.
+
+    The rest, and what is raised, is as for `load_spec`.
+    """
     text = yaml_text(document.data)
     folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
-    return _spec_of(document, parameters, folder, path=Path(WRITTEN), sha256=digest, text=text)
+    return _spec_of(document, parameters, folder, Path(WRITTEN), digest, text, plant)
 
 
 def read_sweep(path: Path, parameters: Mapping[str, float | str]) -> tuple[str, list[Axis]]:
-    """Return the title of a spec file, and which parameters it says vary in a sweep.
-
-    Raises:
-        InvalidSpec: With every error in the form of the file; the plant is not looked at.
-    """
+    """Return the title of a spec file, and which parameters it says vary in a sweep; the plant is not looked at."""
     document, _ = _read(path)
     file, _ = _checked(document, parameters, SpecFile)
     return file.name, axes_of(file.sweep or {})
@@ -116,23 +119,16 @@ def _spec_of(
     document: Document,
     parameters: Mapping[str, float | str] | None,
     folder: Folder,
-    *,
     path: Path,
     sha256: str,
     text: str | None = None,
+    plant: PWASystem | None = None,
 ) -> Spec:
     file, context = _checked(document, parameters or {}, SpecFile)
     simulation = file.simulation
-    parametric = ParametricPlant.of(
-        document.data.get("parameters", {}),
-        parameters or {},
-        nominal=file.system,
-        written=document.data["system"],
-        names=context,
-        tolerance=file.tolerance.continuity,
-    )
+    parametric = ParametricPlant.of(document.data, parameters or {}, file, context)
     try:
-        plant = build_plant(file.system, file.tolerance.continuity)
+        plant = plant or build_plant(file.system, file.tolerance.continuity)
         plant = replace(plant, loads=build_loads(file.design.estimate, plant))
         reference = build_reference(file.reference, plant.tracked_names, folder, simulation.duration)
         conditions = build_conditions(simulation, plant, parametric, folder)
@@ -191,9 +187,6 @@ def _too_large(data: Mapping[str, Any]) -> list[Problem]:
 def assignments(texts: Sequence[str]) -> dict[str, str]:
     """Return parameters given as NAME=VALUE.
 
-    Raises:
-        InvalidSpec: For each text that is not of this form, and each name that is given twice.
-
     Example:
         >>> assignments(["k2=0.3", "omega=2*pi"])
         {'k2': '0.3', 'omega': '2*pi'}
@@ -229,12 +222,7 @@ def expected_exit(path: str | Path) -> int:
 
 
 def referenced_files(path: str | Path) -> tuple[Path, ...]:
-    """Return the files that a spec file refers to, whether they exist or not; none where it cannot be read.
-
-    Example:
-        >>> referenced_files("specs/two_mass_backlash.yaml")
-        ()
-    """
+    """Return the files that a spec file refers to, whether they exist or not; none where it cannot be read."""
     path = Path(path)
     try:
         return tuple(path.parent / name for name in referenced_names(spec_bytes(path)))
@@ -273,16 +261,12 @@ def _read(path: Path) -> tuple[Document, str]:
 
 
 def spec_bytes(path: Path) -> bytes:
-    """Return what a spec file holds; raises as `file_content` does."""
+    """Return what a spec file holds, which may have come along from another machine."""
     return content(path, lambda: file_content(path))
 
 
 def file_content(path: Path) -> bytes:
-    """Return the bytes of a spec file, a regular one that is not too large: others may never end.
-
-    Raises:
-        InvalidSpec: If it is no such file, or cannot be read.
-    """
+    """Return the bytes of a spec file, a regular one that is not too large: others may never end."""
     try:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):

@@ -58,25 +58,17 @@ class ParametricPlant:
 
     @staticmethod
     def of(
-        section: Mapping[str, Value],
-        overrides: Mapping[str, Value],
-        *,
-        nominal: SystemSection,
-        written: Any,
-        names: Context,
-        tolerance: float,
+        data: Mapping[str, Any], overrides: Mapping[str, Value], file: PlantFile, names: Context
     ) -> "ParametricPlant":
-        """Return the plant of a file without a fault: of its `parameters`, what takes the place of some, and `system`.
-
-        `written` is the section of the plant as text, `nominal` what it was read as.
-        """
+        """Return the plant of a tree that was read as a `file`, with what takes the place of some parameters."""
+        texts = {**data.get("parameters", {}), **overrides}
         return ParametricPlant(
-            parameters={name: parsed(str(text)) for name, text in {**section, **overrides}.items()},
+            parameters={name: parsed(str(text)) for name, text in texts.items()},
             outside=frozenset(overrides),
-            nominal=nominal,
-            written=_tree(nominal, written, names.parameters),
+            nominal=file.system,
+            written=_tree(file.system, data["system"], names.parameters),
             names=names,
-            tolerance=tolerance,
+            tolerance=file.tolerance.continuity,
         )
 
     @property
@@ -85,14 +77,9 @@ class ParametricPlant:
         return _expressions(self.written, ())
 
     def at(self, parameters: Mapping[str, float | str | Real], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
-        """Return the plant with these parameters, and their values.
+        """Return the plant with these parameters, the others being as they are, and their values.
 
-        Args:
-            parameters: Numbers or expressions, by name; the others stay as they are.
-            subject: Where the file asks for them.
-
-        Raises:
-            PwatrackError: If one has no value, or the plant is not of class (1) with them.
+        A refusal is about `subject`, where the file asks for them.
         """
         try:
             values = self._values(parameters)
@@ -154,15 +141,9 @@ def _expressions(tree: Any, path: Subject) -> Iterator[tuple[Subject, Expression
 def evaluated(
     section: Any, overrides: Mapping[str, Value], outside: Collection[str] | None = None
 ) -> tuple[dict[str, Real | None], list[Problem]]:
-    """Evaluate parameters in order; each may use those before it.
+    """Return the values of parameters in order, each made of those before it, and what is wrong; None is in error.
 
-    Args:
-        section: What the file has under `parameters`.
-        overrides: Expressions or numbers that take the place of those in the file.
-        outside: Which parameters are not from the file; None for those of `overrides`.
-
-    Returns:
-        The values, None for one that is in error, and what is wrong.
+    `overrides` take the place of those that the section has; `outside` are not from the file, all of these if None.
     """
     outside = overrides if outside is None else outside
     values: dict[str, Real | None] = {}
@@ -174,19 +155,16 @@ def evaluated(
             message = f"parameter '{name}' is set but not declared; declared: {known}"
             problems.append(Problem(message=message, subject=None))
     for name, text in texts.items():
-        text = overrides.get(name, text)
-        if name in RESERVED:
-            values[name] = None  # said by the schema
-            continue
+        text, value = overrides.get(name, text), None
         try:
-            if isinstance(text, Real):
-                values[name] = text
-                continue
-            if not isinstance(text, str | int | float | Expression):
+            if isinstance(text, list | dict):
                 raise ExpressionError("a number or an expression is expected")
-            values[name] = real(text if isinstance(text, Expression) else str(text), values)
+            if isinstance(text, Real):
+                value = text
+            elif name not in RESERVED:  # else it is said by the schema
+                value = real(text if isinstance(text, Expression) else str(text), values)
         except BrokenParameter:
-            values[name] = None
+            pass
         except ExpressionError as error:
             foreign = name in outside
             message = f"parameter '{name}': {error}"
@@ -196,5 +174,5 @@ def evaluated(
                 message += below_text if below else error.guess if len(problems) < MOST else ""
             message += " (set from outside the file)" if foreign else ""
             problems.append(Problem(message=message, subject=None if foreign else ("parameters", name)))
-            values[name] = None
+        values[name] = value
     return values, problems

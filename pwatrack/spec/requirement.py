@@ -98,11 +98,7 @@ class Requirement:
 
 
 def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Requirement, ...]:
-    """Return what the section `require` asks for; a validator of pydantic.
-
-    Raises:
-        Faults: With all that is wrong with it.
-    """
+    """Return what the section `require` asks for; a validator of pydantic."""
     if not isinstance(data, Mapping):
         raise Faults([Fault(": a mapping such as {final_error: 1e-3} is expected")])
     found, faults = list[Requirement](), list[Fault]()

@@ -77,13 +77,7 @@ def _in_order(values: Mapping[str, float] | Sequence[float] | None, states: Sequ
 
 
 def regions(section: StartRegionsSection | None, states: Sequence[str], nominal: InitialStates) -> dict[str, Region]:
-    """Return where the members of an ensemble start, by part; entries that are not named stay at their nominal value.
-
-    Args:
-        section: None for nothing.
-        states: Names of the states of plant and observer.
-        nominal: Where the run starts that is varied.
-    """
+    """Return where the members of an ensemble start, by part; entries that are not named stay at the nominal start."""
     found: dict[str, Region] = {}
     for part in ("plant", "observer"):
         asked, start = getattr(section, part, None), getattr(nominal, part)
@@ -134,18 +128,7 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
 def build_conditions(
     section: SimulationSection, plant: PWASystem, parametric: ParametricPlant, folder: Folder
 ) -> Conditions:
-    """Return what is not as the theorems assume.
-
-    Args:
-        section: The section of the file.
-        plant: That of the design.
-        parametric: The same with other parameters.
-        folder: Where table files are looked for.
-
-    Raises:
-        InvalidSpec: If a table cannot be read, or a disturbance ends before the simulation.
-        PwatrackError: If the plant is not of class (1) with other parameters.
-    """
+    """Return what is not as the theorems assume; raises as `build_courses`, and as the plant does that runs."""
     running = changed = limits = noise = disturbance = None
     if section.actuator is not None:
         limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])

@@ -56,13 +56,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML document.
-
-    Attributes:
-        data: The root mapping; leaves are strings.
-        places: Where the value of each path stands; `()` is the root.
-        problems: Duplicate keys and the like, which did not stop the reading.
-    """
+    """The root mapping with strings as leaves, where each path stands, and what did not stop the reading."""
 
     data: dict[str, Any]
     places: Mapping[Subject, Place]
@@ -70,14 +64,7 @@ class Document:
 
 
 def parse_yaml(text: str, file: str) -> Document:
-    """Read one YAML document whose root is a mapping.
-
-    Args:
-        text: The YAML text.
-        file: Its name, for messages.
-
-    Raises:
-        InvalidSpec: If it is not YAML, or has aliases, tags or several documents.
+    """Read one YAML document whose root is a mapping, without aliases and tags; `file` is for messages.
 
     Example:
         >>> parse_yaml("a: [1e-3, no]", "x.yaml").data
