@@ -9,8 +9,7 @@ from pydantic import ConfigDict, Field
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import (
     MOST_LISTED,
@@ -71,8 +70,20 @@ class ElementSection(Section):
     of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
+    def function(self) -> PiecewiseLinear:
+        """Return φ.
+
+        Raises:
+            ValueError: If its numbers make none.
+        """
+        raise NotImplementedError
+
     def rules(self, context: Context) -> Iterator[Fault]:
-        """Yield what it acts on that is no state."""
+        """Yield what it acts on that is no state, and numbers that make no φ."""
+        try:
+            self.function()
+        except ValueError as error:
+            yield Fault(f"nonlinearity '{self.name}': {error}")
         for state, meant in unknown_names(self.into, context.states) if context.states else ():
             yield Fault(f"nonlinearity '{self.name}': {shown(state)} is no state{meant}", ("into",), key=(state,))
 
@@ -221,7 +232,6 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
     """Return the plant from any of the three ways to write it.
 
     Raises:
-        InvalidSpec: If a nonlinearity contradicts itself.
         OutsideTheory: If it is not a continuous PWA system with one B.
     """
     _refuse_other_B(system)
@@ -332,29 +342,20 @@ def _from_signs(system: SystemSection) -> Partition:
 
 
 def _elements(system: SystemSection) -> list[Nonlinearity]:
-    n = len(system.states)
-    elements, problems = [], []
-    for k, section in enumerate(system.nonlinearities or []):
-        try:
-            function = section.function()
-        except ValueError as error:
-            subject: Subject = ("system", "nonlinearities", k)
-            problems.append(Problem(message=f"nonlinearity '{section.name}': {error}", subject=subject))
-            continue
-        direction = [Real.of(0)] * n
+    elements = []
+    for section in system.nonlinearities or []:
+        direction = [Real.of(0)] * len(system.states)
         for state, factor in section.into.items():
             direction[system.states.index(state)] = factor
         elements.append(
             Nonlinearity(
                 name=section.name,
-                function=function,
+                function=section.function(),
                 row=section.of.coefficients,
                 constant=section.of.offset,
                 direction=direction,
             )
         )
-    if problems:
-        raise InvalidSpec(*problems)
     return elements
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.loads import Load, Loads
@@ -18,7 +17,7 @@ from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 from pwatrack.simulation.region import Box, Ellipsoid, Region
 from pwatrack.spec.box import build_box
-from pwatrack.spec.courses import build_courses
+from pwatrack.spec.courses import all_courses
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.signal_section import CourseSection
@@ -136,12 +135,9 @@ def build_conditions(
         std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
         noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
     if section.disturbance is not None:
-        signals = []
-        for name in plant.states:
-            subject: Subject = ("simulation", "disturbance", name)
-            course = section.disturbance.get(name, CourseSection())
-            signals.append(total_signal(build_courses(course, folder, section.duration, subject), 0))
-        found = exosystem(signals)
+        signals = [(section.disturbance.get(name, CourseSection()), (name,)) for name in plant.states]
+        courses = all_courses(signals, folder, section.duration, ("simulation", "disturbance"))
+        found = exosystem([total_signal(course, 0) for course in courses])
         disturbance = found if found.Q.any() else None
     if section.plant is not None:
         running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
