@@ -36,7 +36,6 @@ class Context:
         loads: Those of the loads to be estimated, with how many states each has.
         chosen: Those of the outputs that are to follow a reference, where some are named.
         tracking: What `design` says of it.
-        parametric: Whether the file has parameters in a form in which they can be told.
     """
 
     parameters: Mapping[str, Real | None]
@@ -47,7 +46,6 @@ class Context:
     loads: Mapping[str, int] = field(default_factory=dict)
     chosen: tuple[str, ...] = ()
     tracking: str = "output"
-    parametric: bool = True
 
     @staticmethod
     def of(data: Mapping[str, Any], parameters: Mapping[str, Real | None]) -> "Context":
@@ -66,7 +64,6 @@ class Context:
             else {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads.items()},
             chosen=tuple(filter(outputs.__contains__, _texts(tracked))),
             tracking=tracking if isinstance(tracking, str) else "output",
-            parametric=isinstance(data.get("parameters", {}), dict),
         )
 
     @property
@@ -234,12 +231,12 @@ def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
 
     def check(value: Any, context: Context) -> Iterator[Fault]:
         known = getattr(context, of)
-        if not isinstance(value, dict) or not (context.parametric if of == "parameters" else known):
+        if not isinstance(value, dict) or not (known or of == "parameters"):
             return  # they are in error themselves
         for name, meant in unknown_names(value, known):
             at = (name,) if form[:1] == ";" else ()
             text = f": {shown(name)} is no {kind}{form.format(listed(known))}{meant}"
-            yield Fault(text, at, key=() if at else (name,), late=of == "followed")
+            yield Fault(text, at, key=() if at else (name,), late=not known or of == "followed")
 
     return also(check)
 
