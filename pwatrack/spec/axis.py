@@ -57,12 +57,7 @@ class Axis:
 
 
 def axis(text: str) -> Axis:
-    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
-
-    Example:
-        >>> axis("k2=0.1:0.9:17").at(0.5)
-        0.5
-    """
+    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS."""
     found = _TEXT.fullmatch(text)
     try:
         if found is None:

@@ -137,12 +137,7 @@ class LinearForm:
 
 
 def is_number(text: str) -> bool:
-    """Whether a text is a number in digits, as most entries of most files are: it need not be parsed.
-
-    Example:
-        >>> is_number("-0.5"), is_number("1e-05"), is_number("1/2")
-        (True, True, False)
-    """
+    """Whether a text is a number in digits, as most entries of most files are: it need not be parsed."""
     return _PLAIN.fullmatch(text) is not None
 
 
@@ -160,34 +155,18 @@ def real(text: str | Expression, parameters: Parameters) -> Real:
 
 
 def number(text: str, parameters: Parameters) -> float:
-    """Return the value of an expression in the parameters, as the nearest double.
-
-    Example:
-        >>> number("-(k1 + 1e-3)/2**2", {"k1": 3.999})
-        -1.0
-    """
+    """Return the value of an expression in the parameters, as the nearest double."""
     return float(real(text, parameters))
 
 
 def linear_form(text: str | Expression, states: Sequence[str], parameters: Parameters) -> LinearForm:
-    """Return an expression as row · x + constant.
-
-    Example:
-        >>> form = linear_form("2*(z2 - z1) + c", ["z1", "z2"], {"c": 5.0})
-        >>> form.row.tolist(), form.constant
-        ([-2.0, 2.0], 5.0)
-    """
+    """Return an expression as row · x + constant."""
     value = _evaluate(text, _names(_units(states), parameters))
     return value if isinstance(value, LinearForm) else LinearForm((_ZERO,) * len(states), value)
 
 
 def inequalities(text: str | Expression, states: Sequence[str], parameters: Parameters) -> list[LinearForm]:
-    """Return the linear forms that a comparison, or a chain of them, says are ≥ 0.
-
-    Example:
-        >>> [f.row.tolist() + [f.constant] for f in inequalities("-1 < z <= 2", ["z"], {})]
-        [[1.0, 1.0], [-1.0, 2.0]]
-    """
+    """Return the linear forms that a comparison, or a chain of them, says are ≥ 0."""
     expression = parsed(text)
     text, tree = expression.text, expression.tree
     if isinstance(tree, ast.BoolOp):
@@ -213,10 +192,6 @@ def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
 
     Sums and products of polynomials, sines, cosines and exponentials with
     arguments linear in t have exact derivatives of every order; nothing else is read.
-
-    Example:
-        >>> round(formula("a*sin(2*t)**2", {"a": 3.0})(0.25), 6)
-        0.689547
     """
     value = _evaluate(text, _names({TIME: ExponentialPolynomial.time()}, parameters), exact=False)
     return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)

@@ -171,7 +171,7 @@ class Section(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _all_rules(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo[Context]) -> Self:
+    def _all_rules(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         section: Self = _checked(data, handler, cls.declared(info.context) if info.context else ())
         if info.context and (found := [*section.rules(info.context)]):
             raise Faults(found)

@@ -55,12 +55,7 @@ class Arguments(dict[Subject, Place]):
 
 
 def in_mapping(subject: Subject) -> str:
-    """Return how the value of a path is called where the whole spec is one mapping.
-
-    Example:
-        >>> in_mapping(("system", "cells", 1, "A"))
-        "spec['system']['cells'][1]['A']"
-    """
+    """Return how the value of a path is called where the whole spec is one mapping."""
     return "spec" + subscripts(subject)
 
 

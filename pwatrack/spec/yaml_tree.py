@@ -19,12 +19,7 @@ _LONGEST_PART = 100  # characters of one key in a path
 
 
 def path_text(subject: Subject) -> str:
-    """Return a path as an engineer reads it, counted from 1.
-
-    Example:
-        >>> path_text(("system", "cells", 1, "A", 0))
-        'system.cells[2].A[1]'
-    """
+    """Return a path as an engineer reads it, counted from 1."""
     text = ""
     for part in subject:
         name = part if isinstance(part, str) and len(part) <= _LONGEST_PART else f"{str(part)[:_LONGEST_PART]}…"
@@ -33,12 +28,7 @@ def path_text(subject: Subject) -> str:
 
 
 def at_path(data: Any, subject: Subject) -> Any:
-    """Return what stands in a tree at a path, None for nothing.
-
-    Example:
-        >>> at_path({"cells": [{"A": "1"}, {"A": "2"}]}, ("cells", 1, "A")), at_path({}, ("cells", 1))
-        ('2', None)
-    """
+    """Return what stands in a tree at a path, None for nothing."""
     for part in subject:
         if isinstance(data, dict):
             data = data.get(str(part))
@@ -64,12 +54,7 @@ class Document:
 
 
 def parse_yaml(text: str, file: str) -> Document:
-    """Read one YAML document whose root is a mapping, without aliases and tags; `file` is for messages.
-
-    Example:
-        >>> parse_yaml("a: [1e-3, no]", "x.yaml").data
-        {'a': ['1e-3', 'no']}
-    """
+    """Read one YAML document whose root is a mapping, without aliases and tags; `file` is for messages."""
     if len(text) > _LONGEST:
         message = f"the file has {len(text)} characters, at most {_LONGEST} are read"
         raise InvalidSpec(Problem(message=message, place=Place(file, 1, 1)))
