@@ -54,25 +54,27 @@ def _reals(column: BallMatrix) -> dict[int, Real]:
     return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
 
 
+def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
+    """Return values in the order of names."""
+    return readonly([values.get(name, missing) for name in names])
+
+
 def initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
-    """Return where a run starts."""
-    observer, generator = section.observer, section.generator
+    """Return where a run starts; states that are not named start at 0."""
+
+    def start(values: Mapping[str, float] | Sequence[float] | None) -> Array | None:
+        return _vector(values, states) if isinstance(values, Mapping) else None if values is None else readonly(values)
+
+    plant, observer, generator = section.plant, section.observer, section.generator
     return InitialStates(
-        plant=Steady() if isinstance(section.plant, str) else _in_order(section.plant, states),
-        observer=Measured() if isinstance(observer, str) else _in_order(observer, states),
+        plant=Steady() if isinstance(plant, str) else start(plant),
+        observer=Measured() if isinstance(observer, str) else start(observer),
         generator=Steady()
         if isinstance(generator, str)
         else readonly(generator)
         if isinstance(generator, list)
         else generator,
     )
-
-
-def _in_order(values: Mapping[str, float] | Sequence[float] | None, states: Sequence[str]) -> Array | None:
-    """Return initial values in the order of the states; those that are not named are 0."""
-    if values is None:
-        return None
-    return readonly([values.get(name, 0.0) for name in states] if isinstance(values, Mapping) else values)
 
 
 def regions(section: StartRegionsSection | None, states: Sequence[str], nominal: InitialStates) -> dict[str, Region]:
@@ -82,16 +84,15 @@ def regions(section: StartRegionsSection | None, states: Sequence[str], nominal:
         asked, start = getattr(section, part, None), getattr(nominal, part)
         if asked is None:
             continue
-        center = dict(
-            zip(states, start.tolist() if isinstance(start, np.ndarray) else [0.0] * len(states), strict=True)
-        )
+        center = dict.fromkeys(states, 0.0)
+        if isinstance(start, np.ndarray):
+            center |= zip(states, start.tolist(), strict=True)
         if isinstance(asked, EllipsoidSection):
             center |= asked.ellipsoid.center
-            radii = [asked.ellipsoid.radii.get(name, 0.0) for name in states]
-            found[part] = Ellipsoid(center=readonly(list(center.values())), radii=readonly(radii))
+            found[part] = Ellipsoid(center=_vector(center, states), radii=_vector(asked.ellipsoid.radii, states))
         else:
-            bounds = [asked.get(name, [value, value]) for name, value in center.items()]
-            found[part] = Box(low=readonly([low for low, _ in bounds]), high=readonly([high for _, high in bounds]))
+            low, high = zip(*(asked.get(name, [value, value]) for name, value in center.items()), strict=True)
+            found[part] = Box(low=readonly(low), high=readonly(high))
     if section is not None and section.generator is not None:
         low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
         found["generator"] = Box(low=readonly(low), high=readonly(high))
@@ -132,7 +133,7 @@ def build_conditions(
     if section.actuator is not None:
         limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])
     if section.noise is not None and any(section.noise.std.values()):
-        std = readonly([section.noise.std.get(name, 0.0) for name in plant.outputs])
+        std = _vector(section.noise.std, plant.outputs)
         noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
     if section.disturbance is not None:
         signals = [(section.disturbance.get(name, CourseSection()), (name,)) for name in plant.states]
@@ -141,29 +142,19 @@ def build_conditions(
         disturbance = found if found.Q.any() else None
     if section.plant is not None:
         running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
-    quanta = rates = None
-    if section.quantum:
-        quanta = Quanta(
-            inputs=readonly([section.quantum.get(name, 0.0) for name in plant.inputs]),
-            outputs=readonly([section.quantum.get(name, 0.0) for name in plant.outputs]),
-        )
-    if section.rate_limit:
-        rates = np.array([section.rate_limit.get(name, np.inf) for name in plant.inputs])
-        rates.flags.writeable = False
+    quantum, sampled = section.quantum, section.controller
     return Conditions(
-        quanta=quanta,
-        rates=rates,
+        quanta=Quanta(inputs=_vector(quantum, plant.inputs), outputs=_vector(quantum, plant.outputs))
+        if quantum
+        else None,
+        rates=_vector(section.rate_limit, plant.inputs, np.inf) if section.rate_limit else None,
         plant=running,
         parameters=changed,
         limits=limits if limits is not None and np.isfinite(limits).any() else None,
         disturbance=disturbance,
         noise=noise,
-        sampling=Sampling(
-            sample_time=section.controller.sample_time,
-            method=section.controller.method,
-            delay=section.controller.delay,
-        )
-        if section.controller
+        sampling=Sampling(sample_time=sampled.sample_time, method=sampled.method, delay=sampled.delay)
+        if sampled
         else None,
     )
 

@@ -143,13 +143,19 @@ def _said_by_model(key: str, value: object) -> bool:
     return (key == "title" and isinstance(value, str)) or (key == "default" and isinstance(value, dict | list | None))
 
 
-_EXPECTED = {
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "a mapping",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
-    "string_type": "a text",
+_SAID = {  # of what pydantic finds, behind the path
+    "missing": " is missing",
+    "union_tag_not_found": ": kind is missing",
+    "list_type": ": a list is expected",
+    "tuple_type": ": a list is expected",
+    "dict_type": ": a mapping is expected",
+    "model_type": ": a mapping is expected",
+    "model_attributes_type": ": a mapping is expected",
+    "string_type": ": a text is expected",
+    "too_short": ": at least {min_length} entry is expected",
+    "too_long": ": {actual_length} entries, at most {max_length} are read",
+    "greater_than_equal": ": {input} is below {ge}",
+    "less_than_equal": ": {input} is above {le}",
 }
 
 
@@ -169,9 +175,13 @@ def _sections() -> tuple[tuple[Subject, type[Section]], ...]:
     return tuple(inside(SpecFile, ()))
 
 
+def _keys() -> set[str]:
+    return {name for _, model in _sections() for name in model.written_keys()}
+
+
 def known_keys() -> list[str]:
     """Return every key that some section has."""
-    return sorted({name for _, model in _sections() for name in model.written_keys()} | {*QUANTITIES, "members"})
+    return sorted(_keys() | {*QUANTITIES, "members"})
 
 
 def _unknown_key(subject: Subject) -> str:
@@ -191,9 +201,7 @@ def _unknown_key(subject: Subject) -> str:
         return f"; '{key}' is for kind: {' or '.join(map(str, kinds))}"
     if places and key not in siblings:
         return f"; '{key}' belongs under {' or '.join(places[:3])}"
-    return guess(key, sorted(siblings)) or guess(
-        key, sorted({n for _, model in _sections() for n in model.written_keys()})
-    )
+    return guess(key, sorted(siblings)) or guess(key, sorted(_keys()))
 
 
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
@@ -229,35 +237,21 @@ def _fault(item: Any, subject: Subject, *, guessed: bool) -> str:
     """Return what is wrong with an entry, to be put behind its path; guesses at what was meant take a while."""
     kind, context = item["type"], item.get("ctx", {})
     cause = context.get("error")
-    if kind == "missing":
-        return " is missing"
+    if kind in _SAID:
+        figures = {name: "too many" if value is None else value for name, value in context.items()}
+        return _SAID[kind].format(input=item["input"], **figures)
     if kind == "extra_forbidden":
         return f": unknown key{_unknown_key(subject) if guessed else ''}"
-    if kind in _EXPECTED:
-        return f": {_EXPECTED[kind]} is expected"
     if kind == "literal_error":
-        found, word = _found(item["input"]), context["expected"]
+        value, word = item["input"], context["expected"]
+        found = shown(value) if isinstance(value, str) else "a mapping" if isinstance(value, dict) else "a list"
         either = "a word" in item["loc"]  # or numbers
         return f": {found} is neither {word} nor a list or mapping" if either else f": {found} is not {word}"
     if kind == "union_tag_invalid":
         return f": kind {shown(str(context['tag']))} is none of {context['expected_tags']}"
-    if kind == "union_tag_not_found":
-        return ": kind is missing"
-    if kind == "too_short":
-        return f": at least {context['min_length']} entry is expected"
-    if kind == "too_long":
-        return f": {context['actual_length'] or 'too many'} entries, at most {context['max_length']} are read"
-    if kind == "greater_than_equal":
-        return f": {item['input']} is below {context['ge']}"
-    if kind == "less_than_equal":
-        return f": {item['input']} is above {context['le']}"
     if isinstance(cause, UnknownName):
         return f": {cause}{cause.guess if guessed else ''}"
     return f": {cause or item['msg'][0].lower() + item['msg'][1:]}"
-
-
-def _found(value: Any) -> str:
-    return shown(value) if isinstance(value, str) else "a mapping" if isinstance(value, dict) else "a list"
 
 
 def _in_tree(loc: Subject, data: Any) -> Subject:
