@@ -53,23 +53,23 @@ class GoalSection(Section):
     def rules(self, context: Context) -> Iterator[Fault]:
         """Yield what has no meaning beside the rest, and weights that are none."""
         given = [name for name in ("K", "L", "cost", "rate", "gain") if getattr(self, name, None) is not None]
-        if given[0:1] in (["K"], ["L"], ["cost"]) and len(given) > 1:
+        if len(given) > 1 and given[0] in ("K", "L", "cost"):
             yield Fault(f": '{given[0]}' settles the gain, '{given[1]}' beside it has no meaning", key=(given[1],))
         if self.gain == "smallest" and self.rate in (None, "largest"):
             text = ": 'gain: smallest' is the smallest gain of a given rate in 1/s, and none is given"
             yield Fault(text, hint="for example rate: 0.1", key=("gain",))
         if self.cost is not None and context.states and context.inputs and context.outputs:
-            yield from _no_weight(("cost", "Q"), np.array(self.cost.Q), strict=False)
-            yield from _no_weight(("cost", "R"), np.array(self.cost.R), strict=True)
+            yield from _no_weight("Q", np.array(self.cost.Q))
+            yield from _no_weight("R", np.array(self.cost.R))
 
 
-def _no_weight(at: Subject, X: Array, *, strict: bool) -> Iterator[Fault]:
+def _no_weight(name: str, X: Array) -> Iterator[Fault]:
     skew, least, size = float(np.abs(X - X.T).max()), float(np.linalg.eigvalsh(X)[0]), float(np.abs(X).max())
     if skew > _SKEW * size:
-        yield Fault(f" is not symmetric: entries differ by {skew:.4g}", at)
-    elif least <= 0 if strict else least < -_SKEW * size:
-        wanted = "positive definite" if strict else "positive semidefinite"
-        yield Fault(f" is not {wanted}: its least eigenvalue is {least:.4g}", at)
+        yield Fault(f" is not symmetric: entries differ by {skew:.4g}", ("cost", name))
+    elif least <= 0 if name == "R" else least < -_SKEW * size:
+        wanted = "positive definite" if name == "R" else "positive semidefinite"
+        yield Fault(f" is not {wanted}: its least eigenvalue is {least:.4g}", ("cost", name))
 
 
 class ControllerSection(GoalSection):

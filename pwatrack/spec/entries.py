@@ -275,7 +275,9 @@ Normal = Annotated[
 ]
 _ByName = Annotated[dict[str, Number], Tag("by name")]
 _InOrder = Annotated[list[Number], Tag("in order")]
-_KIND = Discriminator(lambda value: {str: "a word", dict: "by name"}.get(type(value), "in order"))
+_KIND = Discriminator(
+    lambda value: "a word" if isinstance(value, str) else "by name" if isinstance(value, dict) else "in order"
+)
 StartOrMeasured = Annotated[Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, _KIND]
 StartOrSteady = Annotated[Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, _KIND]
 ShareOrInterval = Annotated[

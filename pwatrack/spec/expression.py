@@ -187,7 +187,7 @@ def inequalities(text: str | Expression, states: Sequence[str], parameters: Para
     return forms
 
 
-def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
+def formula(text: str | Expression, parameters: Parameters) -> ExponentialPolynomial:
     """Return an expression in the parameters and the time t.
 
     Sums and products of polynomials, sines, cosines and exponentials with

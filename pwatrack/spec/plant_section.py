@@ -253,7 +253,7 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
             odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
     else:
         cells = system.cells
-        partition = _from_signs(system) if system.hyperplanes is not None else _from_inequalities(system)
+        partition = _partition(system, cells)
         A = [cell.A for cell in cells]
         b = [cell.b or [0] * len(system.states) for cell in cells]
     plant = PWASystem.create(
@@ -313,30 +313,25 @@ def _refuse_other_B(system: SystemSection) -> None:
         raise OutsideTheory(*problems)
 
 
-def _from_inequalities(system: SystemSection) -> Partition:
-    cells = system.cells or []
-    forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
-    rows = [form.coefficients for cell in forms for form in cell]
-    signs = np.zeros((len(forms), len(rows)), dtype=np.int64)
-    start = 0
-    for i, cell in enumerate(forms):
-        signs[i, start : start + len(cell)] = 1
-        start += len(cell)
+def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition:
+    """Return the cells, from their signs or from their inequalities, each of which is a hyperplane."""
+    signs: Any
+    if system.hyperplanes is not None:
+        values = {"+": 1, "-": -1, "0": 0}
+        H: list[Sequence[Real]] = [plane.H for plane in system.hyperplanes]
+        h = [plane.h for plane in system.hyperplanes]
+        signs = [[values[sign] for sign in cell.signs or []] for cell in cells]
+    else:
+        forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
+        H, h = [form.coefficients for cell in forms for form in cell], [form.offset for cell in forms for form in cell]
+        signs, start = np.zeros((len(cells), len(H)), dtype=np.int64), 0
+        for i, cell in enumerate(forms):
+            signs[i, start : start + len(cell)] = 1
+            start += len(cell)
     return Partition.create(
-        H=np.array(rows, dtype=object).reshape(-1, len(system.states)),
-        h=[form.offset for cell in forms for form in cell],
+        H=np.array(H, dtype=object).reshape(-1, len(system.states)),
+        h=h,
         signs=signs,
-        names=[cell.name for cell in cells],
-    )
-
-
-def _from_signs(system: SystemSection) -> Partition:
-    values = {"+": 1, "-": -1, "0": 0}
-    planes, cells = system.hyperplanes or [], system.cells or []
-    return Partition.create(
-        H=np.array([plane.H for plane in planes], dtype=object).reshape(-1, len(system.states)),
-        h=[plane.h for plane in planes],
-        signs=[[values[sign] for sign in cell.signs or []] for cell in cells],
         names=[cell.name for cell in cells],
     )
 
