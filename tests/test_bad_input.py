@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec, PwatrackError
-from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, number
+from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, real
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.yaml_tree import parse_yaml
 from tests.test_outcome import cart
@@ -294,7 +294,7 @@ _TERMS = st.lists(
 def test_any_text_is_an_expression_or_is_refused(text: str) -> None:
     parameters = {"k": 2.0, "w": 0.5}
     for read in (
-        lambda: number(text, parameters),
+        lambda: real(text, parameters),
         lambda: linear_form(text, ["z"], parameters),
         lambda: inequalities(text, ["z"], parameters),
         lambda: formula(text, parameters),

@@ -154,11 +154,6 @@ def real(text: str | Expression, parameters: Parameters) -> Real:
     return value
 
 
-def number(text: str, parameters: Parameters) -> float:
-    """Return the value of an expression in the parameters, as the nearest double."""
-    return float(real(text, parameters))
-
-
 def linear_form(text: str | Expression, states: Sequence[str], parameters: Parameters) -> LinearForm:
     """Return an expression as row · x + constant."""
     value = _evaluate(text, _names(_units(states), parameters))

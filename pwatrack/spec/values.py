@@ -69,11 +69,6 @@ def document_of(data: Mapping[str, Any], named: Callable[[Subject], str] = in_ma
 
     Numbers become the shortest decimals that read as the same doubles, fractions stay exact; arrays and tuples are
     lists; what is None is not there. `named` says how the value of a path is called in Python.
-
-    Example:
-        >>> from fractions import Fraction
-        >>> document_of({"A": [[0.1, Fraction(1, 3)], (2, "k/m")], "b": None}).data
-        {'A': [['0.1', '1/3'], ['2', 'k/m']]}
     """
     reading = _Reading(Arguments(named))
     return Document(data=reading.mapping(data, ()), places=reading.places, problems=reading.problems)
