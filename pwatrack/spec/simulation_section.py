@@ -131,10 +131,7 @@ class SimulationSection(Section):
     rate_limit: Annotated[dict[str, Positive], named("input", "inputs")] = {}
     """By how much inputs may change, by name, in their unit per second."""
     controller: SampledSection | None = None
-    portraits: Annotated[
-        list[FormPair],
-        Field(max_length=_MOST_PORTRAITS),
-    ] = []
+    portraits: Annotated[list[FormPair], Field(max_length=_MOST_PORTRAITS)] = []
     ensemble: EnsembleSection = EnsembleSection()
 
     def rules(self, context: Context) -> Iterator[Fault]:
