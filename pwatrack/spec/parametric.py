@@ -108,7 +108,8 @@ class ParametricPlant:
 
     def _section(self, values: dict[str, Real | None]) -> SystemSection:
         """Return the section of the plant with these values in the entries that depend on them."""
-        tree = {"system": self.written}
+        moved = {name for name, value in values.items() if value != self.names.parameters[name]}
+        tree = {"system": _tree(self.nominal, self.written, moved)}
         try:
             return PlantFile.model_validate(tree, context=replace(self.names, parameters=values)).system
         except ValidationError as error:
@@ -116,10 +117,11 @@ class ParametricPlant:
 
 
 def _tree(value: Any, written: Any, parameters: Collection[str]) -> Any:
-    """Return a section as the tree that it was read from, with texts for expressions in parameters alone."""
+    """Return a section as the tree that it was read from, with expressions only where it depends on parameters."""
     if isinstance(value, Real | LinearForm) or (isinstance(value, list) and value and isinstance(value[0], LinearForm)):
-        expression = None if is_number(written) else parsed(written)
-        return value if expression is None or expression.names.isdisjoint(parameters) else expression
+        written = parsed(written) if isinstance(written, str) and not is_number(written) else written
+        varies = isinstance(written, Expression) and not written.names.isdisjoint(parameters)
+        return written if varies else value
     if isinstance(value, Section):
         found = ((name, getattr(value, name)) for name in type(value).model_fields if name in written)
         return {name: _tree(entry, written[name], parameters) for name, entry in found}
