@@ -16,7 +16,7 @@ import atheris
 
 with atheris.instrument_imports(include=["pwatrack.spec", "pwatrack.model", "yaml"]):
     from pwatrack.errors import PwatrackError
-    from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, number
+    from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, real
     from pwatrack.spec.load import load_spec
 
 FORMULAS = ("0.1*sin(2*pi*t) + exp(-t)*cos(3*t)", "((t+1)**20)**20", "2*z1 - z2/3 <= 0.1", "sqrt(2)/3e-5", "-k1/m1")
@@ -37,7 +37,7 @@ def one(data: bytes) -> None:
         return
     words = text.decode("utf-8", "replace")
     for read in (
-        lambda: number(words, PARAMETERS),
+        lambda: real(words, PARAMETERS),
         lambda: formula(words, PARAMETERS),
         lambda: linear_form(words, ["x1", "x2"], PARAMETERS),
         lambda: inequalities(words, ["x1", "x2"], PARAMETERS),

@@ -358,7 +358,7 @@ def schema(
     """Print the JSON Schema of a spec: editors complete and check with it."""
     with refusals():
         from pwatrack.report.run_folder import written_at_once
-        from pwatrack.spec.json_schema import schema_text
+        from pwatrack.spec.schema import schema_text
 
         if out is None:
             typer.echo(schema_text(), nl=False)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.run_folder import written_at_once
-from pwatrack.spec.json_schema import schema_text
+from pwatrack.spec.schema import schema_text
 
 SCHEMA = "pwatrack.schema.json"
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec, PwatrackError
-from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, number
+from pwatrack.spec.expression import ExpressionError, formula, inequalities, linear_form, real
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.yaml_tree import parse_yaml
 from tests.test_outcome import cart
@@ -132,6 +132,8 @@ INVALID = [
     ("duration: 2", "duration: 2\n  noise: {std: {y: 1}, sample_time: 0.1, seed: 1_0}", 23, "a whole number"),
     ("duration: 2", "duration: 2\n  portraits: [[z]]", 23, "two linear forms"),
     ("duration: 2", "duration: 2\n  actuator: {limits: {u: 3}}", 23, "a lower and an upper limit"),
+    ("duration: 2", "duration: 2\n  actuator: {limits: {u: [[1], 2]}}", 23, "a number or an expression is expected"),
+    ("duration: 2", "duration: 2\n  quantum: {q: 1}\n  controller: {sample_time: 0}", 23, "'q' is no input or output"),
     # formulas
     ("{constant: 0.05, sine: {amplitude: 0.2, frequency: 2}}", "sin(2t)", 20, "write 2*t"),
     ("{constant: 0.05, sine: {amplitude: 0.2, frequency: 2}}", "t^2", 20, "write ** for powers"),
@@ -292,7 +294,7 @@ _TERMS = st.lists(
 def test_any_text_is_an_expression_or_is_refused(text: str) -> None:
     parameters = {"k": 2.0, "w": 0.5}
     for read in (
-        lambda: number(text, parameters),
+        lambda: real(text, parameters),
         lambda: linear_form(text, ["z"], parameters),
         lambda: inequalities(text, ["z"], parameters),
         lambda: formula(text, parameters),

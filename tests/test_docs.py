@@ -15,8 +15,8 @@ import pwatrack
 from docs.ext import cells, gallery, reference
 from pwatrack.cli import app
 from pwatrack.report.codes import CODES, explanation
-from pwatrack.spec.problems import known_keys
 from pwatrack.spec.requirement import QUANTITIES
+from pwatrack.spec.schema import known_keys
 from tests.conftest import SPECS
 
 ROOT = Path(__file__).parents[1]

@@ -2,6 +2,7 @@ import contextlib
 import math
 import re
 import warnings
+from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
@@ -17,7 +18,6 @@ from pwatrack.spec.expression import (
     UnknownName,
     inequalities,
     linear_form,
-    number,
     real,
 )
 from tests.precise import digits
@@ -27,6 +27,10 @@ PARAMETERS = {"k1": 2.0, "c": -0.5}
 
 def rows(text: str) -> list[list[float]]:
     return [[*form.row.tolist(), form.constant] for form in inequalities(text, ["z", "w"], PARAMETERS)]
+
+
+def number(text: str, parameters: Mapping[str, float | None]) -> float:
+    return float(real(text, parameters))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from pwatrack.causes import Part, Remedy, Way
 from pwatrack.errors import Problem
-from pwatrack.spec.problems import known_keys
+from pwatrack.spec.schema import known_keys
 from pwatrack.spec.spelling import path_of, spelled
 
 HOUSE = Path(__file__).parents[1] / "pwatrack"

@@ -39,7 +39,7 @@ def test_the_summary_in_the_readme_is_how_what_is_printed_begins(tmp_path: Path)
 
 def test_every_yaml_in_the_description_of_the_format_is_of_the_format() -> None:
     """Each key shown in docs/reference/spec_file.md is a key of the schema."""
-    from pwatrack.spec.problems import known_keys
+    from pwatrack.spec.schema import known_keys
 
     text = (Path(__file__).parents[1] / "docs" / "reference" / "spec_file.md").read_text(encoding="utf-8")
     shown = {

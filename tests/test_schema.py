@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from pwatrack.cli import app
 from pwatrack.errors import PwatrackError
-from pwatrack.spec.json_schema import json_schema, schema_text
 from pwatrack.spec.load import load_spec
+from pwatrack.spec.schema import json_schema, schema_text
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = sorted((ROOT / "specs").rglob("*.yaml"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigvals
 
-from pwatrack import OutsideTheory, PwatrackError, design, load_spec, simulate
+from pwatrack import InvalidSpec, OutsideTheory, PwatrackError, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.robust import Robust
 from pwatrack.commands.verify import verify
@@ -204,6 +204,16 @@ def test_a_reference_is_given_for_each_tracked_output(tmp_path: Path, output: st
     with pytest.raises(PwatrackError) as refusal:
         design(load_spec(path))
     assert message in refusal.value.problems[0].message
+    assert refusal.value.problems[0].place is not None
+
+
+@pytest.mark.parametrize("output", ["{px: 0}", "sin(t)", "{px: 0, pz: 1}"])
+def test_so_it_is_where_tracking_is_practical(tmp_path: Path, output: str) -> None:
+    text = re.sub("output: .*", f"output: {output}", as_designed(GANTRY), count=1)
+    path = tmp_path / "gantry.yaml"
+    path.write_text(text.replace("reference:", "design: {tracking: practical}\nreference:", 1))
+    with pytest.raises(InvalidSpec, match="tracked") as refusal:
+        load_spec(path)
     assert refusal.value.problems[0].place is not None
 
 

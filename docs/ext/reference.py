@@ -13,8 +13,8 @@ import pwatrack
 from pwatrack.errors import ExitCode
 from pwatrack.export.schema import json_schema as controller_schema
 from pwatrack.report.codes import CODES, explanation
-from pwatrack.spec.json_schema import json_schema
 from pwatrack.spec.requirement import QUANTITIES
+from pwatrack.spec.schema import json_schema
 
 SPEC = Path(__file__).parents[1] / "reference" / "spec_file.md"
 _METHODS = (FunctionType, classmethod, staticmethod, property, cached_property)

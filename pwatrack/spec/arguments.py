@@ -91,15 +91,16 @@ class Plant:
         parameters: Mapping[str, Any] | None = None,
         tolerance: Any = None,
     ) -> None:
+        shape = _shape(A)
         system: dict[str, Any] = {
-            "states": _names("x", _length(A, _depth(A) - 1)) if states is None else states,
-            "inputs": _names("u", _length(B, 1)) if inputs is None else inputs,
-            "outputs": _names("y", _length(C, 0)) if outputs is None else outputs,
+            "states": _names("x", shape[-1:]) if states is None else states,
+            "inputs": _names("u", _shape(B)[1:]) if inputs is None else inputs,
+            "outputs": _names("y", _shape(C)) if outputs is None else outputs,
             "track": track,
             "units": units,
             "sizes": sizes,
         }
-        if _depth(A) == 3 or any(each is not None for each in (signs, where, cells)):
+        if len(shape) == 3 or any(each is not None for each in (signs, where, cells)):
             system["cells"] = _cells({"A": A, "b": b, "signs": signs, "where": where, "name": cells})
         else:
             system |= {"A": A, "b": b}
@@ -170,7 +171,7 @@ def problem(
     asked = {"output": reference} if isinstance(reference, str) else reference
     sections = {"name": name, "description": description, **plant.sections, "design": design}
     sections |= {"reference": asked, "simulation": simulation, "require": require}
-    return read_spec(document_of(sections, argument), outside=True)
+    return read_spec(document_of(sections, argument), outside=True, plant=plant.system)
 
 
 def _check_plant(plant: object) -> None:
@@ -226,19 +227,12 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _depth(value: Any, most: int = 4) -> int:
-    """Return how many lists are in each other, along first entries, or as many as are looked for."""
+def _shape(value: Any, most: int = 4) -> tuple[int, ...]:
+    """Return how long lists in each other are, along first entries, so many of them at most."""
     value = _plain(value)
-    return 1 + _depth(value[0], most - 1) if isinstance(value, list | tuple) and value and most else 0
+    return (len(value), *_shape(value[0], most - 1)) if isinstance(value, list | tuple) and value and most else ()
 
 
-def _length(value: Any, axis: int) -> int:
-    """Return how many entries there are along an axis, along first entries before; 1 where there is no such axis."""
-    value = _plain(value)
-    if not isinstance(value, list | tuple) or not value or axis < 0:
-        return 1
-    return _length(value[0], axis - 1) if axis else len(value)
-
-
-def _names(letter: str, count: int) -> list[str]:
+def _names(letter: str, shape: tuple[int, ...]) -> list[str]:
+    count = shape[0] if shape else 1
     return [letter] if count == 1 and letter != "x" else [f"{letter}{k + 1}" for k in range(count)]

@@ -1,18 +1,18 @@
 """Parameters that vary in a sweep: evenly on a grid, or through given values."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.errors import InvalidSpec
 from pwatrack.real import Real
-from pwatrack.spec.entries import Exact, Name, Whole, increasing, whole
-from pwatrack.spec.section import Section
+from pwatrack.spec.entries import Exact, Name, Whole, increasing, must, whole
+from pwatrack.spec.section import Context, Fault, Section
 
 _TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
 MOST = 1_000_000  # of a sweep: more than anyone waits for
@@ -57,15 +57,7 @@ class Axis:
 
 
 def axis(text: str) -> Axis:
-    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS.
-
-    Raises:
-        InvalidSpec: If it is not written so.
-
-    Example:
-        >>> axis("k2=0.1:0.9:17").at(0.5)
-        0.5
-    """
+    """Return a parameter's range, written as NAME=LOW:HIGH:POINTS."""
     found = _TEXT.fullmatch(text)
     try:
         if found is None:
@@ -88,30 +80,22 @@ class RangeSection(Section):
     to: Exact
     points: Annotated[Whole, Field(ge=2, le=MOST), whole(2, MOST)] = _POINTS
 
-
-def _increasing(values: list[Real]) -> list[Real]:
-    if not all(one.centre < other.centre for one, other in pairwise(values)):
-        raise ValueError("values in increasing order are expected")
-    return values
-
-
-def _upward(section: RangeSection) -> RangeSection:
-    low, high = float(section.start), float(section.to)
-    if not section.start.centre < section.to.centre:
-        raise ValueError(f"from {low:g} is not below to {high:g}")
-    return section
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield a range that goes nowhere."""
+        if not self.start.centre < self.to.centre:
+            yield Fault(f": from {float(self.start):g} is not below to {float(self.to):g}")
 
 
-def _kind(value: Any) -> str:
-    return "values" if isinstance(value, list) else "a range"
-
-
+_INCREASING = must(
+    lambda values: all(one.centre < other.centre for one, other in pairwise(values)),
+    "values in increasing order are expected",
+)
 SweepSection = dict[
     Name,
     Annotated[
-        Annotated[RangeSection, AfterValidator(_upward), Tag("a range")]
-        | Annotated[list[Exact], AfterValidator(_increasing), Field(min_length=1, max_length=MOST), Tag("values")],
-        Discriminator(_kind),
+        Annotated[RangeSection, Tag("a range")]
+        | Annotated[list[Exact], _INCREASING, Field(min_length=1, max_length=MOST), Tag("values")],
+        Discriminator(lambda value: "values" if isinstance(value, list) else "a range"),
     ],
 ]
 

@@ -1,33 +1,72 @@
-"""Checked sections of a signal -> its courses; what no course can be built from is refused, with the limit."""
+"""Checked sections of signals -> courses and the reference; what none can be built from is refused, with the limit."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import scipy
 
+from pwatrack.arrays import readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
+from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.paths import path_text
-from pwatrack.spec.signal_section import CourseSection, PolylineSection, StepSection, TrapezoidSection
+from pwatrack.spec.signal_section import CourseSection, PolylineSection, ReferenceSection, StepSection, TrapezoidSection
 from pwatrack.spec.table import FINEST, Folder, read_table
+from pwatrack.spec.yaml_tree import path_text
 
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
-_AT_ONCE = 1e-12  # of half of what is rounded: that begins at t = 0, but for rounding
+_AT_ONCE = 1e-12  # of a time: two that differ by less are one, but for rounding
+_Made = TypeVar("_Made")
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
 
 
-def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
-    """Return the courses whose sum is a signal.
+def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Folder, horizon: float) -> Reference:
+    """Return what is to be tracked, up to a `horizon` in s; raises as `build_courses`, for all of them at once."""
+    if section.setpoint is not None:
+        return SetPoint(readonly([section.setpoint[name] for name in tracked]))
+    kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
+    given, signals = getattr(section, kind), list[tuple[CourseSection, Subject]]()
+    if isinstance(given, CourseSection):
+        signals = [(given, ())]
+    elif isinstance(given, dict):
+        signals = [(given[name], (name,)) for name in tracked]
+    else:
+        signals = [(signal, (k,)) for k, signal in enumerate(given)]
+    courses = all_courses(signals, folder, horizon, ("reference", kind))
+    if kind == "output":
+        return OutputReference(courses, preview=section.preview == "auto")
+    if kind == "state":
+        return StateReference(courses)
+    return InputReference(courses, readonly(section.start) if section.start else None)
 
-    Args:
-        section: What the file says of it.
-        folder: Where table files are looked for.
-        horizon: Up to when it is needed, in s.
-        subject: Where the section stands.
+
+def all_courses(
+    signals: Sequence[tuple[CourseSection, Subject]], folder: Folder, horizon: float, subject: Subject
+) -> tuple[tuple[Course, ...], ...]:
+    """Return the courses of signals, each with its path below a subject; raises as `build_courses`, for all at once."""
+    return _all(partial(build_courses, signal, folder, horizon, (*subject, *where)) for signal, where in signals)
+
+
+def _all(makers: Iterable[Callable[[], _Made]]) -> tuple[_Made, ...]:
+    """Return what each of them makes, or refuse with all that is wrong."""
+    made, problems = list[_Made](), list[Problem]()
+    for make in makers:
+        try:
+            made.append(make())
+        except InvalidSpec as error:
+            problems += error.problems
+    if problems:
+        raise InvalidSpec(*problems)
+    return tuple(made)
+
+
+def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
+    """Return the courses whose sum is a signal, up to a `horizon` in s; table files are looked for in a folder.
 
     Raises:
         InvalidSpec: If numbers or a table make no course, or one ends before the horizon; all that is wrong at once.
@@ -35,45 +74,28 @@ def build_courses(section: CourseSection, folder: Folder, horizon: float, subjec
     makers: list[Callable[[], Course]] = []
     others = section.step or section.trapezoid or section.polyline or section.table
     if section.formula is not None or section.sine or section.constant or section.until or not others:
-        makers.append(lambda: _formula(section, horizon, subject))
-    makers += [
-        lambda step=step, k=k: _step(step, horizon, (*subject, "step", k))  # type: ignore[misc]
-        for k, step in enumerate(section.step)
-    ]
+        makers.append(partial(_formula, section, horizon, subject))
+    makers += [partial(_step, step, horizon, (*subject, "step", k)) for k, step in enumerate(section.step)]
     if section.trapezoid is not None:
-        trapezoid = section.trapezoid
-        makers.append(lambda: _trapezoid(trapezoid, horizon, (*subject, "trapezoid")))
+        makers.append(partial(_trapezoid, section.trapezoid, horizon, (*subject, "trapezoid")))
     if section.polyline is not None:
-        corners = section.polyline
-        makers.append(lambda: _polyline(corners, horizon, (*subject, "polyline", "points")))
+        makers.append(partial(_polyline, section.polyline, horizon, (*subject, "polyline", "points")))
     if section.table is not None:
-        table = section.table
-        makers.append(lambda: read_table(folder, table, (*subject, "table")))
-    courses, problems = list[Course](), list[Problem]()
-    for make in makers:
-        try:
-            course = make()
-            _check_end(course, horizon, subject)
-            courses.append(course)
-        except InvalidSpec as error:
-            problems += error.problems
-    if problems:
-        raise InvalidSpec(*problems)
-    return tuple(courses)
+        makers.append(partial(read_table, folder, section.table, (*subject, "table")))
+    return _all(partial(_lasting, make, horizon, subject) for make in makers)
 
 
-def _check_end(course: Course, horizon: float, subject: Subject) -> None:
-    end = course.end
-    if end is not None and end < horizon * (1 - 1e-12):
-        raise _refused(
-            f"{path_text(subject)} ends at t = {end:.6g} s, the simulation lasts until {horizon:.6g} s",
-            subject,
-            "shorten the simulation or lengthen the signal",
-        )
+def _lasting(make: Callable[[], Course], horizon: float, subject: Subject) -> Course:
+    course = make()
+    if course.end is not None and course.end < horizon * (1 - _AT_ONCE):
+        text = f" ends at t = {course.end:.6g} s, the simulation lasts until {horizon:.6g} s"
+        raise _refused(text, subject, "shorten the simulation or lengthen the signal")
+    return course
 
 
-def _refused(message: str, subject: Subject, hint: str = "") -> InvalidSpec:
-    return InvalidSpec(Problem(message=message, subject=subject, hint=hint))
+def _refused(text: str, subject: Subject, hint: str = "") -> InvalidSpec:
+    """Return a refusal of what stands at a path, which is said first."""
+    return InvalidSpec(Problem(message=path_text(subject) + text, subject=subject, hint=hint))
 
 
 def _formula(section: CourseSection, horizon: float, subject: Subject) -> Formula:
@@ -88,27 +110,27 @@ def _formula(section: CourseSection, horizon: float, subject: Subject) -> Formul
         if c.any() and abs(rate) * horizon > _FASTEST:
             what = f"a sine of {rate.imag:.3g} rad/s" if abs(rate.imag) > abs(rate.real) else f"exp({rate.real:.3g}*t)"
             raise _refused(
-                f"{path_text(subject)}: {what} is too fast for {horizon:g} s: {abs(rate) * horizon:.3g} radians or "
+                f": {what} is too fast for {horizon:g} s: {abs(rate) * horizon:.3g} radians or "
                 f"time constants, at most {_FASTEST:g} are followed",
                 subject,
             )
         if c.any() and rate.real * horizon > _GROWN and section.until is not None:
-            raise _refused(f"{path_text(subject)}: exp({rate.real:.3g}*t) is beyond 1e60 before {horizon:g} s", subject)
+            raise _refused(f": exp({rate.real:.3g}*t) is beyond 1e60 before {horizon:g} s", subject)
     return Formula(total, section.until)
 
 
 def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
     """Return a step as two constant pieces."""
-    half, where = (step.smooth or 0.0) / 2, path_text(subject)
+    half = (step.smooth or 0.0) / 2
     if step.at is not None and step.centre is not None:
-        raise _refused(f"{where}: give `at`, when it begins, or `centre`, its middle, not both", subject)
+        raise _refused(": give `at`, when it begins, or `centre`, its middle, not both", subject)
     middle = step.centre if step.at is None else step.at + half
     if middle is None:
-        raise _refused(f"{where} says neither when it begins, `at`, nor where its middle is, `centre`", subject)
+        raise _refused(" says neither when it begins, `at`, nor where its middle is, `centre`", subject)
     begins = middle - half
     if begins < -FINEST * (middle + half):
         raise _refused(
-            f"{where}: the step begins at t = {begins:.6g} s, before t = 0",
+            f": the step begins at t = {begins:.6g} s, before t = 0",
             subject,
             "say with at: when it begins, 0 or later; a value from before belongs into constant:",
         )
@@ -124,7 +146,7 @@ def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Pro
     start = shape.start + (shape.smooth or 0.0) / 2
     span = horizon - start
     if span / period > _MOST_PERIODS:
-        message = f"{path_text(subject)}: {span / period:.3g} trapezoids until t = {horizon:g} s"
+        message = f": {span / period:.3g} trapezoids until t = {horizon:g} s"
         raise _refused(message, subject, f"at most {_MOST_PERIODS:,} are built; shorten the simulation")
     _check_rounding(shape.smooth, horizon + abs(shape.start), subject)
     for name in ("rise", "fall"):
@@ -145,24 +167,23 @@ def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Pro
 def _polyline(section: PolylineSection, horizon: float, subject: Subject) -> Profile:
     for k, row in enumerate(section.points):
         if len(row) != 2:
-            raise _refused(f"{path_text((*subject, k))}: a point is a pair [t, y]", (*subject, k))
+            raise _refused(": a point is a pair [t, y]", (*subject, k))
     times, values = [row[0] for row in section.points], [row[1] for row in section.points]
     span = horizon + max(map(abs, times))
     for k, (before, after) in enumerate(itertools.pairwise(times)):
         if after <= before:
-            message = f"{path_text((*subject, k + 1))}: t = {after:g} s does not come after {before:g} s"
+            message = f": t = {after:g} s does not come after {before:g} s"
             raise _refused(message, (*subject, k + 1), "points are pairs [t, y] with increasing t")
         _check_fine(
             f"points {k + 1} and {k + 2}, {after - before:.3g} s apart,", after - before, span, (*subject, k + 1)
         )
     _check_rounding(section.smooth, span, subject)
-    margin, before = 1.0 + span + (section.smooth or 0.0), values[0]
+    margin = 1.0 + span + (section.smooth or 0.0)
+    first, before = times[0] - margin, values[0]
     if times[0] == 0.0 and len(times) > 1:  # nothing is before t = 0, so there is no corner either
         before -= (values[1] - values[0]) / times[1] * margin
         times, values = times[1:], values[1:]
-        course = polyline([-margin, *times, times[-1] + margin], [before, *values, values[-1]])
-    else:
-        course = polyline([times[0] - margin, *times, times[-1] + margin], [before, *values, values[-1]])
+    course = polyline([first, *times, times[-1] + margin], [before, *values, values[-1]])
     _check_first(course, section, subject)
     return Profile(corners=course, continuous=True, smooth=section.smooth, end=None)
 
@@ -174,8 +195,7 @@ def _check_first(course: "scipy.interpolate.PPoly", section: PolylineSection, su
         if kink and abs(t) < half * (1 - _AT_ONCE):
             k = [row[0] for row in section.points].index(t)
             raise _refused(
-                f"{path_text((*subject, k))}: the corner at t = {t:g} s is rounded from t = {t - half:.6g} s on, "
-                "before t = 0",
+                f": the corner at t = {t:g} s is rounded from t = {t - half:.6g} s on, before t = 0",
                 (*subject, k),
                 f"let the first corner be at t = {half:g} s or later, or round less; a line that begins at t = 0 has "
                 "no corner there",
@@ -185,11 +205,8 @@ def _check_first(course: "scipy.interpolate.PPoly", section: PolylineSection, su
 def _check_fine(what: str, length: float, span: float, subject: Subject) -> None:
     """Refuse times that are not apart but for rounding."""
     if length < FINEST * span:
-        raise _refused(
-            f"{path_text(subject)}: {what} is too short beside {span:g} s: "
-            f"at least {FINEST * span:.1g} s are told apart",
-            subject,
-        )
+        least = f"at least {FINEST * span:.1g} s are told apart"
+        raise _refused(f": {what} is too short beside {span:g} s: {least}", subject)
 
 
 def _check_rounding(smooth: float | None, span: float, subject: Subject) -> None:

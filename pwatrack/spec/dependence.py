@@ -6,8 +6,9 @@ these numbers, and what φ is where this number is 1 and the others are 0.
 """
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 from pwatrack.arrays import number_text
@@ -15,41 +16,133 @@ from pwatrack.causes import Subject
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.nonlinearity import PiecewiseLinear
 from pwatrack.model.signal import NotRepresentable
-from pwatrack.real import Real
+from pwatrack.real import Number, Real
 from pwatrack.spec.expression import Expression, ExpressionError, real
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.paths import path_text
 from pwatrack.spec.plant_section import Element
-from pwatrack.spec.polynomial import Polynomial
 from pwatrack.spec.wording import shown
+from pwatrack.spec.yaml_tree import path_text
 
+Powers = tuple[tuple[str, int], ...]  # by name, sorted, none of them 0
+_MOST_TERMS = 500  # of a polynomial in parameters: longer ones are slow to multiply
+_MOST_POWER = 20  # of a parameter: nobody writes more
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Σ c p₁^k₁ p₂^k₂ … with whole exponents, of either sign: c of each product of powers that is not exactly 0.
+
+    A sum as a divisor, and an exponent that is no whole number of modest size, are `NotRepresentable`.
+
+    Example: the stiffness k over the mass m, and what is left where m cancels.
+
+        >>> k, m = Polynomial.of("k"), Polynomial.of("m")
+        >>> [list(p.terms) for p in (2 * k / m, m * k / m + 1)]
+        [[(('k', 1), ('m', -1))], [(('k', 1),), ()]]
+    """
+
+    terms: Mapping[Powers, Real]
+
+    @staticmethod
+    def of(value: "Polynomial | Real | Fraction | float | str") -> "Polynomial":
+        """Return a number, or the parameter of a name, as a polynomial."""
+        if isinstance(value, Polynomial):
+            return value
+        if isinstance(value, str):
+            return Polynomial({((value, 1),): Real.of(1)})
+        return _kept({(): Real.of(value)})
+
+    def __add__(self, other: object) -> "Polynomial":
+        if not isinstance(other, (Polynomial, *Number)):
+            return NotImplemented
+        terms = dict(self.terms)
+        for powers, c in Polynomial.of(other).terms.items():
+            terms[powers] = terms[powers] + c if powers in terms else c
+        return _kept(terms)
+
+    def __mul__(self, other: object) -> "Polynomial":
+        if not isinstance(other, (Polynomial, *Number)):
+            return NotImplemented
+        terms = dict[Powers, Real]()
+        for one, a in self.terms.items():
+            for two, b in Polynomial.of(other).terms.items():
+                powers = _product(one, two)
+                terms[powers] = terms[powers] + a * b if powers in terms else a * b
+        return _kept(terms)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> "Polynomial":
+        return self * -1
+
+    def __sub__(self, other: object) -> "Polynomial":
+        return self + -Polynomial.of(other) if isinstance(other, (Polynomial, *Number)) else NotImplemented
+
+    def __rsub__(self, other: object) -> "Polynomial":
+        return -self + other
+
+    def __truediv__(self, other: object) -> "Polynomial":
+        if not isinstance(other, (Polynomial, *Number)):
+            return NotImplemented
+        divisor = Polynomial.of(other)
+        if not divisor.terms:
+            raise ZeroDivisionError("division by zero")
+        if len(divisor.terms) > 1:
+            raise NotRepresentable("divides by a sum of parameters")
+        ((powers, c),) = divisor.terms.items()
+        return self * Polynomial({tuple((name, -k) for name, k in powers): 1 / c})
+
+    def __rtruediv__(self, other: object) -> "Polynomial":
+        return Polynomial.of(other) / self if isinstance(other, Number) else NotImplemented
+
+    def __pow__(self, other: object) -> "Polynomial":
+        exponent = Real.of(other) if isinstance(other, Number) else None
+        if exponent is None or not exponent.exact or exponent.centre.denominator != 1:
+            raise NotRepresentable("is no whole power")
+        if abs(exponent.centre) > _MOST_POWER:
+            raise NotRepresentable(f"is a power above {_MOST_POWER}")
+        power = Polynomial.of(1)
+        for _ in range(abs(int(exponent.centre))):
+            power = power * self
+        return power if exponent.centre >= 0 else 1 / power
+
+    def __rpow__(self, other: object) -> "Polynomial":
+        raise NotRepresentable("is no whole power")
+
+
+def _product(one: Powers, two: Powers) -> Powers:
+    total = dict(one)
+    for name, k in two:
+        total[name] = total.get(name, 0) + k
+    return tuple(sorted((name, k) for name, k in total.items() if k))
+
+
+def _kept(terms: Mapping[Powers, Real]) -> Polynomial:
+    """Return the polynomial without the terms that are exactly 0."""
+    kept = {powers: c for powers, c in terms.items() if c.centre or c.radius}
+    if len(kept) > _MOST_TERMS:
+        raise NotRepresentable(f"has more than {_MOST_TERMS} terms")
+    return Polynomial(kept)
+
+
+_ZERO = Real.of(0)
 SHAPE = ("slope", "lower_slope", "upper_slope", "slopes", "value")  # what φ is linear in
 _NOT_OF_THE_FIELD = ("sizes", "units")  # of the design and of reports alone
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a sum.
-
-    Attributes:
-        text: Where it stands in the file, and what stands there.
-        polynomial: What it is.
-    """
+    """A part of a sum: where it stands in the file with what stands there, and what it is."""
 
     text: str
     polynomial: Polynomial
 
     def __neg__(self) -> "Piece":
-        """Return it with the other sign."""
         return Piece(self.text, -self.polynomial)
 
 
 class Dependence:
-    """The field as a function of some parameters, the others being as they are.
-
-    Args:
-        parametric: The plant as a function of its parameters.
-        free: Names of those that are left open.
+    """The field as a function of some parameters, `free`, the others being as they are.
 
     Raises:
         OutsideTheory: If an entry is no sum of products of their powers, or hyperplanes or C depend on them.
@@ -66,7 +159,8 @@ class Dependence:
         self._parametric = parametric
         self._names = _polynomials(parametric, free)
         varying = {name for name, value in self._names.items() if value is None or isinstance(value, Polynomial)}
-        self._varying = {p: e for p, e in parametric.varying.items() if not e.names.isdisjoint(varying)}
+        self._of_any = dict(parametric.varying)
+        self._varying = {p: e for p, e in self._of_any.items() if not e.names.isdisjoint(varying)}
 
     def powers(self) -> dict[tuple[str, int], str]:
         """Return each power of a parameter that is in an entry of a matrix, and a place where it is from.
@@ -78,7 +172,7 @@ class Dependence:
             for pieces in self._entries():
                 total = sum((piece.polynomial for piece in pieces), Polynomial({}))
                 for power in (power for term in total.terms for power in term if power not in seen):
-                    seen[power] = next(piece.text for piece in pieces if _has(piece.polynomial, power))
+                    seen[power] = next(p.text for p in pieces if any(power in term for term in p.polynomial.terms))
         except NotRepresentable as error:
             message = f"an entry of the plant as a function of the uncertain parameters {error}"
             raise OutsideTheory(Problem(message=message, subject=("system",))) from None
@@ -92,7 +186,7 @@ class Dependence:
         """
         entries = defaultdict[Subject, list[Piece]](list)  # by ("A", j, k), ("b", j), …
         elements = dict[int, None]()
-        for path, expression in self._varying.items():
+        for path in self._varying:
             if path[0] in _NOT_OF_THE_FIELD:
                 continue
             of_element, of_cell = path[0] == "nonlinearities", path[0] == "cells"
@@ -100,9 +194,11 @@ class Dependence:
                 assert isinstance(path[1], int)
                 elements[path[1]] = None
             elif path[0] in ("A", "b", "B") or (of_cell and path[2] != "where"):
-                entries[path].append(Piece(self._text(path, None), self._polynomial(path, expression)))
+                entries[path].append(self._piece(path))
             else:
-                raise _fixed(path, expression)
+                what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
+                message = f"{self._named(path)} depends on an uncertain parameter: {what} to be known"
+                raise OutsideTheory(Problem(message=message, subject=("system", *path)))
         for number in elements:
             for place, first, *others in self._element(number):
                 entries[place] += first
@@ -114,18 +210,16 @@ class Dependence:
         at: Subject = ("nonlinearities", number)
         section = (self._parametric.nominal.nonlinearities or [])[number]
         states, row = self._parametric.nominal.states, section.of
-        shapes = [((*at, *path), self._value((*at, *path), v), unit) for path, v, unit in _units(section)]
+        shapes = [(path, self._piece((*at, *path), value), unit) for path, value, unit in _units(section)]
         found = defaultdict[Subject, list[list[Piece]]](lambda: [[] for _ in shapes[0][2].slopes])
         for state, written in section.into.items():
-            j, into = states.index(state), (*at, "into", state)
-            factor = self._value(into, written)
-            for path, value, unit in shapes:
-                q = factor * value
+            j, factor = states.index(state), self._piece((*at, "into", state), written)
+            for path, shape, unit in shapes:
+                q = factor.polynomial * shape.polynomial
                 if not any(q.terms):
                     continue  # the only product of powers in it is the empty one
-                text = self._text(into, written)
-                if path in self._varying or path[2] in section.model_fields_set:
-                    text += f" times {self._text(path, _at(section, path[2:]))}"
+                said = (*at, *path) in self._varying or path[0] in section.model_fields_set
+                text = f"{factor.text} times {shape.text}" if said else factor.text
                 for segment, (slope, intercept) in enumerate(zip(unit.slopes, unit.intercepts, strict=True)):
                     places: dict[Subject, Real] = {("A", j, k): slope * v for k, v in enumerate(row.coefficients)}
                     places["b", j] = slope * row.offset + intercept
@@ -135,50 +229,34 @@ class Dependence:
         for place, segments in found.items():
             yield place, *segments
 
-    def _value(self, path: Subject, nominal: Real) -> Polynomial:
-        """Return what stands at a path."""
-        expression = self._varying.get(path)
-        return Polynomial.of(nominal) if expression is None else self._polynomial(path, expression)
-
-    def _polynomial(self, path: Subject, expression: Expression) -> Polynomial:
+    def _piece(self, path: Subject, nominal: Real | None = None) -> Piece:
+        """Return what stands at a path; its value is `nominal` where that depends on nothing that is left open."""
+        if path not in self._varying:
+            assert nominal is not None
+            return Piece(self._named(path, nominal), Polynomial.of(nominal))
         try:
-            return Polynomial.of(real(expression, self._names))
+            return Piece(self._named(path), Polynomial.of(real(self._varying[path], self._names)))
         except ExpressionError:
-            message = f"{_named(path, expression)} is no sum of products of whole powers of the uncertain parameters"
+            message = f"{self._named(path)} is no sum of products of whole powers of the uncertain parameters"
             raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
 
-    def _text(self, path: Subject, nominal: Real | None) -> str:
-        expression = self._parametric.varying.get(path)
-        if expression is not None:
-            return _named(path, expression)
-        assert nominal is not None
-        return f"{path_text(('system', *path))} = {number_text(float(nominal), 'g')}"
+    def _named(self, path: Subject, nominal: Real = _ZERO) -> str:
+        expression = self._of_any.get(path)
+        text = number_text(float(nominal), "g") if expression is None else shown(expression.text)
+        return f"{path_text(('system', *path))} = {text}"
 
 
 def _units(section: Element) -> Iterator[tuple[Subject, Real, PiecewiseLinear]]:
     """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
-    given: dict[str, Any] = {name: getattr(section, name, None) for name in SHAPE}
-    nothing = {
-        name: [Real.of(0)] * len(v) if isinstance(v, list) else Real.of(0) for name, v in given.items() if v is not None
-    }
-    for name, none in nothing.items():
-        value = given[name]
-        if isinstance(none, Real):
-            yield (name,), value, _function(section, nothing | {name: Real.of(1)})
-            continue
-        for k in range(len(none)):
-            one = [Real.of(int(j == k)) for j in range(len(none))]
-            yield (name, k), value[k], _function(section, nothing | {name: one})
-
-
-def _function(section: Element, numbers: Mapping[str, Any]) -> PiecewiseLinear:
-    return section.model_copy(update=dict(numbers)).function()
-
-
-def _at(section: Element, path: Sequence[Any]) -> Real:
-    value = getattr(section, path[0])
-    found: Real = value[path[1]] if len(path) > 1 else value
-    return found
+    given: dict[str, Any] = {name: v for name in SHAPE if (v := getattr(section, name, None)) is not None}
+    nothing = {name: [_ZERO] * len(value) if isinstance(value, list) else _ZERO for name, value in given.items()}
+    for name, value in given.items():
+        for k, entry in enumerate(value if isinstance(value, list) else [value]):
+            one: Any = Real.of(1)
+            if isinstance(value, list):
+                one = [Real.of(int(j == k)) for j in range(len(value))]
+            path = (name, k) if isinstance(value, list) else (name,)
+            yield path, entry, section.model_copy(update=nothing | {name: one}).function()
 
 
 def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str, Any]:
@@ -196,17 +274,3 @@ def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str
             except ExpressionError:
                 names[name] = None
     return names
-
-
-def _has(polynomial: Polynomial, power: tuple[str, int]) -> bool:
-    return any(power in powers for powers in polynomial.terms)
-
-
-def _fixed(path: Subject, expression: Expression) -> OutsideTheory:
-    what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
-    message = f"{_named(path, expression)} depends on an uncertain parameter: {what} to be known"
-    return OutsideTheory(Problem(message=message, subject=("system", *path)))
-
-
-def _named(path: Subject, expression: Expression) -> str:
-    return f"{path_text(('system', *path))} = {shown(expression.text)}"

@@ -3,9 +3,7 @@
 import keyword
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from fractions import Fraction
+from collections.abc import Callable
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -20,13 +18,15 @@ from pydantic import (
     Tag,
     ValidationInfo,
     WithJsonSchema,
+    WrapValidator,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core.core_schema import CoreSchema
 
 from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
-from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, number, real
+from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, real
+from pwatrack.spec.section import Context, rows
 from pwatrack.spec.wording import odd_character, shown
 
 _LONGEST_NAME = 100  # characters: names are columns of tables and of the trace
@@ -35,121 +35,78 @@ _LONGEST_LABEL = 200  # of a title, or the name of a cell
 _INFINITE = {".inf": inf, "inf": inf, "+.inf": inf, "-.inf": -inf, "-inf": -inf}
 
 
-@dataclass(frozen=True)
-class Context:
-    """What the rest of the file is read with.
+def must(holds: Callable[[Any], bool], text: str) -> AfterValidator:
+    """Return a validator of what holds; else `text` is said, with the number, or the numbers of a list, in it."""
 
-    Attributes:
-        parameters: Their values; None for one that is itself in error.
-        states, inputs, outputs: The names declared under `system`.
-        tracked: Those of what is to follow a reference, where they are declared for that.
-        loads: Those of the loads to be estimated, with how many states each has.
-        chosen: Those of the outputs that are to follow a reference, where some are named.
-        follow: Whether all states are to follow x_d.
-    """
-
-    parameters: Mapping[str, Real | None]
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    tracked: tuple[str, ...] = ()
-    loads: Mapping[str, int] = field(default_factory=dict)
-    chosen: tuple[str, ...] = ()
-    follow: bool = False
-
-    @property
-    def followed(self) -> tuple[str, ...]:
-        """What is to follow a reference: all outputs where nothing is said."""
-        return self.tracked or self.chosen or self.outputs
-
-    @property
-    def errors(self) -> tuple[str, ...]:
-        """What has a tracking error of its own."""
-        return (*self.followed, *self.states) if self.follow else self.followed
-
-    @property
-    def states_and_estimates(self) -> tuple[str, ...]:
-        """The states of the observer."""
-        return (
-            (*self.states, *(name for name, order in self.loads.items() for _ in range(order))) if self.states else ()
-        )
-
-
-def _number(value: Any, info: ValidationInfo[Context]) -> float:
-    if isinstance(value, float):
+    def validate(value: Any) -> Any:
+        if not holds(value):
+            found = (v for v in (value if isinstance(value, list) else [value]) if isinstance(v, float | Real))
+            raise ValueError(text.format(*map(float, found)))
         return value
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    return sized_number(value, info.context)
+
+    return AfterValidator(validate)
 
 
-def sized_number(text: str, context: Context) -> float:
-    """Return the value of an expression in the parameters, as a double; raises as `sized_real`."""
-    result = number(text, context.parameters)
-    _sized(result)
-    return result
-
-
-def _sized(value: float | Fraction) -> None:
-    size = abs(float(value))
-    if size > LARGEST:
-        raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
-    if value != 0 and size < 1 / LARGEST:
-        raise ValueError(f"{float(value):g} is smaller than {1 / LARGEST:g} but not 0: write 0, or use other units")
-
-
-def _sized_form(form: LinearForm) -> LinearForm:
-    for value in (*form.coefficients, form.offset):
-        _sized(value.centre)
-    return form
-
-
-def sized_real(text: str | Expression, context: Context) -> Real:
-    """Return the value of an expression in the parameters.
+def sized_real(value: Any, context: Context) -> Real:
+    """Return a number, or the value of an expression in the parameters.
 
     Raises:
         ValueError: If it has none, or one beyond the numbers that are read.
     """
-    result = real(text, context.parameters)
-    _sized(result.centre)
-    return result
+    result = value if isinstance(value, Real) else real(_text(value, "a number or an expression"), context.parameters)
+    return _sized(result)
 
 
-def sized_form(text: str | Expression, context: Context) -> LinearForm:
-    """Return a linear form of the states that is not constant; raises as `sized_real`."""
-    form = linear_form(text, context.states, context.parameters)
+def _text(value: Any, what: str) -> str | Expression:
+    if not isinstance(value, str | Expression):
+        raise ValueError(f"{what} is expected")
+    return value
+
+
+def _sized(value: Real) -> Real:
+    size = abs(float(value))
+    if size > LARGEST:
+        raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
+    if value.centre != 0 and size < 1 / LARGEST:
+        raise ValueError(f"{float(value):g} is smaller than {1 / LARGEST:g} but not 0: write 0, or use other units")
+    return value
+
+
+def _sized_form(form: LinearForm) -> LinearForm:
+    for value in (*form.coefficients, form.offset):
+        _sized(value)
+    return form
+
+
+def _real(value: Any, info: ValidationInfo[Context]) -> Real:
+    return sized_real(value, info.context)
+
+
+def _number(value: Any, info: ValidationInfo[Context]) -> float:
+    return value if isinstance(value, float) else float(sized_real(value, info.context))
+
+
+def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
+    """Return a linear form of the states that is not constant."""
+    if isinstance(value, LinearForm):
+        return value
+    text = _text(value, "a linear form of the states such as 'z2 - z1'")
+    form = linear_form(text, info.context.states, info.context.parameters)
     if not form.row.any():
         raise ValueError(f"'{text.text if isinstance(text, Expression) else text}' does not depend on any state")
     return _sized_form(form)
 
 
-def sized_inequalities(text: str | Expression, context: Context) -> list[LinearForm]:
-    """Return the forms that one or two inequalities say are ≥ 0; raises as `sized_real`."""
-    return [_sized_form(form) for form in inequalities(text, context.states, context.parameters)]
-
-
-def _real(value: Any, info: ValidationInfo[Context]) -> Real:
-    if not isinstance(value, str):
-        raise ValueError("a number or an expression is expected")
-    return sized_real(value, info.context)
-
-
-def _positive_real(value: Any, info: ValidationInfo[Context]) -> Real:
-    result = _real(value, info)
-    _positive(float(result))
-    return result
-
-
-def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
-    if not isinstance(value, str):
-        raise ValueError("a linear form of the states such as 'z2 - z1' is expected")
-    return sized_form(value, info.context)
+def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
+    """Return the forms that one or two inequalities say are ≥ 0."""
+    if isinstance(value, list) and value and all(isinstance(form, LinearForm) for form in value):
+        return value
+    text = _text(value, "an inequality such as 'z2 - z1 >= 0.05'")
+    return [_sized_form(form) for form in inequalities(text, info.context.states, info.context.parameters)]
 
 
 def _time(value: Any, info: ValidationInfo[Context]) -> ExponentialPolynomial:
-    if not isinstance(value, str):
-        raise ValueError("an expression in t is expected")
-    signal = formula(value, info.context.parameters)
+    signal = formula(_text(value, "an expression in t"), info.context.parameters)
     try:
         signal.check_size()
     except NotRepresentable as error:
@@ -163,13 +120,6 @@ def _start(value: Any, info: ValidationInfo[Context]) -> list[float]:
     if not isinstance(value, list) or not value:
         raise ValueError("a list of numbers, one for each state, or 'periodic' is expected")
     return [_number(entry, info) for entry in value]
-
-
-def as_course(value: Any) -> Any:
-    """A formula may stand for a course that is nothing else."""
-    if value == {}:
-        raise ValueError("nothing is given: write a formula in t, or entries such as constant, sine, step, table")
-    return {"formula": value} if isinstance(value, str) else value
 
 
 def _share_or_interval(value: Any, info: ValidationInfo[Context]) -> Real | tuple[Real, Real]:
@@ -186,67 +136,24 @@ def _share_or_interval(value: Any, info: ValidationInfo[Context]) -> Real | tupl
     return low, high
 
 
-def _positive(value: float) -> float:
-    if value <= 0:
-        raise ValueError(f"{value:g} is not positive")
-    return value
-
-
-def _no_crash(code: int) -> int:
-    if code == 1:
-        raise ValueError("1 is a crash, which is never as it should be: 0, or 2 to 6")
-    return code
-
-
-def _pair(values: list[LinearForm]) -> list[LinearForm]:
-    if len(values) != 2:
-        raise ValueError("two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]")
-    if np.linalg.matrix_rank([form.row for form in values]) < 2:
-        raise ValueError("the two forms are multiples of each other: all is on one line")
-    return values
-
-
 def _scale(value: Any, info: ValidationInfo[Context]) -> float | dict[str, float]:
     if isinstance(value, dict):
         return {name: _number(entry, info) for name, entry in value.items()}
     return _number(value, info)
 
 
-def _not_negative(value: float) -> float:
-    if value < 0:
-        raise ValueError(f"{value:g} is negative")
-    return value
-
-
 def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError("a lower and an upper limit such as [-1, 1] are expected; .inf for none")
-    low, high = (_INFINITE[v] if v in _INFINITE else _number(v, info) for v in value)
+    low, high = (_INFINITE[v] if isinstance(v, str) and v in _INFINITE else _number(v, info) for v in value)
     if not low < high:
         raise ValueError(f"the lower limit {low:g} is not below the upper one, {high:g}")
     return [low, high]
 
 
-def _positive_or(word: str) -> Callable[[Any, ValidationInfo[Context]], float | str]:
-    """Return a validator of a positive number, or of one word."""
-
-    def validate(value: Any, info: ValidationInfo[Context]) -> float | str:
-        return word if value == word else _positive(_number(value, info))
-
-    return validate
-
-
-def not_all_zero(values: list[Real]) -> list[Real]:
-    """Return the normal of a hyperplane, which is not 0."""
-    if not any(value.centre for value in values):
-        raise ValueError("all entries are 0: this is no hyperplane")
-    return values
-
-
-def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
-    if not isinstance(value, str):
-        raise ValueError("an inequality such as 'z2 - z1 >= 0.05' is expected")
-    return sized_inequalities(value, info.context)
+def _or(word: str) -> WrapValidator:
+    """Return a validator of a number, or of one word."""
+    return WrapValidator(lambda value, number: word if value == word else number(value))
 
 
 def _name(value: str) -> str:
@@ -280,49 +187,10 @@ def _whole(value: Any) -> int:
 
 
 def _names(values: tuple[str, ...]) -> tuple[str, ...]:
-    if not values:
-        raise ValueError("at least one name is expected")
     doubles = sorted(name for name, times in Counter(values).items() if times > 1)
     if doubles:
         raise ValueError(f"'{doubles[0]}' stands in the list twice")
     return values
-
-
-def _interval(values: list[float]) -> list[float]:
-    if len(values) != 2:
-        raise ValueError("two numbers [low, high] are expected")
-    if values[0] > values[1]:
-        raise ValueError(f"low {values[0]:g} is above high {values[1]:g}")
-    return values
-
-
-def region_kind(value: Any) -> str:
-    """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
-    return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
-
-
-def _start_kind(value: Any) -> str:
-    return "by name" if isinstance(value, dict) else "in order"
-
-
-def _start_or_word(value: Any) -> str:
-    return "a word" if isinstance(value, str) else _start_kind(value)
-
-
-def estimate_kind(value: Any) -> str:
-    """Loads stand by name; one word asks for one at each input."""
-    return "by name" if isinstance(value, dict) else "a word"
-
-
-def listed(value: Any) -> Any:
-    """One of them may stand without a list."""
-    return [value] if isinstance(value, dict) else value
-
-
-def _rounding(value: float) -> float:
-    if value > _COARSEST:
-        raise ValueError(f"{value:g} is more than data are rounded by in print: at most {_COARSEST:g} is accepted")
-    return value
 
 
 class Or:
@@ -368,40 +236,58 @@ _NOT_DOWNWARD = _PAIR | {
 
 Number = Annotated[float, BeforeValidator(_number), WithJsonSchema(_VALUE)]
 Exact = Annotated[Real, PlainValidator(_real), WithJsonSchema(_VALUE)]
-ExactPositive = Annotated[Real, PlainValidator(_positive_real), WithJsonSchema(_ABOVE_0)]
-Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_ABOVE_0)]
-NotNegative = Annotated[Number, AfterValidator(_not_negative), WithJsonSchema(_VALUE | {"minimum": 0})]
+_ABOVE = must(lambda value: float(value) > 0, "{:g} is not positive")
+ExactPositive = Annotated[Exact, _ABOVE, WithJsonSchema(_ABOVE_0)]
+Positive = Annotated[Number, _ABOVE, WithJsonSchema(_ABOVE_0)]
+NotNegative = Annotated[Number, must(lambda v: v >= 0, "{:g} is negative"), WithJsonSchema(_VALUE | {"minimum": 0})]
+Rounding = Annotated[
+    Positive,
+    must(
+        lambda value: value <= _COARSEST,
+        f"{{:g}} is more than data are rounded by in print: at most {_COARSEST:g} is accepted",
+    ),
+    WithJsonSchema(_ABOVE_0 | {"maximum": _COARSEST}),
+]
+PositiveOrLargest = Annotated[Positive | Literal["largest"], _or("largest"), WithJsonSchema(_ABOVE_0)]
+PositiveOrSmallest = Annotated[Positive | Literal["smallest"], _or("smallest"), WithJsonSchema(_ABOVE_0)]
 Name = Annotated[str, AfterValidator(_name)]
 Label = Annotated[str, AfterValidator(_label)]
 Whole = Annotated[int, BeforeValidator(_whole), WithJsonSchema({"type": ["integer", "string"]})]
+ExitNumber = Annotated[
+    Whole,
+    Field(ge=0, le=6),
+    must(lambda code: code != 1, "1 is a crash, which is never as it should be: 0, or 2 to 6"),
+    WithJsonSchema({"enum": [0, 2, 3, 4, 5, 6]}),
+]
 Time = Annotated[ExponentialPolynomial, PlainValidator(_time), WithJsonSchema(_VALUE)]
 Names = Annotated[
     tuple[Name, ...],
+    must(bool, "at least one name is expected"),
     AfterValidator(_names),
     WithJsonSchema({"type": "array", "items": _NAME, "minItems": 1, "uniqueItems": True}),
 ]
 Point = Annotated[list[Number], WithJsonSchema(_PAIR)]
-Vector = list[Number]
-Rows = list[list[Number]]
+Rows = Annotated[list[list[Number]], WrapValidator(rows)]
 ExactVector = list[Exact]
-ExactRows = list[list[Exact]]
+ExactRows = Annotated[list[list[Exact]], WrapValidator(rows)]
+Normal = Annotated[
+    ExactVector, must(lambda row: any(v.centre for v in row), "all entries are 0: this is no hyperplane")
+]
 _ByName = Annotated[dict[str, Number], Tag("by name")]
-_InOrder = Annotated[Vector, Tag("in order")]
-StartOrMeasured = Annotated[
-    Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
-]
-StartOrSteady = Annotated[
-    Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, Discriminator(_start_or_word)
-]
+_InOrder = Annotated[list[Number], Tag("in order")]
+_KIND = Discriminator(
+    lambda value: "a word" if isinstance(value, str) else "by name" if isinstance(value, dict) else "in order"
+)
+StartOrMeasured = Annotated[Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, _KIND]
+StartOrSteady = Annotated[Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, _KIND]
 ShareOrInterval = Annotated[
     Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _UPWARD]})
 ]
-Interval = Annotated[list[Number], AfterValidator(_interval), WithJsonSchema(_NOT_DOWNWARD)]
-PositiveOrLargest = Annotated[
-    float | Literal["largest"], PlainValidator(_positive_or("largest")), WithJsonSchema(_ABOVE_0)
-]
-PositiveOrSmallest = Annotated[
-    float | Literal["smallest"], PlainValidator(_positive_or("smallest")), WithJsonSchema(_ABOVE_0)
+Interval = Annotated[
+    list[Number],
+    must(lambda ends: len(ends) == 2, "two numbers [low, high] are expected"),
+    must(lambda ends: ends[0] <= ends[1], "low {:g} is above high {:g}"),
+    WithJsonSchema(_NOT_DOWNWARD),
 ]
 PeriodicOrVector = Annotated[
     list[float],
@@ -414,19 +300,21 @@ Scale = Annotated[
     PlainValidator(_scale),
     WithJsonSchema({"anyOf": [_VALUE, {"type": "object", "additionalProperties": _VALUE}]}),
 ]
-Rounding = Annotated[Positive, AfterValidator(_rounding), WithJsonSchema(_ABOVE_0 | {"maximum": _COARSEST})]
-ExitNumber = Annotated[
-    Whole, Field(ge=0, le=6), AfterValidator(_no_crash), WithJsonSchema({"enum": [0, 2, 3, 4, 5, 6]})
-]
 Form = Annotated[LinearForm, PlainValidator(_form), WithJsonSchema(_TEXT)]
 FormPair = Annotated[
     list[Form],
-    AfterValidator(_pair),
+    must(
+        lambda forms: len(forms) == 2,
+        "two linear forms of the states are expected, such as [z1, v1] or [z2 - z1, v2 - v1]",
+    ),
+    must(
+        lambda forms: np.linalg.matrix_rank([form.row for form in forms]) == 2,
+        "the two forms are multiples of each other: all is on one line",
+    ),
     WithJsonSchema({"type": "array", "items": _TEXT, "minItems": 2, "maxItems": 2, "uniqueItems": True}),
 ]
 Tracked = Annotated[
     Annotated[dict[Name, Form], Field(min_length=1), Tag("by name")] | Annotated[Names, Tag("in order")],
-    Discriminator(_start_kind),
+    Discriminator(lambda value: "by name" if isinstance(value, dict) else "in order"),
 ]
 Inequalities = Annotated[list[LinearForm], PlainValidator(_inequalities), WithJsonSchema(_TEXT)]
-Normal = Annotated[ExactVector, AfterValidator(not_all_zero)]

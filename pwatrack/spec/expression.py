@@ -1,4 +1,7 @@
-"""Arithmetic in a spec: numbers, linear forms, inequalities, signals; read with `ast`, never run as code."""
+"""Arithmetic in a spec: numbers, linear forms, inequalities, signals; read with `ast`, never run as code.
+
+Every function that takes a text raises an `ExpressionError` where it is not what is asked for.
+"""
 
 import ast
 import math
@@ -70,10 +73,6 @@ Parameters = Mapping[str, Real | float | None]  # None: in error
 class Expression:
     """An expression that is parsed, to be evaluated as often as is asked.
 
-    Attributes:
-        text: As it is written.
-        tree: What it says.
-
     Example:
         >>> square = parsed("k**2")
         >>> [float(real(square, {"k": Real.of(k)})) for k in (1, 2, 3)]
@@ -91,12 +90,7 @@ class Expression:
 
 @dataclass(frozen=True)
 class LinearForm:
-    """The form row · x + constant; sums and multiples are forms again.
-
-    Attributes:
-        coefficients: The row, (n,), exactly.
-        offset: The constant, exactly.
-    """
+    """The form coefficients · x + offset, in exact numbers; sums and multiples are forms again."""
 
     coefficients: tuple[Real, ...]
     offset: Real
@@ -112,14 +106,12 @@ class LinearForm:
         return float(self.offset)
 
     def __add__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        """Return the sum."""
         if isinstance(other, LinearForm):
             both = zip(self.coefficients, other.coefficients, strict=True)
             return LinearForm(tuple(a + b for a, b in both), self.offset + other.offset)
         return LinearForm(self.coefficients, self.offset + other)
 
     def __mul__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        """Return a multiple."""
         if isinstance(other, LinearForm):
             raise NotRepresentable("is not linear in the states")
         return LinearForm(tuple(c * other for c in self.coefficients), self.offset * other)
@@ -127,45 +119,30 @@ class LinearForm:
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> "LinearForm":
-        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: "Real | float") -> "LinearForm":  # type: ignore[misc]
-        """Return the difference."""
         return -self + other
 
     def __truediv__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        """Return a multiple."""
-        if isinstance(other, LinearForm):
-            raise NotRepresentable("is not linear in the states")
-        return self * (1 / Real.of(other))
+        return self * (other if isinstance(other, LinearForm) else 1 / Real.of(other))
 
     def __rtruediv__(self, other: float) -> "LinearForm":
-        """Refuse."""
         raise NotRepresentable("is not linear in the states")
 
     __pow__ = __rpow__ = __rtruediv__
 
 
 def is_number(text: str) -> bool:
-    """Whether a text is a number in digits, as most entries of most files are: it need not be parsed.
-
-    Example:
-        >>> is_number("-0.5"), is_number("1e-05"), is_number("1/2")
-        (True, True, False)
-    """
+    """Whether a text is a number in digits, as most entries of most files are: it need not be parsed."""
     return _PLAIN.fullmatch(text) is not None
 
 
 def real(text: str | Expression, parameters: Parameters) -> Real:
     """Return the value of an expression in the parameters, exactly where it is rational.
-
-    Raises:
-        ExpressionError: If the text is not such an expression or its value is not finite.
 
     Example:
         >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
@@ -177,44 +154,14 @@ def real(text: str | Expression, parameters: Parameters) -> Real:
     return value
 
 
-def number(text: str, parameters: Parameters) -> float:
-    """Return the value of an expression in the parameters, as the nearest double.
-
-    Raises:
-        ExpressionError: As `real`.
-
-    Example:
-        >>> number("-(k1 + 1e-3)/2**2", {"k1": 3.999})
-        -1.0
-    """
-    return float(real(text, parameters))
-
-
 def linear_form(text: str | Expression, states: Sequence[str], parameters: Parameters) -> LinearForm:
-    """Return an expression as row · x + constant.
-
-    Raises:
-        ExpressionError: If the text is not linear in the states.
-
-    Example:
-        >>> form = linear_form("2*(z2 - z1) + c", ["z1", "z2"], {"c": 5.0})
-        >>> form.row.tolist(), form.constant
-        ([-2.0, 2.0], 5.0)
-    """
+    """Return an expression as row · x + constant."""
     value = _evaluate(text, _names(_units(states), parameters))
     return value if isinstance(value, LinearForm) else LinearForm((_ZERO,) * len(states), value)
 
 
 def inequalities(text: str | Expression, states: Sequence[str], parameters: Parameters) -> list[LinearForm]:
-    """Return the linear forms that a comparison, or a chain of them, says are ≥ 0.
-
-    Raises:
-        ExpressionError: If the text is not a comparison of linear forms by <, <=, > or >=.
-
-    Example:
-        >>> [f.row.tolist() + [f.constant] for f in inequalities("-1 < z <= 2", ["z"], {})]
-        [[1.0, 1.0], [-1.0, 2.0]]
-    """
+    """Return the linear forms that a comparison, or a chain of them, says are ≥ 0."""
     expression = parsed(text)
     text, tree = expression.text, expression.tree
     if isinstance(tree, ast.BoolOp):
@@ -235,18 +182,11 @@ def inequalities(text: str | Expression, states: Sequence[str], parameters: Para
     return forms
 
 
-def formula(text: str, parameters: Parameters) -> ExponentialPolynomial:
+def formula(text: str | Expression, parameters: Parameters) -> ExponentialPolynomial:
     """Return an expression in the parameters and the time t.
 
     Sums and products of polynomials, sines, cosines and exponentials with
     arguments linear in t have exact derivatives of every order; nothing else is read.
-
-    Raises:
-        ExpressionError: If the text is not such an expression.
-
-    Example:
-        >>> round(formula("a*sin(2*t)**2", {"a": 3.0})(0.25), 6)
-        0.689547
     """
     value = _evaluate(text, _names({TIME: ExponentialPolynomial.time()}, parameters), exact=False)
     return value if isinstance(value, ExponentialPolynomial) else ExponentialPolynomial.constant(value)
@@ -296,11 +236,7 @@ _EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x
 
 
 def parsed(text: str | Expression) -> Expression:
-    """Parse an expression, or a comparison of expressions; one that is parsed stays as it is.
-
-    Raises:
-        ExpressionError: If the text is none.
-    """
+    """Parse an expression, or a comparison of expressions; one that is parsed stays as it is."""
     if isinstance(text, Expression):
         return text
     if len(text) > _LONGEST:

@@ -12,29 +12,31 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from pwatrack.carried import content
+from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
-from pwatrack.real import Real
 from pwatrack.spec.axis import Axis, axes_of
-from pwatrack.spec.box import box_problems
-from pwatrack.spec.build import build_loads, build_plant, build_reference
-from pwatrack.spec.consistency import load_problems, plant_problems, reference_problems, sampling_problems
-from pwatrack.spec.entries import Context
-from pwatrack.spec.goals import goal_problems
-from pwatrack.spec.names import condition_problems, declared_loads, name_problems, start_problems, sweep_problems
+from pwatrack.spec.courses import build_reference
 from pwatrack.spec.parametric import ParametricPlant, evaluated
-from pwatrack.spec.paths import at_path
-from pwatrack.spec.problems import shape_problems, size_problems, validation_problems
-from pwatrack.spec.requirement import read_requirements
-from pwatrack.spec.scenario import build_conditions, build_objectives, build_scenario
-from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile
+from pwatrack.spec.plant_section import build_plant
+from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_scenario
+from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile, validation_problems
+from pwatrack.spec.section import Context
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
 from pwatrack.spec.table import Folder
 from pwatrack.spec.values import WRITTEN, document_of, yaml_text
-from pwatrack.spec.yaml_tree import Document, parse_yaml
+from pwatrack.spec.yaml_tree import Document, at_path, parse_yaml, path_text
 
 _LARGEST_FILE = 4 * 2**20  # bytes
+_LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them
+    ("system", "states"): 100,
+    ("system", "inputs"): 100,
+    ("system", "outputs"): 100,
+    ("system", "cells"): 100_000,
+    ("system", "hyperplanes"): 1_000,
+    ("system", "nonlinearities"): 1_000,
+}
 _Form = TypeVar("_Form", bound=PlantFile)
 _EXPECT = re.compile(r"^expect:\s*\{?\s*exit:\s*([02-6])\b", re.MULTILINE)
 
@@ -78,72 +80,55 @@ def load_spec(
         raise InvalidSpec(Problem(message=message, subject=None))
     path = Path(source)
     document, digest = _read(path)
-    return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path=path, sha256=digest)
+    return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path, digest)
 
 
 def read_spec(
-    document: Document, parameters: Mapping[str, float | str] | None = None, *, outside: bool = False
+    document: Document,
+    parameters: Mapping[str, float | str] | None = None,
+    *,
+    outside: bool = False,
+    plant: PWASystem | None = None,
 ) -> Spec:
-    """Return the spec that a tree of values from Python describes; args and raises: as `load_spec`."""
+    """Return the spec that values from Python describe, `plant` being what its sections were read as, if they were.
+
+    The rest, and what is raised, is as for `load_spec`.
+    """
     text = yaml_text(document.data)
     folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
-    return _spec_of(document, parameters, folder, path=Path(WRITTEN), sha256=digest, text=text)
+    return _spec_of(document, parameters, folder, Path(WRITTEN), digest, text, plant)
 
 
 def read_sweep(path: Path, parameters: Mapping[str, float | str]) -> tuple[str, list[Axis]]:
-    """Return the title of a spec file, and which parameters it says vary in a sweep.
-
-    Raises:
-        InvalidSpec: With every error in the form of the file; the plant is not looked at.
-    """
+    """Return the title of a spec file, and which parameters it says vary in a sweep; the plant is not looked at."""
     document, _ = _read(path)
-    _check_sizes(document)
-    values, problems = evaluated(document.data.get("parameters", {}), parameters)
-    file = _checked(document, _context(document.data, values), problems, SpecFile)
+    file, _ = _checked(document, parameters, SpecFile)
     return file.name, axes_of(file.sweep or {})
 
 
 def read_plant(document: Document) -> PWASystem:
     """Return the plant that the sections parameters, system and tolerance of a tree describe; raises as `load_spec`."""
-    _check_sizes(document)
-    values, problems = evaluated(document.data.get("parameters", {}), {})
-    file = _checked(document, _context(document.data, values), problems, PlantFile)
+    file, _ = _checked(document, {}, PlantFile)
     try:
         return build_plant(file.system, file.tolerance.continuity)
     except PwatrackError as error:
         raise located(error, document.places) from None
 
 
-def _check_sizes(document: Document) -> None:
-    if too_much := size_problems(document.data):
-        raise located(InvalidSpec(*document.problems, *too_much), document.places).sorted()
-
-
 def _spec_of(
     document: Document,
     parameters: Mapping[str, float | str] | None,
     folder: Folder,
-    *,
     path: Path,
     sha256: str,
     text: str | None = None,
+    plant: PWASystem | None = None,
 ) -> Spec:
-    _check_sizes(document)
-    values, problems = evaluated(document.data.get("parameters", {}), parameters or {})
-    context = _context(document.data, values)
-    requirements, missing = read_requirements(document.data.get("require"), context)
-    file = _checked(document, context, [*problems, *missing], SpecFile)
+    file, context = _checked(document, parameters or {}, SpecFile)
     simulation = file.simulation
-    parametric = ParametricPlant.of(
-        document.data.get("parameters", {}),
-        parameters or {},
-        nominal=file.system,
-        written=document.data["system"],
-        names=context,
-        tolerance=file.tolerance.continuity,
-    )
+    parametric = ParametricPlant.of(document.data, parameters or {}, file, context)
     try:
-        plant = build_plant(file.system, file.tolerance.continuity)
+        plant = plant or build_plant(file.system, file.tolerance.continuity)
         plant = replace(plant, loads=build_loads(file.design.estimate, plant))
         reference = build_reference(file.reference, plant.tracked_names, folder, simulation.duration)
         conditions = build_conditions(simulation, plant, parametric, folder)
@@ -154,7 +139,7 @@ def _spec_of(
         path=path,
         sha256=sha256,
         text=text,
-        parameters={name: float(value) for name, value in values.items() if value is not None},
+        parameters={name: float(value) for name, value in context.parameters.items() if value is not None},
         overrides=parameters or {},
         problem=TrackingProblem(
             plant=plant,
@@ -165,45 +150,42 @@ def _spec_of(
         ),
         objectives=build_objectives(file.design, parametric),
         scenario=build_scenario(simulation, plant.states, conditions),
-        requirements=requirements,
+        requirements=file.require,
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
 
 
-def _checked(document: Document, context: Context, problems: list[Problem], form: type[_Form]) -> _Form:
-    """Return the sections of a document, or refuse it with all that is wrong with it besides given problems."""
-    data = document.data
-    problems = [
-        *document.problems,
-        *problems,
-        *shape_problems(data, context),
-        *name_problems(data, context),
-        *start_problems(data, context),
-        *sampling_problems(data, context),
-    ]
+def _checked(document: Document, parameters: Mapping[str, float | str], form: type[_Form]) -> tuple[_Form, Context]:
+    """Return the sections of a document and what they were read with, or refuse it with all that is wrong with it."""
+    data, places = document.data, document.places
+    if too_much := _too_large(data):
+        raise located(InvalidSpec(*document.problems, *too_much), places).sorted()
+    values, problems = evaluated(data.get("parameters", {}), parameters)
+    context = Context.of(data, values)
     try:
         file = form.model_validate(data, context=context)
     except ValidationError as error:
         problems += validation_problems(error, data)
-    if not problems:
-        problems += plant_problems(file.system)
-        if isinstance(file, SpecFile):
-            problems += load_problems(file) + reference_problems(file) + goal_problems(file)
-            problems += condition_problems(file, context.parameters) + box_problems(file.design, context.parameters)
-            problems += sweep_problems(file, context.parameters)
-    if problems:
+    if problems or document.problems:
         said = {problem.subject for problem in document.problems if problem.subject}  # and what follows from it is not
-        problems = [p for k, p in enumerate(problems) if k < len(document.problems) or p.subject not in said]
-        raise located(InvalidSpec(*problems), document.places).sorted()
-    return file
+        problems = [problem for problem in problems if problem.subject not in said]
+        raise located(InvalidSpec(*document.problems, *problems), places).sorted()
+    return file, context
+
+
+def _too_large(data: Mapping[str, Any]) -> list[Problem]:
+    """Compare the lists that memory and time grow with to their limits."""
+    found = ((subject, at_path(data, subject), most) for subject, most in _LARGEST.items())
+    return [
+        Problem(message=f"{path_text(subject)}: {len(entries):,} entries, at most {most:,} are read", subject=subject)
+        for subject, entries, most in found
+        if isinstance(entries, list) and len(entries) > most
+    ]
 
 
 def assignments(texts: Sequence[str]) -> dict[str, str]:
     """Return parameters given as NAME=VALUE.
-
-    Raises:
-        InvalidSpec: For each text that is not of this form, and each name that is given twice.
 
     Example:
         >>> assignments(["k2=0.3", "omega=2*pi"])
@@ -240,12 +222,7 @@ def expected_exit(path: str | Path) -> int:
 
 
 def referenced_files(path: str | Path) -> tuple[Path, ...]:
-    """Return the files that a spec file refers to, whether they exist or not; none where it cannot be read.
-
-    Example:
-        >>> referenced_files("specs/two_mass_backlash.yaml")
-        ()
-    """
+    """Return the files that a spec file refers to, whether they exist or not; none where it cannot be read."""
     path = Path(path)
     try:
         return tuple(path.parent / name for name in referenced_names(spec_bytes(path)))
@@ -284,16 +261,12 @@ def _read(path: Path) -> tuple[Document, str]:
 
 
 def spec_bytes(path: Path) -> bytes:
-    """Return what a spec file holds; raises as `file_content` does."""
+    """Return what a spec file holds, which may have come along from another machine."""
     return content(path, lambda: file_content(path))
 
 
 def file_content(path: Path) -> bytes:
-    """Return the bytes of a spec file, a regular one that is not too large: others may never end.
-
-    Raises:
-        InvalidSpec: If it is no such file, or cannot be read.
-    """
+    """Return the bytes of a spec file, a regular one that is not too large: others may never end."""
     try:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
@@ -306,22 +279,3 @@ def file_content(path: Path) -> bytes:
             return file.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise InvalidSpec(Problem(message=f"cannot read {path}: {getattr(error, 'strerror', None) or error}")) from None
-
-
-def _context(data: dict[str, Any], values: Mapping[str, Real | None]) -> Context:
-    """Return what the sections of a raw tree are read with."""
-    tracked, outputs = at_path(data, ("system", "track")), _declared(data, "outputs")
-    return Context(
-        parameters=values,
-        **{name: _declared(data, name) for name in ("states", "inputs", "outputs")},
-        loads=declared_loads(data),
-        tracked=tuple(tracked) if isinstance(tracked, dict) else (),
-        chosen=tuple(filter(outputs.__contains__, tracked)) if isinstance(tracked, list) else (),
-        follow=at_path(data, ("design", "tracking")) == "state",
-    )
-
-
-def _declared(data: dict[str, Any], name: str) -> tuple[str, ...]:
-    system = data.get("system")
-    names = system.get(name) if isinstance(system, dict) else None
-    return tuple(n for n in names if isinstance(n, str)) if isinstance(names, list) else ()

@@ -1,17 +1,30 @@
-"""The section `system` as pydantic models: cells or nonlinearities, matrices, names."""
+"""The section `system` as pydantic models, with cells or nonlinearities -> the plant (1)."""
 
-from typing import Annotated, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field
 
+from pwatrack.arrays import Array, number_text
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import (
+    MOST_LISTED,
+    Nonlinearity,
     PiecewiseLinear,
+    ScalarForm,
     absolute,
     dead_zone,
+    drives_away,
+    generate_cells,
     piecewise_linear,
     saturation,
     spring,
 )
+from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.real import Real
 from pwatrack.spec.entries import (
     Exact,
@@ -26,7 +39,8 @@ from pwatrack.spec.entries import (
     Tracked,
     increasing,
 )
-from pwatrack.spec.section import Section
+from pwatrack.spec.section import Context, Fault, Section, distinct, named, shaped, unknown_names
+from pwatrack.spec.wording import shown
 
 
 class CellSection(Section):
@@ -37,15 +51,15 @@ class CellSection(Section):
     name: Label
     where: list[Inequalities] | None = None
     signs: list[Literal["+", "-", "0"]] | None = None
-    A: ExactRows
-    b: ExactVector | None = None
-    B: ExactRows | None = None
+    A: Annotated[ExactRows, shaped("states", "states")]
+    b: Annotated[ExactVector, shaped("states")] | None = None
+    B: Annotated[ExactRows, shaped("states", "inputs")] | None = None
 
 
 class HyperplaneSection(Section):
     """The set H x + h = 0."""
 
-    H: Normal
+    H: Annotated[Normal, shaped("states")]
     h: Exact = Real.of(0)
 
 
@@ -55,6 +69,23 @@ class ElementSection(Section):
     name: Label
     of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ.
+
+        Raises:
+            ValueError: If its numbers make none.
+        """
+        raise NotImplementedError
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield what it acts on that is no state, and numbers that make no φ."""
+        try:
+            self.function()
+        except ValueError as error:
+            yield Fault(f"nonlinearity '{self.name}': {error}")
+        for state, meant in unknown_names(self.into, context.states) if context.states else ():
+            yield Fault(f"nonlinearity '{self.name}': {shown(state)} is no state{meant}", ("into",), key=(state,))
 
 
 class DeadZoneSection(ElementSection):
@@ -147,17 +178,181 @@ class SystemSection(Section):
     inputs: Names
     outputs: Names
     track: Tracked | None = None
-    units: dict[str, Label] = {}
-    sizes: dict[str, Positive] = {}
-    B: ExactRows
-    C: ExactRows
-    cells: Annotated[list[CellSection], Field(min_length=1)] | None = None
+    units: Annotated[dict[str, Label], named("state, input or output", "measured", "")] = {}
+    sizes: Annotated[dict[str, Positive], named("state, input or output", "sized", "")] = {}
+    B: Annotated[ExactRows, shaped("states", "inputs")]
+    C: Annotated[ExactRows, shaped("outputs", "states")]
+    cells: Annotated[list[CellSection], Field(min_length=1), distinct("cell")] | None = None
     hyperplanes: list[HyperplaneSection] | None = None
-    A: ExactRows | None = None
-    b: ExactVector | None = None
-    nonlinearities: list[Element] | None = None
+    A: Annotated[ExactRows, shaped("states", "states")] | None = None
+    b: Annotated[ExactVector, shaped("states")] | None = None
+    nonlinearities: Annotated[list[Element], distinct("nonlinearity")] | None = None
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where it is not written in exactly one of the three ways."""
+        if self.cells is not None:
+            for name in ("A", "b", "nonlinearities"):
+                if getattr(self, name) is not None:
+                    yield Fault(f".{name} does not go with cells: give one or the other", key=(name,))
+            yield from self._wrong_signs(self.cells)
+        elif self.A is None:
+            yield Fault(".cells, or system.A with nonlinearities, is missing")
+        if self.cells is None and self.hyperplanes is not None:
+            yield Fault("hyperplanes need cells with signs", ("hyperplanes",))
+        yield from self._not_tracked()
+
+    def _wrong_signs(self, cells: list[CellSection]) -> Iterator[Fault]:
+        """Yield the cells that have not one sign for each hyperplane, or some without hyperplanes."""
+        for k, cell in enumerate(cells):
+            at, given, wanted = ("cells", k, "signs"), len(cell.signs or []), len(self.hyperplanes or [])
+            if self.hyperplanes is None and cell.signs is not None:
+                yield Fault(f"cell '{cell.name}' has signs but the system has no hyperplanes", at)
+            if self.hyperplanes is not None and (cell.where is not None or given != wanted):
+                found = "none" if cell.signs is None else given
+                yield Fault(f"cell '{cell.name}': {found} signs, expected {wanted}, one per hyperplane", at)
+
+    def _not_tracked(self) -> Iterator[Fault]:
+        """Yield what is tracked and no output, or a form with a constant: its desired value is the reference."""
+        if isinstance(self.track, dict):
+            for name, form in self.track.items():
+                if form.offset.centre:
+                    text = "a constant does not belong into what is tracked: put it into the reference"
+                    yield Fault(f"track: {name}: {text}", ("track", name))
+            return
+        for name, meant in unknown_names(self.track or (), self.outputs):
+            yield Fault(f"track: {shown(name)} is no output; outputs: {', '.join(self.outputs)}{meant}", ("track",))
 
     @property
     def tracked(self) -> tuple[str, ...]:
         """Names of what is to follow a reference: all outputs where nothing is said."""
         return self.outputs if self.track is None else tuple(self.track)
+
+
+def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
+    """Return the plant from any of the three ways to write it.
+
+    Raises:
+        OutsideTheory: If it is not a continuous PWA system with one B.
+    """
+    _refuse_other_B(system)
+    A: Any
+    b: Any
+    odd: list[str] = []
+    written = None
+    if system.cells is None:
+        elements = _elements(system)
+        n = len(system.states)
+        base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
+        written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
+        partition, A, b = generate_cells(*base, elements)
+        if len(A) > MOST_LISTED:
+            odd.append(
+                f"{len(A):,} cells, of which no tables are written: there is no generator.json and no controller.json"
+            )
+        for section, element in zip(system.nonlinearities or [], elements, strict=True):
+            odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
+    else:
+        cells = system.cells
+        partition = _partition(system, cells)
+        A = [cell.A for cell in cells]
+        b = [cell.b or [0] * len(system.states) for cell in cells]
+    plant = PWASystem.create(
+        partition=partition,
+        A=A,
+        b=b,
+        B=system.B,
+        C=system.C,
+        tracked=_tracked_rows(system),
+        states=system.states,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        tracked_names=system.tracked,
+        tolerance=tolerance,
+        continuous=system.cells is None,
+    )
+    return replace(plant, written=written, remarks=(*plant.remarks, *odd))
+
+
+def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) -> list[str]:
+    """Say what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull."""
+    d, slopes = np.array([float(v) for v in element.direction]), any(map(float, element.function.slopes))
+    if not d.any() or not slopes:
+        return [f"nonlinearity '{element.name}' acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
+    wrong = drives_away(_doubles(system.A or []), element) if restoring else []
+    if not wrong:
+        return []
+    back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
+    of = linear_form_text(np.array([float(v) for v in element.row]), system.states)
+    return [
+        f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
+        f"write into: {{{back}}} if it should pull it back"
+    ]
+
+
+def _tracked_rows(system: SystemSection) -> list[Any] | None:
+    """Return the rows of what is to follow a reference; None for all that is measured."""
+    if system.track is None:
+        return None
+    if isinstance(system.track, dict):
+        return [form.coefficients for form in system.track.values()]
+    return [system.C[system.outputs.index(name)] for name in system.track]
+
+
+def _refuse_other_B(system: SystemSection) -> None:
+    problems = [
+        Problem(
+            message=f"cell '{cell.name}' has an input matrix of its own: class (1) has one B for all cells; "
+            f"it differs by up to {np.abs(_doubles(cell.B) - _doubles(system.B)).max():.4g}",
+            subject=("system", "cells", k, "B"),
+            hint="move what switches into the state, for example an actuator's own dynamics",
+        )
+        for k, cell in enumerate(system.cells or [])
+        if cell.B is not None and cell.B != system.B
+    ]
+    if problems:
+        raise OutsideTheory(*problems)
+
+
+def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition:
+    """Return the cells, from their signs or from their inequalities, each of which is a hyperplane."""
+    signs: Any
+    if system.hyperplanes is not None:
+        values = {"+": 1, "-": -1, "0": 0}
+        H: list[Sequence[Real]] = [plane.H for plane in system.hyperplanes]
+        h = [plane.h for plane in system.hyperplanes]
+        signs = [[values[sign] for sign in cell.signs or []] for cell in cells]
+    else:
+        forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
+        H, h = [form.coefficients for cell in forms for form in cell], [form.offset for cell in forms for form in cell]
+        signs, start = np.zeros((len(cells), len(H)), dtype=np.int64), 0
+        for i, cell in enumerate(forms):
+            signs[i, start : start + len(cell)] = 1
+            start += len(cell)
+    return Partition.create(
+        H=np.array(H, dtype=object).reshape(-1, len(system.states)),
+        h=h,
+        signs=signs,
+        names=[cell.name for cell in cells],
+    )
+
+
+def _elements(system: SystemSection) -> list[Nonlinearity]:
+    elements = []
+    for section in system.nonlinearities or []:
+        direction = [Real.of(0)] * len(system.states)
+        for state, factor in section.into.items():
+            direction[system.states.index(state)] = factor
+        elements.append(
+            Nonlinearity(
+                name=section.name,
+                function=section.function(),
+                row=section.of.coefficients,
+                constant=section.of.offset,
+                direction=direction,
+            )
+        )
+    return elements
+
+
+def _doubles(rows: Sequence[Sequence[Real]]) -> Array:
+    return np.array([[float(v) for v in row] for row in rows])

@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from pydantic import ValidationInfo
+
 from pwatrack.causes import Subject
-from pwatrack.errors import Problem
 from pwatrack.simulation.enclosure import CLOSE
-from pwatrack.spec.entries import Context, sized_number
+from pwatrack.spec.entries import sized_real
 from pwatrack.spec.expression import BrokenParameter, UnknownName
+from pwatrack.spec.section import Context, Fault, Faults
 from pwatrack.spec.wording import guess, shown
 
 _HERE = "require"
@@ -95,48 +97,40 @@ class Requirement:
         return sign * value <= sign * self.limit + self.quantity.known * abs(self.limit)
 
 
-def read_requirements(data: Any, context: Context) -> tuple[tuple[Requirement, ...], list[Problem]]:
-    """Return what the section `require` asks for, and all that is wrong with it.
-
-    Args:
-        data: The section, as a tree of strings; None where there is none.
-        context: What its numbers and names are read with.
-    """
-    if data is None:
-        return (), []
+def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Requirement, ...]:
+    """Return what the section `require` asks for; a validator of pydantic."""
     if not isinstance(data, Mapping):
-        return (), [Problem(message=f"{_HERE}: a mapping such as {{final_error: 1e-3}} is expected", subject=(_HERE,))]
-    found, problems = list[Requirement](), list[Problem]()
+        raise Faults([Fault(": a mapping such as {final_error: 1e-3} is expected")])
+    found, faults = list[Requirement](), list[Fault]()
     members = data.get("ensemble")
     if "ensemble" in data and not (isinstance(members, Mapping) and set(members) - {"members"}):
-        message = f"{_HERE}.ensemble: what each member is to achieve is expected"
         hint = "for example ensemble: {members: 95%, final_error: 1e-3}"
-        problems.append(Problem(message=message, subject=(_HERE, "ensemble"), hint=hint))
+        faults.append(Fault(": what each member is to achieve is expected", ("ensemble",), hint))
         members = None
     share = 1.0
     inner = dict(sorted((members or {}).items(), key=lambda entry: entry[0] != "members"))  # the share comes first
-    for entries, subject in ((data, (_HERE,)), (inner, (_HERE, "ensemble"))):
-        inside = len(subject) > 1
+    for entries, inside in ((data, ()), (inner, ("ensemble",))):
         for name, value in entries.items():
-            at: Subject = (*subject, name)
+            at: Subject = (*inside, name)
             try:
                 if inside and name == "members":
-                    share = _share(value, context)
+                    share = _share(value, info.context)
                 elif inside or name != "ensemble":
-                    quantity, of = _quantity(name, inside=inside), share if inside else None
+                    quantity, of = _quantity(name, inside=bool(inside)), share if inside else None
                     figure = name
                     if quantity.each is not None and isinstance(value, Mapping):
                         figure, quantity = quantity.each, QUANTITIES[quantity.each]
                     found += [
-                        Requirement(figure=figure, signal=signal, limit=limit, share=of, subject=at)
-                        for signal, limit in _limits(value, quantity, context)
+                        Requirement(figure=figure, signal=signal, limit=limit, share=of, subject=(_HERE, *at))
+                        for signal, limit in _limits(value, quantity, info.context)
                     ]
             except BrokenParameter:
                 continue  # said where the parameter stands
             except ValueError as fault:
-                meant = fault.guess if isinstance(fault, UnknownName) else ""
-                problems.append(Problem(message=f"{'.'.join(map(str, at))}: {fault}{meant}", subject=at))
-    return tuple(found), problems
+                faults.append(Fault(f": {fault}{fault.guess if isinstance(fault, UnknownName) else ''}", at))
+    if faults:
+        raise Faults(faults)
+    return tuple(found)
 
 
 def _quantity(name: str, *, inside: bool) -> Quantity:
@@ -174,9 +168,9 @@ def _limit(value: Any, quantity: Quantity, context: Context) -> float:
     if value.rstrip().endswith("%"):
         if not quantity.share:
             raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
-        limit = sized_number(value.rstrip()[:-1], context) / 100
+        limit = float(sized_real(value.rstrip()[:-1], context)) / 100
     else:
-        limit = sized_number(value, context)
+        limit = float(sized_real(value, context))
     if limit < 0:
         raise ValueError(f"{limit:g} is negative, and no figure is")
     return limit

@@ -1,5 +1,6 @@
 """Signals of time as pydantic models, and the section `reference`."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, GetJsonSchemaHandler, Tag
@@ -17,11 +18,11 @@ from pwatrack.spec.entries import (
     Positive,
     Scale,
     Time,
-    as_course,
-    listed,
 )
-from pwatrack.spec.section import Section
+from pwatrack.spec.section import Context, Fault, Section, shaped, unknown_names
+from pwatrack.spec.wording import shown
 
+_LISTED = BeforeValidator(lambda value: [value] if isinstance(value, dict) else value)  # one may stand without a list
 _MOST_TERMS = 200  # sines or steps of one signal: each adds states to the exosystem
 
 
@@ -99,16 +100,23 @@ class CourseSection(Section):
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     constant: Number = 0.0
-    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
+    sine: Annotated[list[SineSection], Field(max_length=_MOST_TERMS), _LISTED, Or()] = []
     formula: Time | None = None
     until: Positive | None = None
-    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), BeforeValidator(listed), Or()] = []
+    step: Annotated[list[StepSection], Field(max_length=_MOST_TERMS), _LISTED, Or()] = []
     trapezoid: TrapezoidSection | None = None
     polyline: PolylineSection | None = None
     table: TableSection | None = None
 
 
-Signal = Annotated[CourseSection, BeforeValidator(as_course), TEXT_OR_VALUE]
+def _as_course(value: Any) -> Any:
+    """A formula may stand for a course that is nothing else."""
+    if value == {}:
+        raise ValueError("nothing is given: write a formula in t, or entries such as constant, sine, step, table")
+    return {"formula": value} if isinstance(value, str) else value
+
+
+Signal = Annotated[CourseSection, BeforeValidator(_as_course), TEXT_OR_VALUE]
 
 
 def _signal_kind(value: Any) -> str:
@@ -146,8 +154,47 @@ class ReferenceSection(Section):
     """Of one tracked output, or of each by its name."""
     preview: Literal["auto", "none"] = "auto"
     """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
-    state: list[Signal] | None = None
-    input: list[Signal] | None = None
-    start: PeriodicOrVector | None = None
+    state: Annotated[list[Signal], shaped("states")] | None = None
+    input: Annotated[list[Signal], shaped("inputs")] | None = None
+    start: Annotated[PeriodicOrVector, shaped("states")] | None = None
     """x_d(0); an empty list where it is the periodic steady state."""
     setpoint: dict[str, Number] | None = None
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where there is not one reference, of the kind that is tracked, for all that is tracked."""
+        kinds = {"output": ["output"], "state": ["state", "input", "setpoint"]}
+        fitting = kinds.get(context.tracking, [*kinds["output"], *kinds["state"]])
+        given = [kind for kind in (*kinds["output"], *kinds["state"]) if getattr(self, kind) is not None]
+        if len(given) != 1 or given[0] not in fitting:
+            found = " and ".join(given) or "nothing"
+            text = f"{context.tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
+            yield Fault(text, late=True)
+        if self.start is not None and self.input is None:
+            yield Fault("start goes with a reference 'input' only", ("start",))
+        if self.preview != "auto" and self.output is None:
+            yield Fault(".preview goes with reference.output", key=("preview",))
+        if self.input is not None and self.start is None:
+            yield Fault(".start is missing: x_d(0), or 'periodic'")
+        if self.output is not None and "output" in fitting and context.followed:
+            yield from (fault._replace(late=True) for fault in _output_faults(self.output, context.followed))
+        if self.setpoint is not None and set(self.setpoint) != set(context.followed):
+            yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
+
+
+def _output_faults(output: CourseSection | dict[str, CourseSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
+    """Yield where there is no signal for a tracked output, or one for anything else."""
+    if isinstance(output, CourseSection):
+        if len(tracked) > 1:
+            text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
+            one = tracked[0]
+            hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
+            yield Fault(text, hint=hint, key=("output",))
+        return
+    unknown = [*unknown_names(output, tracked)]
+    for name, meant in unknown:
+        hint = f"entries of a signal are {', '.join(CourseSection.model_fields)}"
+        text = f": {shown(name)} is no tracked output ({', '.join(tracked)}){meant}"
+        yield Fault(text, ("output", name), hint)
+    missing = [name for name in tracked if name not in output]
+    if missing and not unknown:
+        yield Fault(f".output must give every tracked output, and leaves out {', '.join(missing)}", key=("output",))

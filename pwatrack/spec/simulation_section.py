@@ -1,9 +1,11 @@
 """The section `simulation` as pydantic models: starts, what a machine adds, ensembles."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
+from pwatrack.causes import Subject
 from pwatrack.model.conditions import Method
 from pwatrack.spec.entries import (
     FormPair,
@@ -16,14 +18,18 @@ from pwatrack.spec.entries import (
     StartOrMeasured,
     StartOrSteady,
     Whole,
-    region_kind,
     whole,
 )
-from pwatrack.spec.section import Section
+from pwatrack.spec.section import Context, Fault, Section, named, shaped
 from pwatrack.spec.signal_section import Signal
 
 _MOST_PORTRAITS = 50  # each is a picture
+_MOST_SAMPLES = 10_000_000  # more are hours of a run, and gigabytes of its trace
+_MOST_TICKS = 2_000_000  # all of them are kept in memory
 _MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
+
+
+_OF_STATES = named("state", "states", "; states: {}")
 
 
 class InitialSection(Section):
@@ -32,27 +38,27 @@ class InitialSection(Section):
     Zero where not given, and of the generator its steady state.
     """
 
-    plant: StartOrSteady | None = None
-    observer: StartOrMeasured | None = None
+    plant: Annotated[StartOrSteady, _OF_STATES, shaped("states")] | None = None
+    observer: Annotated[StartOrMeasured, _OF_STATES, shaped("states")] | None = None
     generator: StartOrSteady | None = None
 
 
 class PlantSection(Section):
     """Parameters of the plant that runs, where they are not those of the design."""
 
-    parameters: Annotated[dict[Name, Any], Field(min_length=1)]
+    parameters: Annotated[dict[Name, Any], Field(min_length=1), named("parameter", "parameters")]
 
 
 class ActuatorSection(Section):
     """Lower and upper limit of inputs, by name."""
 
-    limits: Annotated[dict[str, Limits], Field(min_length=1)]
+    limits: Annotated[dict[str, Limits], Field(min_length=1), named("input", "inputs")]
 
 
 class NoiseSection(Section):
     """Normal noise on outputs, by name, drawn anew at every multiple of a sample time (s) and held in between."""
 
-    std: Annotated[dict[str, NotNegative], Field(min_length=1)]
+    std: Annotated[dict[str, NotNegative], Field(min_length=1), named("output", "outputs")]
     sample_time: Positive
     seed: Annotated[Whole, Field(ge=0), whole(0)] = 1
 
@@ -68,8 +74,8 @@ class SampledSection(Section):
 class RadiiSection(Section):
     """By name: the radius of each entry that varies, and where the centre is not the nominal one."""
 
-    radii: Annotated[dict[str, Positive], Field(min_length=1)]
-    center: dict[str, Number] = {}
+    radii: Annotated[dict[str, Positive], Field(min_length=1), _OF_STATES]
+    center: Annotated[dict[str, Number], _OF_STATES] = {}
 
 
 class EllipsoidSection(Section):
@@ -78,9 +84,14 @@ class EllipsoidSection(Section):
     ellipsoid: RadiiSection
 
 
+def _region_kind(value: Any) -> str:
+    """A mapping under `ellipsoid` is one; a state of that name has an interval, which is a list."""
+    return "an ellipsoid" if isinstance(value, dict) and isinstance(value.get("ellipsoid"), dict) else "a box"
+
+
 Region = Annotated[
-    Annotated[dict[str, Interval], Tag("a box")] | Annotated[EllipsoidSection, Tag("an ellipsoid")],
-    Discriminator(region_kind),
+    Annotated[dict[str, Interval], _OF_STATES, Tag("a box")] | Annotated[EllipsoidSection, Tag("an ellipsoid")],
+    Discriminator(_region_kind),
 ]
 
 
@@ -96,7 +107,7 @@ class EnsembleSection(Section):
     """What differs between the members of an ensemble."""
 
     initial: StartRegionsSection | None = None
-    parameters: dict[Name, Interval] = {}
+    parameters: Annotated[dict[Name, Interval], named("parameter", "parameters")] = {}
 
 
 class SimulationSection(Section):
@@ -108,20 +119,49 @@ class SimulationSection(Section):
 
     duration: Positive
     sample_time: Positive
-    settled: dict[str, Positive] = {}
+    settled: Annotated[dict[str, Positive], named("output", "followed")] = {}
     """By name: how far from its rest an output counts as settled, in its unit."""
     initial: InitialSection = InitialSection()
     plant: PlantSection | None = None
     actuator: ActuatorSection | None = None
-    disturbance: Annotated[dict[str, Signal], Field(min_length=1)] | None = None
+    disturbance: Annotated[dict[str, Signal], Field(min_length=1), named("state", "states")] | None = None
     noise: NoiseSection | None = None
-    quantum: dict[str, Positive] = {}
+    quantum: Annotated[dict[str, Positive], named("input or output", "ports")] = {}
     """Steps of inputs and measured outputs, by name, in their units."""
-    rate_limit: dict[str, Positive] = {}
+    rate_limit: Annotated[dict[str, Positive], named("input", "inputs")] = {}
     """By how much inputs may change, by name, in their unit per second."""
     controller: SampledSection | None = None
-    portraits: Annotated[
-        list[FormPair],
-        Field(max_length=_MOST_PORTRAITS),
-    ] = []
+    portraits: Annotated[list[FormPair], Field(max_length=_MOST_PORTRAITS)] = []
     ensemble: EnsembleSection = EnsembleSection()
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield samples that are too many or too few, and what does not go together."""
+        duration, step = self.duration, self.sample_time
+        for name in ("quantum", "rate_limit"):
+            if getattr(self, name) and self.controller is None:
+                text = f".{name} is about the values of a sampled controller, and there is none"
+                yield Fault(text, (), "for example controller: {sample_time: 0.001} under simulation", (name,))
+        if step > duration:
+            yield Fault(f"sample_time {step:g} s is longer than the duration {duration:g} s", ("sample_time",))
+        counted: list[tuple[Subject, float, int, str]] = [((), step, _MOST_SAMPLES, "samples")]
+        for name, what in (("noise", "draws"), ("controller", "ticks")):
+            if (part := getattr(self, name)) is not None:
+                counted.append(((name,), part.sample_time, _MOST_TICKS, what))
+        for at, period, most, what in counted:
+            if duration / period > most:
+                hint = "" if at else "the sample time moves no event; a longer one only draws fewer points"
+                yield Fault(f"{duration / period:.3g} {what}, at most {most:,} are taken", (*at, "sample_time"), hint)
+        if self.ensemble.initial is not None:
+            yield from self._not_varied(self.ensemble.initial)
+
+    def _not_varied(self, regions: StartRegionsSection) -> Iterator[Fault]:
+        """Yield where nothing is varied in an ensemble, or what has no start that is known."""
+        at = ("ensemble", "initial")
+        if not (regions.plant or regions.observer or regions.generator):
+            yield Fault(": nothing is varied", at, "for example plant: {z1: [-0.1, 0.1]}")
+        if self.initial.observer == "measured" and regions.observer is not None:
+            hint = "leave it out, or 'observer: measured' under simulation.initial"
+            yield Fault(": each observer starts from what is measured then", (*at, "observer"), hint)
+        if self.initial.plant == "steady" and regions.plant is not None:
+            hint = "give its start under simulation.initial in numbers"
+            yield Fault(": where 'plant: steady' is, is not known before the design", (*at, "plant"), hint)

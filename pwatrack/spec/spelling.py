@@ -72,12 +72,7 @@ _IN_PYTHON: Mapping[Way, str] = {
 
 
 def path_of(subject: Subject) -> Subject:
-    """Return the path in a file of what a refusal is about.
-
-    Example:
-        >>> path_of((Part.CELLS, 2, Part.A)), path_of((Part.OBSERVER, Part.RATE)), path_of(("parameters", "k"))
-        (('system', 'cells', 2, 'A'), ('design', 'observer', 'rate'), ('parameters', 'k'))
-    """
+    """Return the path in a file of what a refusal is about."""
     return tuple(step for part in subject for step in (_PATHS[part] if isinstance(part, Part) else (part,)))
 
 
@@ -97,13 +92,7 @@ def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> Pwatrack
 
 
 def spelled(problem: Problem, *, python: bool = False) -> Problem:
-    """Return the same problem with what may help in the words of a file or the command line, or of Python.
-
-    Example:
-        >>> from pwatrack.causes import Remedy
-        >>> spelled(Problem(message="", hint="give its interval", remedy=Remedy(Way.INTERVAL))).hint
-        'give its interval: {formula: …, until: T}, with T in s'
-    """
+    """Return the same problem with what may help in the words of a file or the command line, or of Python."""
     if problem.remedy is None:
         return problem
     way, figures = problem.remedy.way, problem.remedy.figures

@@ -41,13 +41,6 @@ class Folder:
 def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
     """Return the course of a table: a text file with a header, a column of times and others.
 
-    A byte-order mark at its start is no part of it.
-
-    Args:
-        folder: Where it is.
-        section: Its name, which columns, how they are written, in which units, and how they are filtered.
-        subject: Where it stands.
-
     Raises:
         InvalidSpec: If it cannot be read, its times do not increase, or its filter does not fit them.
     """
@@ -97,12 +90,7 @@ def _values(text: bytes, section: TableSection) -> Array:
 
 
 def table_content(path: Path, folder: Folder) -> bytes:
-    """Return the bytes of a table; only a regular file is opened, and no more is read than is taken.
-
-    Raises:
-        ValueError: If it is outside of the folder, no regular file, or too large.
-        OSError: If it cannot be read.
-    """
+    """Return the bytes of a table; only a regular file is opened, and no more is read than is taken."""
     folder.check(path)
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("not a regular file")

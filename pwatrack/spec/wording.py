@@ -28,22 +28,12 @@ _ONE_ARGUMENT = re.compile(r"\b(?:a?sin|a?cos|a?tan|sinh|cosh|tanh|exp|sqrt|abs)
 
 
 def shown(text: str) -> str:
-    """Return a text in quotes, cut where it is long.
-
-    Example:
-        >>> shown("k1"), len(shown("k" * 1000))
-        ("'k1'", 63)
-    """
+    """Return a text in quotes, cut where it is long."""
     return f"'{text}'" if len(text) <= _SHOWN else f"'{text[:_SHOWN]}…'"
 
 
 def odd_character(text: str) -> str:
-    r"""Name the first character that is not printable ASCII and no space or line end; empty if there is none.
-
-    Example:
-        >>> odd_character("g\u0430p"), odd_character("a\x1b"), odd_character("gap")
-        ("'а' (U+0430, CYRILLIC SMALL LETTER A)", 'U+001B, a control character', '')
-    """
+    r"""Name the first character that is not printable ASCII and no space or line end; empty if there is none."""
     odd = _ODD.search(text)
     if odd is None:
         return ""
@@ -54,12 +44,7 @@ def odd_character(text: str) -> str:
 
 
 def guess(name: str, known: Iterable[str]) -> str:
-    """Return `"; did you mean 'x'?"`, or nothing; two names that only look alike are told apart.
-
-    Example:
-        >>> guess("omgea", ["omega", "m1"]), guess("q", ["omega"])
-        ("; did you mean 'omega'?", '')
-    """
+    """Return `"; did you mean 'x'?"`, or nothing; two names that only look alike are told apart."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1) if len(names) <= _MOST_NAMES and len(name) <= 100 else []
     odd = odd_character(name)
@@ -68,12 +53,7 @@ def guess(name: str, known: Iterable[str]) -> str:
 
 
 def misread(text: str) -> str:
-    """Return why a text is no expression, where that can be told from its characters; empty if it cannot.
-
-    Example:
-        >>> misread("sin(2t)"), misread("z^2"), misread("0,5"), misread("2*sin(t)**2")
-        ('write 2*t', 'write ** for powers', 'write 0.5: decimals have a point', '')
-    """
+    """Return why a text is no expression, where that can be told from its characters; empty if it cannot."""
     if odd := _ODD.search(text):
         return f"it has the character {odd_character(odd[0])}{_instead(odd[0])}"
     if "#" in text:

@@ -15,6 +15,28 @@ from yaml.reader import Reader
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem
 
+_LONGEST_PART = 100  # characters of one key in a path
+
+
+def path_text(subject: Subject) -> str:
+    """Return a path as an engineer reads it, counted from 1."""
+    text = ""
+    for part in subject:
+        name = part if isinstance(part, str) and len(part) <= _LONGEST_PART else f"{str(part)[:_LONGEST_PART]}…"
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{name}" if text else name
+    return text or "the file"
+
+
+def at_path(data: Any, subject: Subject) -> Any:
+    """Return what stands in a tree at a path, None for nothing."""
+    for part in subject:
+        if isinstance(data, dict):
+            data = data.get(str(part))
+        else:
+            data = data[part] if isinstance(data, list) and isinstance(part, int) else None
+    return data
+
+
 _USE_PARAMETERS = "give the value a name under 'parameters' and use it in expressions"
 DEEPEST = 20  # levels: more than twice what a spec needs
 _LONGEST = 2**20  # characters
@@ -24,13 +46,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML document.
-
-    Attributes:
-        data: The root mapping; leaves are strings.
-        places: Where the value of each path stands; `()` is the root.
-        problems: Duplicate keys and the like, which did not stop the reading.
-    """
+    """The root mapping with strings as leaves, where each path stands, and what did not stop the reading."""
 
     data: dict[str, Any]
     places: Mapping[Subject, Place]
@@ -38,19 +54,7 @@ class Document:
 
 
 def parse_yaml(text: str, file: str) -> Document:
-    """Read one YAML document whose root is a mapping.
-
-    Args:
-        text: The YAML text.
-        file: Its name, for messages.
-
-    Raises:
-        InvalidSpec: If it is not YAML, or has aliases, tags or several documents.
-
-    Example:
-        >>> parse_yaml("a: [1e-3, no]", "x.yaml").data
-        {'a': ['1e-3', 'no']}
-    """
+    """Read one YAML document whose root is a mapping, without aliases and tags; `file` is for messages."""
     if len(text) > _LONGEST:
         message = f"the file has {len(text)} characters, at most {_LONGEST} are read"
         raise InvalidSpec(Problem(message=message, place=Place(file, 1, 1)))

@@ -2,7 +2,7 @@
 
 from pwatrack.control.controller import Asked
 from pwatrack.control.limits import Room
-from pwatrack.spec.corners import corners
+from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Spec
 
 
