@@ -187,11 +187,11 @@ def test_fmpy_compiles_them_again(machine: tuple[Spec, ControllerFile], version:
         folder = tmp_path / path.stem
         fmpy.extract(str(path), str(folder))
         (binary,) = (folder / "binaries").rglob("*.so")
-        before = binary.stat().st_mtime_ns
+        binary.unlink()
         build = tmp_path / f"{path.stem}_build"
         build.mkdir()
         build_platform_binary(folder, build)
-        assert binary.stat().st_mtime_ns > before
+        assert binary.is_file()
         again = fmpy.simulate_fmu(str(folder), stop_time=0.1, output_interval=0.02, output=[output])
         assert again.tobytes() == first.tobytes()
 

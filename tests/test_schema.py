@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,16 @@ SHIPPED = sorted((ROOT / "specs").rglob("*.yaml"))
 STARTERS = sorted((ROOT / "pwatrack" / "starters").glob("*.yaml"))
 
 
-def fits(value: Any) -> bool:
-    """Whether a value keeps to the schema."""
+@cache
+def validator() -> Draft202012Validator:
     schema = json_schema()
     Draft202012Validator.check_schema(schema)
-    return bool(Draft202012Validator(schema).is_valid(value))
+    return Draft202012Validator(schema)
+
+
+def fits(value: Any) -> bool:
+    """Whether a value keeps to the schema."""
+    return bool(validator().is_valid(value))
 
 
 def read(path: Path) -> Any:
@@ -106,7 +112,7 @@ WRONG: dict[str, Any] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [*WRONG.values()][::2], ids=[*WRONG][::2])
+@pytest.mark.parametrize("change", WRONG.values(), ids=WRONG)
 def test_what_the_schema_refuses_the_reader_refuses(change: Any, tmp_path: Path) -> None:
     spec = read(STARTERS[0].with_name("output.yaml"))
     assert fits(spec)
