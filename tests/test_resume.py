@@ -167,7 +167,8 @@ def test_a_batch_that_is_killed_goes_on_where_it_was(tmp_path: Path, number: sig
     assert all(o.passed for o in outcomes)
     assert sum(o.how == "cached" for o in outcomes) >= 25
     assert count(out) <= len(names) + 2 * 2  # of each interrupted batch, two were in flight
-    assert count(out) - before == sum(o.how == "run" for o in outcomes)
+    ran = sum(o.how == "run" for o in outcomes)
+    assert ran <= count(out) - before <= ran + 2  # what was in flight may have ended since it was counted
     assert not [path for path in out.rglob(".*") if path.name != ".batch"]
 
 
