@@ -55,8 +55,10 @@ def _reals(column: BallMatrix) -> dict[int, Real]:
 
 
 def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
-    """Return values in the order of names."""
-    return readonly([values.get(name, missing) for name in names])
+    """Return values in the order of names; `missing` may be infinite."""
+    found = np.array([values.get(name, missing) for name in names], dtype=np.float64)
+    found.flags.writeable = False
+    return found
 
 
 def initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
