@@ -167,6 +167,7 @@ def test_arrays_mapping_text_and_file_give_the_same_problem(arguments: dict[str,
     assert [[fraction_of(v) for v in row] for row in made.system.exact.B.centre.tolist()] == exact
 
 
+@pytest.mark.slow
 @given(
     st.recursive(
         st.text(max_size=8).filter(lambda text: not any(0xD800 <= ord(c) < 0xE000 for c in text)),
@@ -451,6 +452,7 @@ def test_the_program_of_a_design_is_that_of_its_run() -> None:
         _ = design(problem(plant(**STOP), **ASKED)).controller
 
 
+@pytest.mark.slow
 def test_problems_designs_and_runs_can_be_pickled_and_are_the_same_elsewhere(tmp_path: Path) -> None:
     asked = problem(plant(**STOP), reference="0.1*sin(t)", simulation={"duration": 5, "sample_time": 0.01})
     run = simulate(asked)

@@ -194,6 +194,7 @@ def test_inputs_and_outputs_that_do_nothing_or_almost_nothing_end_in_a_verdict_t
         assert call("verify", tmp_path / "out")[0] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", ["1e6", "1e9"])
 def test_a_stop_as_stiff_as_it_may_be_is_simulated(tmp_path: Path, slope: str) -> None:
     stop = "  nonlinearities:\n" + element("s", f"kind: spring, of: z, start: 0.05, slope: {slope}")

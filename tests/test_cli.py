@@ -380,6 +380,7 @@ def test_a_name_with_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, n
     assert f"{name}: zero dynamics" in run.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["[m]", "[/m]"])
 def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, unit: str) -> None:
     path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("y: m}", f'y: "{unit}"}}'))

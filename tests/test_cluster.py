@@ -131,6 +131,7 @@ def said(outcomes: list[Outcome], out: Path) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 def test_a_batch_is_the_same_on_two_workers_of_which_one_is_killed(
     scheduler: str, second: "subprocess.Popen[bytes]", folder: Path, tmp_path: Path
 ) -> None:
@@ -207,6 +208,7 @@ def test_what_nobody_waits_for_any_more_is_ended(scheduler: str, tmp_path: Path)
     assert not (tmp_path / "2").exists()
 
 
+@pytest.mark.slow
 def test_an_interruption_ends_with_130_and_what_was_completed(scheduler: str, folder: Path, tmp_path: Path) -> None:
     many = tmp_path / "many"
     many.mkdir()

@@ -96,6 +96,7 @@ def test_a_signal_that_the_compiler_lost_ends_the_program_all_the_same(
     assert ended.value.code == 143
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--verbose",), ("--quiet",), ("--json",), ("--format", "json")])
 def test_the_command_line_says_it_on_stderr_to_people_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...]

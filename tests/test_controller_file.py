@@ -236,6 +236,7 @@ def test_a_controller_that_is_not_sampled_has_no_steps(tmp_path: Path) -> None:
         Controller.load(folder / "controller.json")
 
 
+@pytest.mark.slow
 def test_a_stored_controller_is_simulated_and_is_no_other(tmp_path: Path) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
     assert call("simulate", path, "--out", tmp_path / "one").exit_code == 0

@@ -129,6 +129,7 @@ def rounded(t: np.ndarray, corners: list[float], y: list[float], width: float, r
     return np.asarray(np.interp(np.add.outer(t, window), corners, y).mean(axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("r", [0, 1, 2])
 @pytest.mark.parametrize(
     ("output", "corners", "y"),

@@ -32,6 +32,7 @@ def test_other_processes_draw_the_same_pictures_to_the_last_bit(result: Result, 
     assert all(content.startswith(b"\x89PNG") for content in alone.values())
 
 
+@pytest.mark.slow
 def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, bytes], tmp_path: Path) -> None:
     class Losing(Executor):
         def submit(self, *_: Any, **__: Any) -> "Future[Any]":

@@ -50,6 +50,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, specs: Path) -> Path:
     return write_design(spec, design(spec), tmp_path_factory.mktemp("run"))
 
 
+@pytest.mark.slow
 def test_a_design_is_verified_from_its_file(run: Path) -> None:
     said = verify(run)
     assert [s.split(":")[0] for s in said[1:7:2]] == ["(8) controller", "(9) observer", "(17) generator"]
@@ -244,6 +245,7 @@ def test_the_auditor_alone_waits_for_no_pipe_and_reads_no_device(tmp_path: Path,
     assert "no regular file" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_spec_of_another_gain_or_goal_is_told_from_the_certificate(run: Path, specs: Path, tmp_path: Path) -> None:
     text = (specs / "two_mass_backlash.yaml").read_text()
     for goal, said in (
@@ -261,6 +263,7 @@ def test_a_spec_of_another_gain_or_goal_is_told_from_the_certificate(run: Path, 
         verify(run, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change"),
     [

@@ -98,6 +98,7 @@ def replayed(folder: Path, command: Sequence[str]) -> str:
     return subprocess.run([folder / "program"], capture_output=True, text=True, check=False).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("single", [False, True])
 def test_no_option_of_a_compiler_fuses_products_with_sums(
@@ -181,6 +182,7 @@ def test_delays_limits_steps_and_pieces_are_in_the_code(tmp_path: Path) -> None:
         assert all(f" {name}" in text for name in ("change", "low", "high", "quantum", "piece_tick"))
 
 
+@pytest.mark.slow
 def test_of_limits_that_are_reversed_one_or_the_other_is_put_out(tmp_path: Path) -> None:
     """No file may hold them: the vector is that of `docs/arithmetic.md`."""
     subject = with_reversed_limits(with_pieces(tmp_path))
@@ -314,6 +316,7 @@ def test_every_claim_of_the_header_is_among_the_claims(machine: Subject) -> None
         assert all(any(re.fullmatch(claim, line) for claim in listed) for line in claims), claims
 
 
+@pytest.mark.slow
 def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
     run, out = tmp_path / "run", tmp_path / "code"
@@ -340,6 +343,7 @@ def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path
     assert "its digest is not" in refused(call("export", "c", run, "--out", tmp_path / "no", "--unproved"), 2)
 
 
+@pytest.mark.slow
 def test_a_run_is_exported_from_anywhere_and_wherever_it_was_moved_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,6 +415,7 @@ def test_a_controller_whose_run_broke_off_says_so_and_one_that_ran_well_does_not
     assert not [said for said in verify(run) if "failed" in said]
 
 
+@pytest.mark.slow
 def test_a_controller_without_sample_time_needs_one(tmp_path: Path) -> None:
     path = cart(tmp_path, duration=2)
     assert "--sample-time" in refused(call("export", "c", path, "--out", tmp_path / "c"), int(ExitCode.INVALID))
@@ -426,6 +431,7 @@ def test_a_title_cannot_leave_its_comment(machine: Subject, tmp_path: Path) -> N
     assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", ["Model", "main", "Vector", "math", "string", "test", "replay", "int", "C 11"])
 def test_no_title_gives_a_name_that_is_taken(machine: Subject, tmp_path: Path, title: str) -> None:
     """By another file of the folder, by a header of C, or by a target of the build."""

@@ -319,6 +319,7 @@ def test_a_plant_is_exact_however_many_crossings_a_step_has(seed: int, version: 
     block.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5, 13))  # four of each kind
 def test_a_dip_below_a_border_is_seen_and_a_pass_above_it_is_none(seed: int, tmp_path: Path) -> None:
     """By 1e-11 to 1e-2 of the state, in one step to the lowest point and one from there."""

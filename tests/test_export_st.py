@@ -151,6 +151,7 @@ def test_a_memory_that_was_overwritten_is_noticed(machine: Subject) -> None:
     assert run(y=[0.1], reset=False)["u"] == first
 
 
+@pytest.mark.slow
 def test_of_limits_that_are_reversed_one_or_the_other_is_put_out(tmp_path: Path) -> None:
     subject = with_reversed_limits(with_pieces(tmp_path))
     assert all(one == other for one, other in both(subject))
@@ -268,6 +269,7 @@ def test_the_task_has_the_sample_time(machine: Subject, time: float, said: str) 
     assert "PROGRAM RUN_loop WITH TASK_loop : PRG_loop;" in text
 
 
+@pytest.mark.slow
 def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01}", duration=2)
     run, out = tmp_path / "run", tmp_path / "code"

@@ -156,6 +156,7 @@ def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_for
     assert 0.8 * fastest <= certificate.rate <= fastest
 
 
+@pytest.mark.slow
 @given(
     seed=seeds,
     n=st.integers(1, 3),
@@ -427,6 +428,7 @@ def test_no_smaller_gain_costs_less_than_the_default_one(seed: int) -> None:
         assert balanced_cost(task, K) <= 1.001 * balanced_cost(task, smallest[0])
 
 
+@pytest.mark.slow
 @given(seed=seeds, n=st.integers(1, 4), slow=st.floats(-9, -1), cells=st.integers(1, 3))
 @settings(max_examples=15)
 def test_a_slow_mode_that_no_gain_moves_makes_no_gain_zero(seed: int, n: int, slow: float, cells: int) -> None:

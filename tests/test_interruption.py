@@ -35,6 +35,7 @@ def wait_for_ever(futures: list[Future[None]], delay: float) -> None:
         ended.set()
 
 
+@pytest.mark.slow
 def test_no_future_stays_locked_wherever_the_wait_is_interrupted() -> None:
     draw = np.random.default_rng(1)
     for _ in range(300):

@@ -140,6 +140,7 @@ def cvxopt(program: Program) -> Solution | None:
 CLOSE = {"largest_margin": 3e-3, "smallest_gain": 1e-3}  # no P and Y reach the infimum: they grow without end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", BUILDERS)
 @given(seed=seeds, n=st.integers(2, 7), m=st.integers(1, 4), cells=st.integers(1, 6))
 @settings(max_examples=8)
@@ -320,6 +321,7 @@ def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     assert max(counts) <= 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "damped"), [(0, 0.8316365022), (1, 0.7099422066)])
 def test_a_marginal_plant_is_called_undecided_after_at_most_52_programs(
     monkeypatch: pytest.MonkeyPatch, seed: int, damped: float

@@ -135,6 +135,7 @@ def effect(seed: int) -> tuple[float, float]:
     return found[1], found[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5])
 def test_with_estimates_next_to_nothing_is_left_of_what_loads_do(seed: int) -> None:
     estimated, blind = effect(seed)
@@ -190,6 +191,7 @@ def test_bounds_hold_beside_loads_and_are_not_far_above_what_noise_can_do(tmp_pa
         assert ("estimate", 6) not in bounds.sizes  # only half of a sinusoid
 
 
+@pytest.mark.slow
 def test_bounds_in_two_steps_are_proved_beside_loads_too() -> None:
     """Of 16 cells there are too many pairs; what is bounded in two steps is above what one pair can do."""
     plant = with_loads(random_plant(3, n=4, k=4, r=2, strength=0.05), np.eye(4)[:, 1:2] + np.eye(4)[:, 3:], [0.0])

@@ -195,6 +195,7 @@ def test_what_merging_cannot_help_stays_refused(specs: Path) -> None:
             design(load_spec(specs / "refused" / f"{name}.yaml"))
 
 
+@pytest.mark.slow
 def test_only_the_slack_is_merged_and_the_stops_stay(tmp_path: Path) -> None:
     shape = "breakpoints: [-0.6, -gap, gap, 0.6], slopes: [24, 20, 0, 20, 24]"
     other = "- {name: rail, kind: dead_zone, of: z2, lower: -2, upper: 2, slope: 0.1, into: {v2: -1}}"

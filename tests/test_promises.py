@@ -94,6 +94,7 @@ def test_the_same_of_the_paper_and_of_state_tracking_from_random_states(specs: P
         assert (result.response.observer_error <= result.observer_bound * (1 + 1e-9) + 1e-12).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_no_disturbance_and_no_noise_does_more_than_its_bound_says(seed: int) -> None:
     """The plant itself, from error 0, under an input of size 1 that pushes the observer error outwards."""
@@ -165,6 +166,7 @@ def test_the_bounds_of_the_example_are_at_most_three_times_the_worst_found(specs
     assert all(bounds.sizes["output", 0] < 10 for bounds in controller.claim(SignalBounds).acting)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["two_mass_backlash", "gallery/two_driven_carts", "gallery/three_tanks_weirs"])
 def test_every_bound_is_proved_again_in_fractions(specs: Path, path: str) -> None:
     """Q ≻ 0, −(M Q + Q Mᵀ) − a Q − g gᵀ / a ≻ 0 for all pairs of cells and c Q cᵀ ≤ size², by Bareiss' elimination."""

@@ -23,6 +23,7 @@ def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
 
 
+@pytest.mark.slow
 def test_the_summary_in_the_readme_is_how_what_is_printed_begins(tmp_path: Path) -> None:
     """All but the digits, which differ between machines."""
 

@@ -28,6 +28,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_controller_has_the_claims_that_its_spec_leads_to_and_reads_them_again(name: str, specs: Path) -> None:
     spec = load_spec(specs / f"{name}.yaml")
@@ -41,6 +42,7 @@ def test_a_controller_has_the_claims_that_its_spec_leads_to_and_reads_them_again
         assert list(rows(spec.words, told)) == list(rows(spec.words, made))
 
 
+@pytest.mark.slow
 def test_what_was_proved_is_not_proved_again(specs: Path) -> None:
     """Neither when it is read once more, nor of a controller that has another trajectory."""
     spec = load_spec(specs / "two_mass_machine.yaml")

@@ -123,6 +123,7 @@ def test_leftovers_of_killed_runs_are_swept_and_those_at_work_stay(tmp_path: Pat
     assert not temporary.exists()
 
 
+@pytest.mark.slow
 def test_two_batches_into_one_folder_do_not_harm_each_other(tmp_path: Path) -> None:
     names = tuple(f"exit0 {k}" for k in range(30))
     folder, out = make(tmp_path / "specs", names), tmp_path / "out"
@@ -151,6 +152,7 @@ def batches(folder: Path, out: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_batch_that_is_killed_goes_on_where_it_was(tmp_path: Path, number: signal.Signals) -> None:
     names = tuple(f"exit0 {k:02}" for k in range(40))

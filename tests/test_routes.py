@@ -130,6 +130,7 @@ def test_of_zero_dynamics_too_state_tracking_is_advised_only_where_it_may_be_had
         assert ("write 'tracking: state'" in refusal.value.problems[0].hint) == state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["gear_with_backlash", "valve_with_dead_band", "train_slack_couplings", "stiff_springs"]
 )

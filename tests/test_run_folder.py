@@ -49,6 +49,7 @@ def stages(folder: Path) -> list[Path]:
     return list(folder.glob(".*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("earlier", "first"), [(0, 1), (1, 2), (0, 2)])
 def test_a_run_that_is_killed_at_any_change_of_a_name_leaves_one_run_whole_or_none(
     tmp_path: Path, earlier: int, first: int
@@ -75,6 +76,7 @@ def test_a_run_that_is_killed_at_any_change_of_a_name_leaves_one_run_whole_or_no
     assert 8 < number < 29
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fatal", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_interrupted_at_any_change_of_a_name_leaves_one_run_whole(tmp_path: Path, fatal: int) -> None:
     seen = set()

@@ -141,6 +141,7 @@ FORMS: list[Any] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", FORMS)
 def test_every_form_of_a_reference_is_in_the_schema(reference: Any, tmp_path: Path) -> None:
     spec = read(STARTERS[0].with_name("output.yaml")) | {"reference": reference}

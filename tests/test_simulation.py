@@ -269,6 +269,7 @@ def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
     np.testing.assert_allclose(trace.z[:, :10], truth, atol=1e-8 * max(1.0, np.abs(truth).max()))
 
 
+@pytest.mark.slow
 @given(seeds)
 @settings(max_examples=6)
 def test_any_two_solutions_under_one_reference_converge(seed: int) -> None:

@@ -88,6 +88,7 @@ def test_other_units_give_the_same_controller(path: Path, tmp_path: Path) -> Non
         assert apart(first, designed(load_spec(other))[0], sizes, units) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["rate: largest, gain: 2", "rate: 0.05, gain: 3", "rate: 0.2", "gain: 1"])
 def test_other_units_keep_what_is_asked_of_a_gain(asked: str, tmp_path: Path) -> None:
     text = (SPECS / "two_mass_goals.yaml").read_text(encoding="utf-8")

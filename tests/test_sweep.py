@@ -109,6 +109,7 @@ def test_the_common_P_of_the_example_ends_where_the_formula_says(specs: Path) ->
         assert ends[0] <= (1 + d1 + 0.1) ** 2 - 1 <= ends[1]  # sqrt(k1 + k2) - sqrt(k1) = d1 + d2
 
 
+@pytest.mark.slow
 def test_merged_cells_are_another_kind_of_proof(specs: Path) -> None:
     spec = specs / "two_mass_backlash.yaml"
     found = [look(spec, {"k3": "k2"}, {"k2": k2}, simulated=False) for k2 in (0.4, 1.0, 1.5)]

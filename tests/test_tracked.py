@@ -152,6 +152,7 @@ def test_with_several_sensors_it_must_be_said_which_one_is_tracked(tmp_path: Pat
     assert "say which one follows the reference: track: [y_z1]" in refusal.value.problems[0].hint
 
 
+@pytest.mark.slow
 def test_the_certificate_holds_what_is_tracked_and_the_auditor_reads_it(tmp_path: Path) -> None:
     result = simulate(stage(tmp_path, ["v1", "z1"], "track: {payload: z2}"))
     content = design_certificate(result.spec, result.controller)

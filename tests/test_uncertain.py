@@ -380,6 +380,7 @@ def test_no_plant_of_the_box_has_a_peak_gain_above_its_bound(tmp_path: Path, see
     assert np.median(ratios) < 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [(1, 1, 1, 1), (-1, -1, -1, -1), (1, -1, -1, 1), (0.3, 0.9, -0.7, -0.2)])
 def test_simulated_errors_stay_below_what_is_proved_for_the_box(
     specs: Path, tmp_path: Path, values: tuple[float, ...]

@@ -266,6 +266,7 @@ def moved(controller: Controller, promise: Promise, seed: int) -> float:
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_no_start_within_the_promise_moves_an_input_further(seed: int) -> None:
     """Random plants of up to 4 cells, from corners of the box, for any switching; and it is not much too careful."""
@@ -603,6 +604,7 @@ def test_a_peak_that_a_fast_generator_makes_between_the_samples_of_a_slow_refere
     assert peak.times[0] == pytest.approx([u.argmin() * 1e-7, u.argmax() * 1e-7], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_no_start_is_promised_to_reach_no_limit_that_the_feedforward_reaches_between_samples(tmp_path: Path) -> None:
     path = written(tmp_path, FAST, LIMITS="[-2, 2]")
     said = " ".join(call("simulate", path, "--out", tmp_path / "out").stdout.split())
