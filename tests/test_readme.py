@@ -4,6 +4,8 @@ import re
 import textwrap
 from pathlib import Path
 
+import pytest
+
 from pwatrack import load_spec, simulate
 from tests.test_cli import call
 
