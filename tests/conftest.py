@@ -1,6 +1,7 @@
 import os
 import random
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,9 @@ from pwatrack.report.files import write_design
 settings.register_profile("here", deadline=None)  # how long an example takes is the machine's affair
 settings.register_profile("ci", deadline=None, derandomize=True)  # the same examples every time; fresh ones elsewhere
 settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background: tests interrupt themselves
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SPECS = Path(__file__).parent.parent / "specs"
 
