@@ -10,8 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.causes import Part
-from pwatrack.claims.exact_text import decimals as texts_of
-from pwatrack.claims.exact_text import doubles
+from pwatrack.claims.exact_text import decimal_texts, doubles
 from pwatrack.control.controller import Asked, Claim, Controller
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
@@ -68,7 +67,12 @@ class Costs(Claim):
         goals = self.goals
         return {
             "proofs": [
-                {"of": role.name, "X": texts_of(X), "Q": texts_of(goals[role].Q), "R": texts_of(goals[role].R)}
+                {
+                    "of": role.name,
+                    "X": decimal_texts(X),
+                    "Q": decimal_texts(goals[role].Q),
+                    "R": decimal_texts(goals[role].R),
+                }
                 for role, X in self.X.items()
             ]
         }

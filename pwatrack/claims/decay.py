@@ -8,7 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.cost import Costs
-from pwatrack.claims.exact_text import decimal, decimals, double, doubles, packed, whole
+from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.limits import Limited
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.preview import PlayedBack
@@ -238,7 +238,14 @@ def _content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
     if isinstance(proof, PolynomialProof):
         N = [packed(N, proof.N_exponents) for N in proof.N]
         rate = decimal(proof.rate)
-        return {"of": proof.role.name, "degree": proof.degree, "rate": rate, "T": decimals(proof.T), "P": P, "N": N}
+        return {
+            "of": proof.role.name,
+            "degree": proof.degree,
+            "rate": rate,
+            "T": decimal_texts(proof.T),
+            "P": P,
+            "N": N,
+        }
     if isinstance(proof, Dichotomy):
         return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
     told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}

@@ -13,6 +13,8 @@ from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.chords import PeakGain
 from pwatrack.lmi.ellipsoid import Ellipsoid
 
+CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
+
 
 def decimal(value: float) -> str:
     """Return a double as the decimals that it prints as."""
@@ -24,7 +26,7 @@ def double(value: Any) -> float:
     return float(number(value))
 
 
-def decimals(X: Array | None) -> list[list[str]] | None:
+def decimal_texts(X: Array | None) -> list[list[str]] | None:
     """Return a matrix of doubles as the decimals that they print as."""
     return None if X is None else BallMatrix.of(X, (X.shape[0], X.shape[1])).texts
 

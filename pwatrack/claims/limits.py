@@ -13,19 +13,25 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, above
-from pwatrack.claims.exact_text import decimal, decimals, double, doubles, packed, read_signals, signals, whole
+from pwatrack.claims.exact_text import (
+    CLOSE,
+    decimal,
+    decimal_texts,
+    double,
+    doubles,
+    packed,
+    read_signals,
+    signals,
+    whole,
+)
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, Controller, Row
 from pwatrack.control.limits import Peak, Room, Starts
-from pwatrack.control.synthesis import Design
 from pwatrack.control.words import Words, down
-from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.starts import Held, held
-from pwatrack.model.pwa import PWASystem
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
-_CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,20 +195,6 @@ class Limited(Claim):
 def promises(
     controller: Controller, left: Array, starts: Sequence[Starts], known: Mapping[str, Held] | None = None
 ) -> tuple[Promise, ...]:
-    """Prove from which starts inputs stay near their feedforward, for a controller; see `inputs_stay`."""
-    plant, design, added = controller.plant, controller.design, controller.compensation
-    return inputs_stay(plant, design, controller.proofs, left, starts, added, known)
-
-
-def inputs_stay(
-    plant: PWASystem,
-    design: Design,
-    proofs: Sequence[AnyProof],
-    left: Array,
-    starts: Sequence[Starts],
-    added: Compensation | None = None,
-    known: Mapping[str, Held] | None = None,
-) -> tuple[Promise, ...]:
     """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
 
     With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
@@ -212,18 +204,15 @@ def inputs_stay(
         u − u_ff = K (e + Δ) − ŝ = (K (e + Δ) − σ) − s,    u_ff without estimates.
 
     Args:
-        plant: The system (1).
-        design: Its gains K and L.
-        proofs: What `prove_design` returned for them.
+        controller: With its proofs.
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
-        added: What estimates of loads add to the desired trajectory.
         known: What was proved of starts before, by their kind: then nothing is searched.
     """
-    K, L = design.exact
-    p = L.shape[0] - plant.exact.B.shape[0]
-    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((len(plant.B), p)), (len(plant.B), p)), output=False)
-    taken_off = added is not None and _taken_off(added, loops.at_inputs)
+    plant, (K, L) = controller.plant, controller.design.exact
+    n, p = len(plant.B), L.shape[0] - len(plant.B)
+    loops = Loops(plant, K, L, controller.proofs, BallMatrix.of(np.zeros((n, p)), (n, p)), output=False)
+    taken_off = _taken_off(controller.compensation, loops.at_inputs)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
     for one in starts:
         loop: Loop = "controller" if one.delta is None else "joint"
@@ -260,7 +249,7 @@ def _nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
     G, n, N = starts.G, len(starts.e), 0 if starts.delta is None else len(starts.e)
     told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
-    if told.shape != G.shape or not np.allclose(told, G, rtol=_CLOSE, atol=_CLOSE * np.abs(G).max(initial=0.0)):
+    if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
         return starts
     delta, load = told[n : n + N] if N else None, None if starts.load is None else told[n + N :]
     return replace(starts, e=told[:n], delta=delta, load=load)
@@ -271,7 +260,7 @@ def _content(promise: Promise, around: Held) -> dict[str, Any]:
     return {
         "of": promise.starts.kind,
         "loop": promise.loop,
-        "starts": decimals(promise.starts.G),
+        "starts": decimal_texts(promise.starts.G),
         "weights": [decimal(w) for w in around.weights],
         "Q": packed(around.integers, around.exponents),
         "signals": signals(((kind, k), size) for k, size in zip(promise.inputs, around.sizes, strict=True)),

@@ -20,7 +20,6 @@ from pwatrack.study.proving import asked_of
 from pwatrack.study.sizing import spec_sizes
 from pwatrack.study.tracking import desired_trajectory
 
-CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pwatrack.claims.bounds import BOUNDS
-from pwatrack.claims.exact_text import decimals
+from pwatrack.claims.exact_text import CLOSE, decimal_texts
 from pwatrack.claims.registry import STATEMENT
-from pwatrack.commands.told import CLOSE, merged_as_told, told_design, told_gains
+from pwatrack.commands.told import merged_as_told, told_design, told_gains
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
@@ -141,9 +141,9 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
         proofs = [proof for proof in content["proofs"] if proof["of"] == part]
         if not impossible:
             yield from (f"{part}: {fault}" for fault in _missed(goal, norms[letter], proofs))
-            if given is not None and content[letter] != decimals(given):
+            if given is not None and content[letter] != decimal_texts(given):
                 yield f"{letter} is not the one that {spec.path} gives"
-        elif proofs and content[letter] != decimals(given):
+        elif proofs and content[letter] != decimal_texts(given):
             yield f"{letter} is not the one that {spec.path} asks to be proved"
         elif proofs and number(proofs[0].get("rate", 0)) > Fraction(repr(demands(goal)[0])):
             yield f"{part}: a rate was refused that {spec.path} does not ask for"
@@ -164,7 +164,7 @@ def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[s
     if norm > most * (1 + CLOSE):
         yield f"the gain has a norm of {norm:.6g}, above the bound {most:g}"
     if isinstance(goal, LeastCost):
-        wanted = decimals(goal.Q), decimals(goal.R)
+        wanted = decimal_texts(goal.Q), decimal_texts(goal.R)
         if not any((proof.get("Q"), proof.get("R")) == wanted for proof in proofs):
             yield "the bound of the cost asked for is not there"
 

@@ -111,7 +111,7 @@ class Claim(ABC):
         yield from ()
 
     def figures(self, words: Words, controller: "Controller") -> dict[str, Any]:
-        """Return what run.json says of it, by key; objects of several claims are joined."""
+        """Return what run.json says of it, by keys of its own."""
         return {}
 
     def leaves(self, form: Form) -> float | None:

@@ -5,7 +5,7 @@ from typing import Any
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import decimal, decimals, packed
+from pwatrack.claims.exact_text import decimal, decimal_texts, packed
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
 from pwatrack.claims.subject import elements_content, form_content, plant_content
@@ -130,8 +130,8 @@ def _content(spec: Spec, K: Array | None, L: Array | None, proofs: Sequence[Any]
         "spec_sha256": spec.sha256,
         "set": {name: str(value) for name, value in spec.overrides.items()},
         **subject_content(spec, **known),
-        "K": decimals(K),
-        "L": decimals(L),
+        "K": decimal_texts(K),
+        "L": decimal_texts(L),
         "proofs": list(proofs),
     }
 

@@ -16,8 +16,9 @@ from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.spec import Spec
+from pwatrack.study.along import so_far
 from pwatrack.study.bands import bands
-from pwatrack.study.outcome import Outcome, so_far
+from pwatrack.study.outcome import Outcome
 from pwatrack.study.starting import start_remarks
 from pwatrack.study.tracking import reference_remarks, start_fixed
 
@@ -39,7 +40,7 @@ class Result:
             or None if it has none.
         spool: All samples and events of a run of which `response` has not all.
         w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
-            enclosed: see `study.outcome`, (10, n). None where that took too long.
+            enclosed: see `study.along`, (10, n). None where that took too long.
     """
 
     spec: Spec
