@@ -11,7 +11,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 
-_SMALL = 8  # order up to which eigenvalues cost less than the factorizations that are tried in their place
+_SMALL = 12  # order up to which eigenvalues cost less than the factorizations that are tried in their place
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
 
 
