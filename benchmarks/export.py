@@ -35,7 +35,7 @@ from rich.table import Table
 from benchmarks.fuzz import spec_text
 from pwatrack import load_spec, pipeline
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller as Designed
+from pwatrack.control.controller import ProvedController as Designed
 from pwatrack.errors import PwatrackError
 from pwatrack.export.c import FLAGS, write
 from pwatrack.export.controller import Controller

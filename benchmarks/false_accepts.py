@@ -37,7 +37,7 @@ from pwatrack.lmi.audit import proofs
 from pwatrack.lmi.audit.balls import Ball, flipped
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
-from pwatrack.lmi.audit.plant import Plant
+from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.reading import matrix, packed
 from pwatrack.lmi.exact import Proof, prove, prove_exactly
 from pwatrack.lmi.infeasibility import refute
@@ -198,7 +198,7 @@ def mean_is_stuck(content: dict[str, Any]) -> bool:
 
     det [B, A B, …] has another sign at the other end; where it is 0 is found by bisection.
     """
-    plant, (proof,) = Plant(content["plant"], [0, 1]), content["proofs"]
+    plant, (proof,) = AuditedPlant(content["plant"], [0, 1]), content["proofs"]
     A, B = plant.problem(proof["of"], None, None, None)
     first, other = (A[int(i)][0] for i in plant.placed(proof)["between"])
     w = Fraction(next(iter(proof["between"].values())))
@@ -239,7 +239,7 @@ def _fmpq(v: Fraction) -> Any:
 
 def is_true(content: dict[str, Any]) -> bool:
     """Decide every matrix inequality of a certificate by leading minors in exact rational arithmetic."""
-    plant = Plant(content["plant"])
+    plant = AuditedPlant(content["plant"])
     K, L = matrix(content["K"]), matrix(content["L"])
     A_eta, _ = normal_form(plant, content["generator"])
     for proof in content["proofs"]:

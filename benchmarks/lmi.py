@@ -33,7 +33,7 @@ from pwatrack.control.proof import prove_inequality
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import state_feedback
-from pwatrack.lmi.program import Program, largest_margin, least_violation
+from pwatrack.lmi.program import SemidefiniteProgram, largest_margin, least_violation
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import solve
 
@@ -45,7 +45,7 @@ LARGEST = 50, 128
 DESIGNS = (4, 3), (20, 64), (30, 64)
 
 
-def program_of(kind: str, n: int, cells: int) -> Program:
+def program_of(kind: str, n: int, cells: int) -> SemidefiniteProgram:
     """Return the largest margin of a plant that has one, or the least violation of one that has none, about 1."""
     m = max(1, n // 4)
     A, B = (feasible if kind == "feasible" else infeasible)(1, n, m, cells, 1e-2)
@@ -63,22 +63,22 @@ def program_of(kind: str, n: int, cells: int) -> Program:
     )
 
 
-def ours(program: Program) -> float:
+def ours(program: SemidefiniteProgram) -> float:
     """Return the objective that we find, of a point that satisfies all constraints."""
     found = solve(program, gap=GAP)
     return np.nan if found is None or found.violation > 0 else found.objective
 
 
-def certain(program: Program) -> float:
+def certain(program: SemidefiniteProgram) -> float:
     """Return how far our objective may be from the least one, as a share: what the multipliers say."""
     found = solve(program, gap=GAP)
     return np.nan if found is None else (found.gap + found.dual_off) / abs(found.objective)
 
 
-def cvxpy(solver: str, **options: Any) -> Callable[[Program], float]:
+def cvxpy(solver: str, **options: Any) -> Callable[[SemidefiniteProgram], float]:
     """Return a solver that takes the program in CVXPY's notation."""
 
-    def objective(program: Program) -> float:
+    def objective(program: SemidefiniteProgram) -> float:
         import cvxpy as cp
 
         n, m = program.n, program.m
@@ -96,7 +96,7 @@ def cvxpy(solver: str, **options: Any) -> Callable[[Program], float]:
     return objective
 
 
-def picos(program: Program) -> float:
+def picos(program: SemidefiniteProgram) -> float:
     """Return the objective that PICOS with CVXOPT finds."""
     import picos as pic
 
@@ -114,24 +114,24 @@ def picos(program: Program) -> float:
     return program.price * float(t.value)
 
 
-def clarabel(program: Program) -> float:
+def clarabel(program: SemidefiniteProgram) -> float:
     """Return the objective that Clarabel finds; its matrices are made without a modelling language."""
     return float(_clarabel(program).obj_val)
 
 
-def clarabel_refutes(program: Program) -> float:
+def clarabel_refutes(program: SemidefiniteProgram) -> float:
     """Return 1 if Clarabel proves that all constraints without t have no solution."""
     rest = replace(program, constraints=tuple(replace(c, T=None) for c in program.constraints), price=0.0)
     return float(str(_clarabel(rest).status) == "PrimalInfeasible")
 
 
-def refuted(program: Program) -> float:
+def refuted(program: SemidefiniteProgram) -> float:
     """Return 1 if our multipliers bound the least violation away from 0."""
     found = solve(program, gap=_KNOWN, against=0.0)
     return np.nan if found is None else float(found.bound > found.dual_off)
 
 
-def _clarabel(program: Program) -> Any:
+def _clarabel(program: SemidefiniteProgram) -> Any:
     import clarabel as cl
 
     rows, sides, cones = [], [], []
@@ -160,7 +160,7 @@ def _clarabel(program: Program) -> Any:
     return cl.DefaultSolver(nothing, cost, G, np.concatenate(sides), cones, settings).solve()
 
 
-def _images(program: Program, c: Any) -> Array:
+def _images(program: SemidefiniteProgram, c: Any) -> Array:
     """Return the left-hand sides of the unit vectors, (l, p, N, N)."""
     n, m, parts = program.n, program.m, []
     for j, k in zip(*np.tril_indices(n), strict=True):
@@ -172,7 +172,7 @@ def _images(program: Program, c: Any) -> Array:
 
 
 REFUTERS = {"ours": refuted, "Clarabel": clarabel_refutes}
-SOLVERS: dict[str, tuple[Callable[[Program], float], tuple[str, ...]]] = {
+SOLVERS: dict[str, tuple[Callable[[SemidefiniteProgram], float], tuple[str, ...]]] = {
     "ours": (ours, ()),
     "Clarabel": (clarabel, ("clarabel",)),
     "CVXPY + Clarabel": (

@@ -33,8 +33,8 @@ from scipy.linalg import expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import EPS, Array
-from pwatrack.claims.preview import PlayedBack
-from pwatrack.control.controller import Controller
+from pwatrack.claims.preview import StableInversion
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import Infeasible, PwatrackError
 from pwatrack.spec.spec import Spec
 from pwatrack.study.tracking import desired_trajectory
@@ -139,7 +139,7 @@ def followed(path: Path) -> Followed:
     return Followed(near=near, off=off, left=left, bound=told_of(controller), rounding=rounding)
 
 
-def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float, Array]:
+def last_tenth(spec: Spec, controller: ProvedController, start: Array) -> tuple[float, Array]:
     """Return the largest |y − y_d| in the last tenth of a run from a start, x̂ from x_d(0) on; and the largest |x_d|."""
     trajectory = controller.trajectory
     x_d = trajectory.state(np.append(trajectory.exosystem.w0, 1.0))
@@ -149,12 +149,12 @@ def last_tenth(spec: Spec, controller: Controller, start: Array) -> tuple[float,
     return float(error[-(len(error) // 10) :].max()), np.abs(response.x_d).max(axis=0)
 
 
-def told_of(controller: Controller) -> float:
+def told_of(controller: ProvedController) -> float:
     """Return what is told to be left of |y − y_d| by what is played back; 0 where nothing is."""
-    return sum(played.error for played in controller.claims_of(PlayedBack))
+    return sum(played.error for played in controller.claims_of(StableInversion))
 
 
-def left_by_pieces(controller: Controller, duration: float) -> float:
+def left_by_pieces(controller: ProvedController, duration: float) -> float:
     """Return the largest |y − y_d| in the last tenth of a run that ρ = f(x_d) + B u_ff − x_d' and jumps of x_d leave.
 
     Plant and x_d are taken to be in the same cell, and ρ to be straight between 2,000 times and 16 in each piece.
@@ -229,7 +229,7 @@ simulation: {{duration: {2 * 2 * np.pi / speed:.17g}, sample_time: {0.01 / speed
 """
 
 
-def integrated(controller: Controller, duration: float) -> float:
+def integrated(controller: ProvedController, duration: float) -> float:
     """Return the largest |y − y_d| of the true plant from x = x̂ = x_d(0), with x_d and u_ff as they are played back.
 
     By an integrator that knows the plant as its cells, with short steps at facets.

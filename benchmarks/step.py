@@ -20,7 +20,7 @@ import numpy as np
 from pwatrack import load_spec
 from pwatrack.arrays import Array
 from pwatrack.commands.export import of_spec
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.export.c import FLAGS, write
 from pwatrack.export.source import Source
 
@@ -151,7 +151,7 @@ def table(name: str, values: Array) -> str:
     return f"static const double {name}{shape} = {text};\n"
 
 
-def dense(program: Program, start: Any) -> str:
+def dense(program: SampledController, start: Any) -> str:
     """Return the hand-written loop with its tables."""
     of = program.sizes
     n, p, s, q = of["n"], of["p"], of["s"], of["q"]
@@ -172,7 +172,7 @@ def dense(program: Program, start: Any) -> str:
     return text + "".join(table(name, values) for name, values in arrays.items()) + DENSE
 
 
-def with_control(program: Program, start: Any, y: Array) -> tuple[float, Array]:
+def with_control(program: SampledController, start: Any, y: Array) -> tuple[float, Array]:
     """Return the seconds that python-control takes for each step of the same controller, and its inputs."""
     import control
 

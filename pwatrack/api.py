@@ -12,12 +12,12 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.control.bounds import Bounds
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
 from pwatrack.study import pipeline, variation
-from pwatrack.study.result import Result as Simulated
+from pwatrack.study.result import SimulatedLoop as Simulated
 from pwatrack.study.variation import EnsembleResult, Over
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Design(Controller):
+class Design(ProvedController):
     """A controller that is proved, and the problem that it is for: what `design` returns.
 
     u = K (x̂ − x_d) + u_ff, x̂' = A_i x̂ + b_i + B u + L (ŷ − y): (10), (18), (19).
@@ -36,7 +36,7 @@ class Design(Controller):
     Attributes:
         spec: The problem.
         K, L: The gains, (m, n) and (n, q); with estimated loads L has a row for each of their states, too.
-        plant, generator, proofs, guarantees, claims: As `Controller` of `pwatrack.control.controller` has them.
+        plant, generator, proofs, guarantees, claims: As `ProvedController` of `pwatrack.control.controller` has them.
 
     Example:
         >>> from pwatrack import design, plant, problem
@@ -54,7 +54,7 @@ class Design(Controller):
         return f"<design of {self.spec.name!r}: {self.verdict}, rate {self.figures['rate']:.4g} 1/s>"
 
     @staticmethod
-    def of(spec: Spec, controller: Controller) -> "Design":
+    def of(spec: Spec, controller: ProvedController) -> "Design":
         """Return a controller with the problem that it is for."""
         return controller if isinstance(controller, Design) else Design(**_parts(controller), spec=spec)
 
@@ -331,7 +331,7 @@ def design(spec: Spec, *, growing: bool = False) -> Design:
     return Design.of(spec, pipeline.design(spec, growing=growing))
 
 
-def simulate(asked: Spec | Design, controller: Controller | None = None) -> Result:
+def simulate(asked: Spec | Design, controller: ProvedController | None = None) -> Result:
     """Run the closed loop from event to event, exactly to rounding.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 
-class Part(Enum):
+class ProblemPart(Enum):
     """What of a tracking problem a refusal can be about."""
 
     PLANT = auto()
@@ -34,7 +34,7 @@ class Part(Enum):
     ESTIMATE = auto()  # of loads
 
 
-Subject = tuple[Part | str | int, ...]
+Subject = tuple[ProblemPart | str | int, ...]
 
 
 class Way(Enum):

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.run import Watcher
 
 _STYLES = {"pass": "green", "cached": "cyan", "skipped": "yellow"}
@@ -26,7 +26,7 @@ class Board(Watcher):
         if self._progress and self._bar is not None:
             self._progress.update(self._bar, total=total)
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: SpecOutcome) -> None:
         """Say how one of them ended: at a terminal, cached and skipped ones only move the bar."""
         self._done += 1
         self._failed += outcome.failed

@@ -13,7 +13,7 @@ from pwatrack.batch.find import left_out
 from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.junit import write_junit
 from pwatrack.batch.lines import write_lines, write_sarif
-from pwatrack.batch.outcomes import Outcome, exit_code
+from pwatrack.batch.outcomes import SpecOutcome, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.run import Options, run_batch
@@ -25,7 +25,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
 
-Writer = Callable[[Sequence[Outcome], Path], None]
+Writer = Callable[[Sequence[SpecOutcome], Path], None]
 WRITERS: dict[str, Writer] = {
     ".xml": write_junit,
     ".jsonl": write_lines,
@@ -62,7 +62,7 @@ def batch(
     """
     writers = [(report_writer(path), path) for path in reports] + ([(write_junit, junit)] if junit else [])
     print_left_out(left_out(paths, options.pattern))
-    ended: list[Outcome] = []
+    ended: list[SpecOutcome] = []
     try:
         with _cluster(scheduler, options) as cluster:
             options = replace(options, jobs=cluster.jobs) if cluster else options
@@ -79,7 +79,7 @@ def _cluster(scheduler: str | None, options: Options) -> AbstractContextManager[
     return Cluster(scheduler, timeout=options.timeout, memory=options.memory) if scheduler else nullcontext()
 
 
-def _report(outcomes: Sequence[Outcome], writers: Sequence[tuple[Writer, Path]]) -> None:
+def _report(outcomes: Sequence[SpecOutcome], writers: Sequence[tuple[Writer, Path]]) -> None:
     """Print the table and write all reports; what cannot be written is said after the others are."""
     print_batch(outcomes)
     refused: list[InvalidSpec] = []

@@ -4,18 +4,18 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from pwatrack.batch.outcomes import Outcome, counted
+from pwatrack.batch.outcomes import SpecOutcome, counted
 from pwatrack.report.annotation import annotation
 from pwatrack.report.terminal import visible
 
 _MOST_ANNOTATIONS = 10  # of a step: GitHub shows no more
 
 
-def annotations(outcomes: Sequence[Outcome]) -> Iterator[str]:
+def annotations(outcomes: Sequence[SpecOutcome]) -> Iterator[str]:
     """Yield a workflow command for each thing that is wrong in a failing spec.
 
     Example:
-        >>> failed = Outcome(spec=Path("a.yaml"), folder=Path("a"), exit=3)
+        >>> failed = SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=3)
         >>> list(annotations([failed]))
         ['::error file=a.yaml,title=outside the theory::outside the theory, exit 3, expected 0']
     """
@@ -32,7 +32,7 @@ def annotations(outcomes: Sequence[Outcome]) -> Iterator[str]:
             yield annotation(visible("; ".join([outcome.ending, *outcome.missed])), title=title, file=file)
 
 
-def add_summary(outcomes: Sequence[Outcome], environment: Mapping[str, str] = os.environ) -> None:
+def add_summary(outcomes: Sequence[SpecOutcome], environment: Mapping[str, str] = os.environ) -> None:
     """Add a table to the summary of the job, where there is one.
 
     Raises:

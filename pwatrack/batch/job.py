@@ -29,7 +29,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fault:
+class JobFault:
     """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
 
     message: str
@@ -53,7 +53,7 @@ class Ended:
     exit: int
     expected: int = 0
     messages: str = ""
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[JobFault, ...] = ()
     index: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.report.run_folder import written_at_once
 
 _CONTROL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # not allowed in XML
@@ -17,7 +17,7 @@ def _printable(text: str) -> str:
     return _CONTROL.sub("\ufffd", text)
 
 
-def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
+def write_junit(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """Write a JUnit XML report for a CI server.
 
     Raises:

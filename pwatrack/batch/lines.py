@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.version import __version__
 
 _SARIF = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 
 
-def write_lines(outcomes: Sequence[Outcome], path: Path) -> None:
+def write_lines(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """Write one JSON object for each spec, on a line of its own.
 
     Raises:
@@ -24,7 +24,7 @@ def write_lines(outcomes: Sequence[Outcome], path: Path) -> None:
         file.writelines(json.dumps(_content(outcome)) + "\n" for outcome in outcomes)
 
 
-def _content(outcome: Outcome) -> dict[str, Any]:
+def _content(outcome: SpecOutcome) -> dict[str, Any]:
     return {
         "spec": str(outcome.spec),
         "folder": str(outcome.folder),
@@ -42,7 +42,7 @@ def _content(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def write_sarif(outcomes: Sequence[Outcome], path: Path) -> None:
+def write_sarif(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """Write what is wrong in failing specs as SARIF 2.1.0, for editors and code scanning.
 
     Raises:
@@ -57,11 +57,11 @@ def write_sarif(outcomes: Sequence[Outcome], path: Path) -> None:
         temporary.write_text(json.dumps({"$schema": _SARIF, "version": "2.1.0", "runs": [run]}, indent=1), "utf-8")
 
 
-def _rule(outcome: Outcome) -> str:
+def _rule(outcome: SpecOutcome) -> str:
     return outcome.verdict.replace(" ", "-") if not outcome.reason else "lost"
 
 
-def _results(outcome: Outcome) -> list[dict[str, Any]]:
+def _results(outcome: SpecOutcome) -> list[dict[str, Any]]:
     """Return the results of one spec: one for each fault, or one that says how it ended."""
     if not outcome.faults:
         return [_result(outcome, _rule(outcome), outcome.ending, None)]
@@ -76,7 +76,7 @@ def _results(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _result(outcome: Outcome, rule: str, text: str, region: dict[str, int] | None) -> dict[str, Any]:
+def _result(outcome: SpecOutcome, rule: str, text: str, region: dict[str, int] | None) -> dict[str, Any]:
     place: dict[str, Any] = {"artifactLocation": {"uri": quote(bytes(outcome.spec))}}
     if region:
         place["region"] = region

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.job import Ended, Fault
+from pwatrack.batch.job import Ended, JobFault
 from pwatrack.errors import ExitCode
 
 _LARGEST = 1e300  # of a figure that is shown
@@ -13,7 +13,7 @@ FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖ (1/s)", "final_error": "final
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class SpecOutcome:
     """How the run of one spec ended.
 
     Attributes:
@@ -42,13 +42,13 @@ class Outcome:
     notes: tuple[str, ...] = ()
     required: tuple[tuple[str, bool], ...] = ()
     messages: str = ""
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[JobFault, ...] = ()
     seconds: float = 0.0
 
     @staticmethod
-    def of(spec: Path, folder: Path, ended: Ended, *, seconds: float, cached: bool = False) -> "Outcome":
+    def of(spec: Path, folder: Path, ended: Ended, *, seconds: float, cached: bool = False) -> "SpecOutcome":
         """Return the outcome of a run that ended by itself."""
-        return Outcome(
+        return SpecOutcome(
             spec=spec,
             folder=folder,
             exit=ended.exit,
@@ -117,21 +117,21 @@ class Outcome:
         return f"{self.verdict}{exit_code}, expected {self.expected}"
 
 
-def exit_code(outcomes: Sequence[Outcome]) -> int:
+def exit_code(outcomes: Sequence[SpecOutcome]) -> int:
     """Return the exit code of a batch: that of a crash if there is one, else the largest.
 
     Example:
-        >>> exit_code([Outcome(spec=Path("a.yaml"), folder=Path("a"), exit=code) for code in (1, 0, 6)])
+        >>> exit_code([SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=code) for code in (1, 0, 6)])
         1
     """
     return int(ExitCode.BUG) if any(each.crashed for each in outcomes) else max(each.code for each in outcomes)
 
 
-def counted(outcomes: Sequence[Outcome]) -> str:
+def counted(outcomes: Sequence[SpecOutcome]) -> str:
     """Return how many passed, failed, were cached or skipped.
 
     Example:
-        >>> done = Outcome(spec=Path("a.yaml"), folder=Path("a"), exit=0)
+        >>> done = SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=0)
         >>> counted([done, done])
         '2 passed, 0 failed'
     """

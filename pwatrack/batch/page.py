@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from pwatrack.batch.outcomes import FIGURES, Outcome, counted
+from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
@@ -109,7 +109,7 @@ filter();
 """
 
 
-def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
+def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """Write the page, what failed first; the small pictures are in it, the large ones are links.
 
     Raises:
@@ -133,11 +133,11 @@ def write_page(outcomes: Sequence[Outcome], path: Path) -> None:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _passed(outcome: Outcome) -> bool:
+def _passed(outcome: SpecOutcome) -> bool:
     return not outcome.failed
 
 
-def _row(outcome: Outcome, here: Path, *, required: bool) -> str:
+def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
     notes = [f'<div class="missed">missed: {_text(text)}</div>' for text in outcome.missed]
     notes += [f'<div class="note">{_text(note)}</div>' for note in outcome.notes]
     if outcome.failed and outcome.messages:
@@ -165,7 +165,7 @@ def _head(name: str) -> str:
     return f'<th{numbers}><button type="button">{_text(name)}</button></th>'
 
 
-def _kind(outcome: Outcome) -> str:
+def _kind(outcome: SpecOutcome) -> str:
     """Return what the page filters by."""
     return "fail" if outcome.failed else outcome.how if outcome.how != "run" else "pass"
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.job import Done, Ended, Fault, Job
+from pwatrack.batch.job import Done, Ended, Job, JobFault
 from pwatrack.errors import InvalidSpec, Place
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
 from pwatrack.version import versions
@@ -72,7 +72,7 @@ def recall(job: Job, out: Path) -> tuple[Ended, float] | None:
         if index is None or record["index"] != _digest(job.out / INDEX) or not _whole(job.out, index, record["stamps"]):
             return None
         faults = tuple(
-            Fault(
+            JobFault(
                 message=f["message"], code=f["code"], hint=f["hint"], place=Place(**f["place"]) if f["place"] else None
             )
             for f in record["faults"]

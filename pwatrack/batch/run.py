@@ -13,7 +13,7 @@ from typing import Literal
 from pwatrack.batch.elsewhere import Work, done, received, send
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.job import Done, Job
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
 from pwatrack.batch.work import simulate
@@ -56,7 +56,7 @@ class Watcher:
     def begins(self, total: int) -> None:
         """Learn how many specs there are."""
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: SpecOutcome) -> None:
         """Learn how one of them ended."""
 
 
@@ -69,8 +69,8 @@ def run_batch(
     preload: Sequence[str] = PRELOAD,
     executor: Executor | None = None,
     watcher: Watcher | None = None,
-    ended: list[Outcome] | None = None,
-) -> list[Outcome]:
+    ended: list[SpecOutcome] | None = None,
+) -> list[SpecOutcome]:
     """Design and simulate every spec among files and below folders.
 
     Args:
@@ -115,7 +115,7 @@ def _submitting(options: Options, work: Work, preload: Sequence[str], executor: 
 
 def _all(
     jobs: Sequence[Job], out: Path, options: Options, submitting: Callable[[], AbstractContextManager[Submit]]
-) -> Iterator[Outcome]:
+) -> Iterator[SpecOutcome]:
     """Yield the outcomes of jobs, first of those that need not be run again."""
     rest = list[Job]()
     for job in jobs:
@@ -123,7 +123,7 @@ def _all(
         start = time.perf_counter()
         known = recall(job, out) if options.again != "all" else None
         seconds = time.perf_counter() - start
-        outcome = Outcome.of(job.spec, job.out, known[0], seconds=seconds, cached=True) if known else None
+        outcome = SpecOutcome.of(job.spec, job.out, known[0], seconds=seconds, cached=True) if known else None
         if outcome is None or (outcome.failed and options.again == "failed"):
             rest.append(job)
         else:
@@ -133,7 +133,7 @@ def _all(
             yield from _worked_off(rest, out, submit, options)
 
 
-def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options) -> Iterator[Outcome]:
+def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options) -> Iterator[SpecOutcome]:
     """Yield the outcomes of jobs as they end; no more are handed on than are soon begun: the rest may be skipped."""
     waiting, running = deque(jobs), dict[Future[Done], Job]()
     at_once = options.jobs if options.fail_fast else 2 * options.jobs
@@ -146,20 +146,20 @@ def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options
         yield outcome
         if options.fail_fast and outcome.failed:
             for job in waiting:
-                yield Outcome(spec=job.spec, folder=job.out, exit=None, reason="skipped", how="skipped")
+                yield SpecOutcome(spec=job.spec, folder=job.out, exit=None, reason="skipped", how="skipped")
             waiting.clear()
 
 
-def _outcome(job: Job, out: Path, future: "Future[Done]") -> Outcome:
+def _outcome(job: Job, out: Path, future: "Future[Done]") -> SpecOutcome:
     try:
         ending = received(job, future.result())
         remember(job, out, ending)
-        return Outcome.of(job.spec, job.out, ending.ended, seconds=ending.seconds)
+        return SpecOutcome.of(job.spec, job.out, ending.ended, seconds=ending.seconds)
     except Lost as lost:
         from pwatrack.spec.load import expected_exit
 
         sweep(job.out)
-        return Outcome(
+        return SpecOutcome(
             spec=job.spec,
             folder=job.out,
             exit=-lost.killer if lost.killer else None,

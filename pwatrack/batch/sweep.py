@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
 from pwatrack.claims.practical import Practical
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import as_ended
 from pwatrack.report.terminal import told
@@ -127,7 +127,7 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
     return Point(values=values, exit=code, said=said, figures=numbers, proof=proof)
 
 
-def kind_of_proof(controller: Controller) -> str:
+def kind_of_proof(controller: ProvedController) -> str:
     """Return which kind of proof a design has: by common matrices P, by polynomials, or of practical tracking."""
     if controller.claims_of(Practical):
         return PRACTICAL

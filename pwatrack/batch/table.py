@@ -5,11 +5,11 @@ from pathlib import Path
 
 from rich.table import Table
 
-from pwatrack.batch.outcomes import FIGURES, Outcome, counted
+from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted
 from pwatrack.report.terminal import console
 
 
-def print_batch(outcomes: Sequence[Outcome]) -> None:
+def print_batch(outcomes: Sequence[SpecOutcome]) -> None:
     """Print the table on stdout, and what failing specs said on stderr."""
     table = Table()
     some = ["required"] if any(outcome.required for outcome in outcomes) else []

@@ -4,7 +4,7 @@ import contextlib
 import io
 from collections.abc import Iterator
 
-from pwatrack.batch.job import Ended, Fault, Job
+from pwatrack.batch.job import Ended, Job, JobFault
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report.codes import code_of
 from pwatrack.report.run_folder import read_index, stamp
@@ -17,7 +17,7 @@ def simulate(job: Job) -> Ended:
     from pwatrack.spec.load import expected_exit
 
     said = io.StringIO()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[JobFault, ...] = ()
     code, lines = int(ExitCode.DONE), list[str]()
     before = stamp(job.out)
     with contextlib.redirect_stderr(said):
@@ -46,13 +46,13 @@ def simulate(job: Job) -> Ended:
     )
 
 
-def refused(error: Exception) -> tuple[int, list[str], tuple[Fault, ...]]:
+def refused(error: Exception) -> tuple[int, list[str], tuple[JobFault, ...]]:
     """Return how a run ends with an exception: its exit code, what the command line says, and what is wrong."""
     code, lines = told(error)
     return int(code), lines, tuple(_faults(error)) if isinstance(error, PwatrackError) else ()
 
 
-def _faults(refusal: PwatrackError) -> Iterator[Fault]:
+def _faults(refusal: PwatrackError) -> Iterator[JobFault]:
     for problem in refusal.problems:
         code = code_of(problem.message, refusal.code)
-        yield Fault(message=problem.message, code=code, hint=problem.hint, place=problem.place)
+        yield JobFault(message=problem.message, code=code, hint=problem.hint, place=problem.place)

@@ -10,7 +10,7 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.claims.exact_text import bounds_content, read_bounds
 from pwatrack.control.bounds import Bounds, Channel, Form, Loops, signal_bounds, start_bounds
-from pwatrack.control.controller import Asked, Claim, Controller, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.envelope import from_start, with_acting
 from pwatrack.control.words import Words
 from pwatrack.lmi.inequality import Solver
@@ -45,12 +45,12 @@ class SignalBounds(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"bounds": []}
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["SignalBounds"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
         """Yield the bounds, which are searched for when they are looked at first: they take longer than the design."""
         yield cls(loops=loops_of(controller), solver=asked.solver)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["SignalBounds"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
         """Yield what was proved; a channel that nothing was proved of has no bounds."""
         loops = loops_of(controller)
         found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
@@ -78,11 +78,11 @@ class SignalBounds(Claim):
         """What each entry of the start, of x − x_d, of x̂ − x and of the estimates of loads, can do to each signal."""
         return self.both[1]
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return those of all channels that something is proved of."""
         return {"bounds": [bounds_content(bounds) for part in self.both for bounds in part if bounds.sizes]}
 
-    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what acts and what it does to what is tracked, the inputs and what has a size; declared ones first."""
         found = sorted(self.acting, key=lambda bounds: not words.declared(bounds.channel))
         yield (
@@ -101,7 +101,7 @@ class SignalBounds(Claim):
         within = _shown(words, self.from_sizes(controller))
         yield "", f"from a start with all errors within their sizes, at all times {within}"
 
-    def from_sizes(self, controller: Controller) -> dict[Form, float]:
+    def from_sizes(self, controller: ProvedController) -> dict[Form, float]:
         """Return the most that each signal is at any time from a start with all errors of x, x̂ and loads in sizes."""
         sizes = controller.sizes
         within = [*sizes.state.tolist(), *sizes.state.tolist(), *sizes.load.tolist()]
@@ -112,7 +112,7 @@ class SignalBounds(Claim):
                 total[form] += bounds.sizes[form] * within[bounds.channel[1]] * OVER_SUMS
         return controller.with_left(total)
 
-    def allows(self, controller: Controller, seen: Seen) -> dict[Form, Array]:
+    def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal may be from its start and for what has acted so far."""
         if not seen.designed:
             return {}
@@ -121,7 +121,7 @@ class SignalBounds(Claim):
         return with_acting(most, self.acting, seen.acting)
 
 
-def loops_of(controller: Controller) -> Loops:
+def loops_of(controller: ProvedController) -> Loops:
     """Return the loops of a controller, exact."""
     K, L = controller.design.exact
     X, output = controller.compensation.X, controller.tracking == "output"
@@ -148,7 +148,7 @@ def _with_peaks(loops: Loops, channel: Channel, found: Mapping[Channel, Bounds])
     return replace(one, sizes=sizes, peaks=peaks)
 
 
-def _with_norms(most: dict[Form, Array], controller: Controller, seen: Seen) -> None:
+def _with_norms(most: dict[Form, Array], controller: ProvedController, seen: Seen) -> None:
     """Lower the bounds of errors to what the norms of (8) and (9) say of them; they are about loads that are known."""
     promised, sizes, n, start = controller.guarantees, controller.sizes.state, len(controller.plant.B), seen.start
     if start[2 * n :].any():

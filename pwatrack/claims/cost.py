@@ -9,9 +9,9 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.claims.exact_text import decimal_texts, doubles
-from pwatrack.control.controller import Asked, Claim, Controller
+from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
@@ -44,7 +44,7 @@ class Costs(Claim):
     statement: ClassVar[str] = "X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0."
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Costs"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
         """Yield the bounds where a gain was asked for by its cost."""
         goals = _least(asked)
         gains = {CONTROLLER: controller.K, OBSERVER: controller.L}
@@ -56,13 +56,13 @@ class Costs(Claim):
             yield cls(goals=goals, X=X)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Costs"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
         """Yield what was proved."""
         goals, proofs = _least(asked), read_costs(content)
         if proofs:
             yield cls(goals=goals, X={role: proofs[role.name] for role in goals if role.name in proofs})
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return X, beside the weights that it is for."""
         goals = self.goals
         return {
@@ -77,7 +77,7 @@ class Costs(Claim):
             ]
         }
 
-    def texts(self, role: Role, words: Words, controller: Controller) -> Iterator[str]:
+    def texts(self, role: Role, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield what the bound of the cost of one gain means."""
         if role not in self.X:
             return
@@ -106,7 +106,7 @@ def _least(asked: Asked) -> dict[Role, LeastCost]:
     return {role: goal for role, goal in asked.words.goals.items() if isinstance(goal, LeastCost)}
 
 
-def _task(role: Role, controller: Controller, asked: Asked) -> Task:
+def _task(role: Role, controller: ProvedController, asked: Asked) -> Task:
     return Task.of(asked.words.plant, role, sizes=controller.sizes)
 
 
@@ -162,7 +162,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     raise Undecided(
         Problem(
             message=f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
-            subject=(task.role.part, Part.COST),
+            subject=(task.role.part, ProblemPart.COST),
             hint="weights that differ less in size may help",
         )
     )

@@ -9,10 +9,10 @@ import numpy as np
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
-from pwatrack.claims.limits import Limited
+from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.preview import PlayedBack
-from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.claims.preview import StableInversion
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
@@ -48,27 +48,27 @@ class Decay(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"proofs": []}
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Decay"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
         """Yield the claim: a controller has its proofs."""
         yield cls()
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Decay"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
         """Yield the claim; `read_proofs` gives the proofs."""
         yield cls()
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the proofs."""
         found, generator = list[AnyProof | Dichotomy](controller.proofs), controller.generator
         if generator is not None and isinstance(generator.certificate, Dichotomy):
             found.append(generator.certificate)
         return {"proofs": [_content(proof) for proof in found]}
 
-    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return the sizes of the gains, and what is proved of them."""
         return {"figures": gain_figures(controller)}
 
-    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is proved for which gains, and what follows for the errors."""
         yield from _gain_rows(words, controller)
         plant, practical = controller.plant, controller.claims_of(Practical)
@@ -93,7 +93,7 @@ def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:
     return [_read(proof) for proof in content["proofs"] if kind(proof) != "cost"]
 
 
-def ends_below(words: Words, controller: Controller) -> list[dict[str, Any]]:
+def ends_below(words: Words, controller: ProvedController) -> list[dict[str, Any]]:
     """Return below what each tracked signal ends, where that is all that is proved of it; else nothing."""
     return [
         {"signal": name, "below": practical.final[controller.tracking, k], "unit": str(words.units.get(name, ""))}
@@ -102,7 +102,7 @@ def ends_below(words: Words, controller: Controller) -> list[dict[str, Any]]:
     ]
 
 
-def sentences(words: Words, controller: Controller) -> list[str]:
+def sentences(words: Words, controller: ProvedController) -> list[str]:
     """Return what is proved of the tracking error: a summary and all that leaves the tool say these."""
     if below := ends_below(words, controller):
         return [
@@ -113,13 +113,13 @@ def sentences(words: Words, controller: Controller) -> list[str]:
     trajectory, names = controller.trajectory, controller.plant.tracked_names
     desired = "x_d" if controller.generator is None else ", ".join(f"{name}_d" for name in names)
     condition = "" if trajectory.bounded else ", as long as x_d stays bounded, which is not proved"
-    for played in controller.claims_of(PlayedBack):
+    for played in controller.claims_of(StableInversion):
         left = f"{up(played.error)} {words.unit_of_tracked()}".rstrip()
         condition = f", but for what is played back, which leaves at most {left} of it"
     return [f"all solutions track {desired} with error going to 0{condition}"]
 
 
-def gain_figures(controller: Controller) -> dict[str, float]:
+def gain_figures(controller: ProvedController) -> dict[str, float]:
     """Return the figures of a design: sizes of the gains, and what is proved of them."""
     promised = controller.guarantees
     robust_rate, of_K, of_L = promised.robust
@@ -136,7 +136,7 @@ def gain_figures(controller: Controller) -> dict[str, float]:
     }
 
 
-def _gain_rows(words: Words, controller: Controller) -> Iterator[Row]:
+def _gain_rows(words: Words, controller: ProvedController) -> Iterator[Row]:
     design, plant, promised = controller.design, controller.plant, controller.guarantees
     norm_K, norm_L = controller.sizes.norms(design.K, design.L)
     for role, proved, run, through, gain, norm in (
@@ -153,8 +153,8 @@ def _gain_rows(words: Words, controller: Controller) -> Iterator[Row]:
             yield from (("", text) for text in costs.texts(role, words, controller))
 
 
-def _generator_rows(words: Words, controller: Controller, generator: TrajectoryGenerator) -> Iterator[Row]:
-    proved, played = controller.guarantees.generator, controller.claims_of(PlayedBack)
+def _generator_rows(words: Words, controller: ProvedController, generator: TrajectoryGenerator) -> Iterator[Row]:
+    proved, played = controller.guarantees.generator, controller.claims_of(StableInversion)
     if played:
         for k, text in enumerate(played[0].texts(words)):
             yield "" if k else "(17±) preview", text
@@ -169,7 +169,7 @@ def _generator_rows(words: Words, controller: Controller, generator: TrajectoryG
             yield "Assumption 2", f"holds for no shift; {reason}"
 
 
-def _promise_rows(controller: Controller, *, practical: bool) -> Iterator[Row]:
+def _promise_rows(controller: ProvedController, *, practical: bool) -> Iterator[Row]:
     """Yield how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
     if practical:
@@ -178,7 +178,7 @@ def _promise_rows(controller: Controller, *, practical: bool) -> Iterator[Row]:
         return
     errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
     error = f"{errors} and x − x_d go" if controller.tracking == "output" else "x − x_d goes"
-    ends = "what is played back leaves of it" if controller.claims_of(PlayedBack) else "0"
+    ends = "what is played back leaves of it" if controller.claims_of(StableInversion) else "0"
     text = f"from every start {error} to {ends} at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))
@@ -195,9 +195,9 @@ def _promise_rows(controller: Controller, *, practical: bool) -> Iterator[Row]:
     )
 
 
-def _within_limits(goal: Goal, controller: Controller) -> bool:
+def _within_limits(goal: Goal, controller: ProvedController) -> bool:
     """Say whether a gain was to keep limits, and is proved to from all starts that it was designed for."""
-    for limited in controller.claims_of(Limited):
+    for limited in controller.claims_of(NoSaturation):
         left = limited.room.left
         if left is not None and isinstance(goal, AtLeast | Fastest):
             wanted = "members" if any(one.kind == "members" for one in limited.room.starts) else "exact"

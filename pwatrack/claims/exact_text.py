@@ -8,10 +8,10 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
-from pwatrack.control.bounds import Bounds, Channel, Form, Part, ProvedPeak
+from pwatrack.control.bounds import Bounds, Channel, Form, ProvedPeak, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.chords import PeakGain
-from pwatrack.lmi.ellipsoid import Ellipsoid
+from pwatrack.lmi.ellipsoid import InvariantEllipsoid
 
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
@@ -92,11 +92,11 @@ def bounds_content(bounds: Bounds) -> dict[str, Any]:
 def read_bounds(entry: Any) -> Bounds:
     """Return what was written by `bounds_content`."""
     parts = tuple(
-        Part(
+        SignalEllipsoid(
             loop=part["loop"],
             channel=read_channel(part["channel"]),
             signals=tuple(form for form, _ in read_signals(part["signals"])),
-            ellipsoid=Ellipsoid(
+            ellipsoid=InvariantEllipsoid(
                 **whole(part["Q"]), a=double(part["a"]), sizes=tuple(size for _, size in read_signals(part["signals"]))
             ),
         )

@@ -26,16 +26,16 @@ from pwatrack.claims.exact_text import (
 )
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.compensation import Compensation
-from pwatrack.control.controller import Asked, Claim, Controller, Row
-from pwatrack.control.limits import Peak, Room, Starts
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.limits import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
-from pwatrack.lmi.starts import Held, held
+from pwatrack.lmi.starts import StartEllipsoid, held
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
 
 @dataclass(frozen=True, kw_only=True)
-class Promise:
+class StartGuarantee:
     """By how much inputs differ from their feedforward at any time, from some starts, in the loop as designed.
 
     Attributes:
@@ -49,7 +49,7 @@ class Promise:
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
-    held: Held | None
+    held: StartEllipsoid | None
     loads: tuple[float, ...]
 
     def scale(self, left: Array) -> float:
@@ -65,7 +65,7 @@ class Promise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limited(Claim):
+class NoSaturation(Claim):
     """Limits of the inputs: what the feedforward takes of them, and from which starts none is reached.
 
     Attributes:
@@ -73,8 +73,8 @@ class Limited(Claim):
         promises: What is proved of some starts.
     """
 
-    room: Room
-    promises: tuple[Promise, ...] = ()
+    room: Headroom
+    promises: tuple[StartGuarantee, ...] = ()
 
     statement: ClassVar[str] = (
         "Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d = starts v with "
@@ -84,7 +84,7 @@ class Limited(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"limits": []}
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Limited"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
         """Yield what is known of limits where there are some; of starts only where nothing else acts."""
         room = asked.room
         if room is None:
@@ -94,7 +94,7 @@ class Limited(Claim):
         yield cls(room=room, promises=proved)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Limited"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
         """Yield the same from what was proved before."""
         room, entries = asked.room, {entry["of"]: entry for entry in content["limits"]}
         if room is None:
@@ -103,7 +103,7 @@ class Limited(Claim):
             yield cls(room=room)
             return
         known = {
-            of: Held(
+            of: StartEllipsoid(
                 **whole(entry["Q"]),
                 weights=tuple(map(double, entry["weights"])),
                 sizes=tuple(size for _, size in read_signals(entry["signals"])),
@@ -113,11 +113,11 @@ class Limited(Claim):
         starts = [_nearby(one, entries) for one in room.starts]
         yield cls(room=room, promises=promises(controller, room.left, starts, known))
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the ellipsoids."""
         return {"limits": [_content(promise, promise.held) for promise in self.promises if promise.held is not None]}
 
-    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return by input what the feedforward takes and leaves, and by which scale starts may be off."""
         room, left, names = self.room, self.room.left, words.plant.inputs
         inputs = {
@@ -141,7 +141,7 @@ class Limited(Claim):
         ]
         return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
 
-    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what the limits leave beside the feedforward, and from which starts none is reached."""
         texts = [*self._takes(words), *self._reaches(loads=controller.plant.loads is not None)]
         yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
@@ -193,8 +193,11 @@ class Limited(Claim):
 
 
 def promises(
-    controller: Controller, left: Array, starts: Sequence[Starts], known: Mapping[str, Held] | None = None
-) -> tuple[Promise, ...]:
+    controller: ProvedController,
+    left: Array,
+    starts: Sequence[Starts],
+    known: Mapping[str, StartEllipsoid] | None = None,
+) -> tuple[StartGuarantee, ...]:
     """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
 
     With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
@@ -213,7 +216,7 @@ def promises(
     n, p = len(plant.B), L.shape[0] - len(plant.B)
     loops = Loops(plant, K, L, controller.proofs, BallMatrix.of(np.zeros((n, p)), (n, p)), output=False)
     taken_off = _taken_off(controller.compensation, loops.at_inputs)
-    inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[Promise]()
+    inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[StartGuarantee]()
     for one in starts:
         loop: Loop = "controller" if one.delta is None else "joint"
         if loop not in loops.M or (p and one.delta is not None and (one.load is None or not taken_off)):
@@ -224,7 +227,7 @@ def promises(
         loads = tuple(
             float(acting[np.array(loops.at_inputs, dtype=int) == k].sum()) if acting.any() else 0.0 for k in inputs
         )
-        promise = Promise(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
+        promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
@@ -255,7 +258,7 @@ def _nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     return replace(starts, e=told[:n], delta=delta, load=load)
 
 
-def _content(promise: Promise, around: Held) -> dict[str, Any]:
+def _content(promise: StartGuarantee, around: StartEllipsoid) -> dict[str, Any]:
     kind: Literal["drive", "input"] = "input" if promise.starts.load is None else "drive"
     return {
         "of": promise.starts.kind,
@@ -267,7 +270,7 @@ def _content(promise: Promise, around: Held) -> dict[str, Any]:
     }
 
 
-def _named(names: Sequence[str], promise: Promise, values: Sequence[float]) -> dict[str, float]:
+def _named(names: Sequence[str], promise: StartGuarantee, values: Sequence[float]) -> dict[str, float]:
     return dict(zip((names[k] for k in promise.inputs), values, strict=True))
 
 
@@ -281,5 +284,5 @@ def _range(peak: Peak, k: int, unit: str) -> str:
     return f"{ends} (t = {first:.4g} s, {last:.4g} s)"
 
 
-def _finite(room: Room) -> list[int]:
+def _finite(room: Headroom) -> list[int]:
     return [int(k) for k in np.flatnonzero(np.isfinite(room.limits).any(axis=1))]

@@ -26,14 +26,14 @@ from pwatrack.arrays import OVER_SUMS, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, text
 from pwatrack.claims.exact_text import bounds_content, read_bounds, signals
 from pwatrack.claims.subject import function_content, plant_content, term_content
-from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, Part, ProvedPeak, of_loop
-from pwatrack.control.controller import Asked, Claim, Controller, Row
-from pwatrack.control.synthesis import Design
+from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, ProvedPeak, SignalEllipsoid, of_loop
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
 from pwatrack.lmi.chords import PeakGain, peak_gain
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.model.merging import Merge, merges, widest
+from pwatrack.model.merging import Simplification, merges, widest
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.scalar_form import scalar_form
@@ -59,7 +59,7 @@ class Practical(Claim):
     """
 
     plant: PWASystem
-    merges: tuple[Merge, ...]
+    merges: tuple[Simplification, ...]
     replaced: tuple[Problem, ...]
     evidence: Any
     bounds: tuple[Bounds, ...]
@@ -74,12 +74,12 @@ class Practical(Claim):
     beside: ClassVar[str] = "what is merged"
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Practical"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
         """Yield nothing: what is merged is chosen where exact tracking is refused, see `study.merged`."""
         yield from ()
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Practical"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
         """Yield what was proved, for what is merged of the true plant."""
         told = content["practical"]
         if told is not None:
@@ -106,7 +106,7 @@ class Practical(Claim):
         each = [self.final[of, k] / size for k, size in enumerate(sizes)]
         return float(np.linalg.norm(each)) * OVER_SUMS
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the true plant, what is merged in it, and the bounds of what that leaves."""
         ends = ((form, size) for form, size in self.final.items() if size or form[0] == controller.tracking)
         return {
@@ -119,7 +119,7 @@ class Practical(Claim):
             }
         }
 
-    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return a verdict of its own, what is merged, why, and below what each signal ends."""
         found = {
             "exact_tracking": [problem.message for problem in self.replaced],
@@ -146,7 +146,7 @@ class Practical(Claim):
         }
         return {"verdict": "practical", "practical": found}
 
-    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is proved of a loop with merged cells, the bound of what is tracked first."""
         tracked, final = controller.tracking, self.final
         ends = list[str]()
@@ -173,8 +173,8 @@ class Practical(Claim):
 
 
 def least_merges(
-    form: ScalarForm, sizes: Sizes, works: Callable[[Mapping[int, Merge]], bool]
-) -> dict[int, Merge] | None:
+    form: ScalarForm, sizes: Sizes, works: Callable[[Mapping[int, Simplification]], bool]
+) -> dict[int, Simplification] | None:
     """Return how each element is merged such that none of them can be merged less while the others stay.
 
     It begins with all of them merged whole. One after the other, that of the largest deviation first, is then left as
@@ -213,7 +213,7 @@ def least_merges(
 
 def deviation_bounds(
     plant: PWASystem,
-    design: Design,
+    design: Gains,
     proofs: Sequence[AnyProof],
     X: BallMatrix,
     columns: Sequence[BallMatrix],
@@ -286,7 +286,7 @@ class _Loops(Loops):
         sizes = {form: sizes[form] for form in (*signals, *estimates)}
         return Bounds(channel=channel, sizes=sizes, parts=parts, proved=tuple(peaks))
 
-    def proved_peak(self, part: Part, signal: Form) -> PeakGain | None:
+    def proved_peak(self, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
         """Return the peak gain, where the loop has one matrix."""
         if len(self.M[part.loop]) != 1:
             return None
@@ -294,13 +294,13 @@ class _Loops(Loops):
         return peak_gain(self.M[part.loop][0], drive, row, part.ellipsoid)
 
 
-def merged_ways(told: Any, plant: PWASystem) -> tuple[Merge, ...]:
+def merged_ways(told: Any, plant: PWASystem) -> tuple[Simplification, ...]:
     """Return what a certificate says to be merged, as it would be in a plant.
 
     Raises:
         ValueError: If that is nothing of this plant.
     """
-    form, found = scalar_form(plant), dict[tuple[int, int, int], Merge]()
+    form, found = scalar_form(plant), dict[tuple[int, int, int], Simplification]()
     if form is not None:
         each = (way for k in range(len(form.elements)) for way in merges(form, k))
         found = {(way.element, way.first, way.last): way for way in each}
@@ -310,7 +310,7 @@ def merged_ways(told: Any, plant: PWASystem) -> tuple[Merge, ...]:
     return tuple(found[place] for place in places)
 
 
-def _merge_content(merge: Merge) -> dict[str, Any]:
+def _merge_content(merge: Simplification) -> dict[str, Any]:
     return {
         "element": merge.element,
         "first": merge.first,
@@ -322,7 +322,7 @@ def _merge_content(merge: Merge) -> dict[str, Any]:
     }
 
 
-def _width_text(words: Words, merge: Merge) -> str:
+def _width_text(words: Words, merge: Simplification) -> str:
     """Say between which values an element was merged."""
     marks, unit = merge.nonlinearity.function.breakpoints, _unit(words, merge)
     low, high = float(marks[merge.first]), float(marks[merge.last])
@@ -332,7 +332,7 @@ def _width_text(words: Words, merge: Merge) -> str:
     return f"the {merge.nonlinearity.name} is merged {between}"
 
 
-def _merge_text(words: Words, merge: Merge) -> str:
+def _merge_text(words: Words, merge: Simplification) -> str:
     """Say what becomes of an element, and by how much the plant then deviates at most."""
     slopes = merge.function.slopes
     straight = slopes[0].centre == slopes[-1].centre and len(slopes) == 2
@@ -347,22 +347,22 @@ def _merge_text(words: Words, merge: Merge) -> str:
     )
 
 
-def _gone(merge: Merge) -> int:
+def _gone(merge: Simplification) -> int:
     return len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
 
 
-def _deviations(merge: Merge) -> dict[int, float]:
+def _deviations(merge: Simplification) -> dict[int, float]:
     """Return by how much each state equation deviates at most, where it does."""
     column = np.abs(merge.column.floats[:, 0])
     return {int(j): float(column[j]) * float(merge.largest) for j in np.flatnonzero(column)}
 
 
-def _form_text(words: Words, merge: Merge) -> str:
+def _form_text(words: Words, merge: Simplification) -> str:
     row = np.array([float(v) for v in merge.nonlinearity.row])
     return linear_form_text(row, words.plant.states)
 
 
-def _unit(words: Words, merge: Merge) -> str:
+def _unit(words: Words, merge: Simplification) -> str:
     """Return the unit of what an element looks at, where all states in it have the same and count once."""
     row = [float(v) for v in merge.nonlinearity.row]
     names = [name for name, v in zip(words.plant.states, row, strict=True) if v]

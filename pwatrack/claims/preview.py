@@ -13,15 +13,15 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import resting
-from pwatrack.control.controller import Asked, Claim, Controller
+from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.envelope import from_preview
-from pwatrack.control.trajectory import Preview
+from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.control.words import Words, all_cells
 from pwatrack.model.normal_form import NormalForm
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayedBack(Claim):
+class StableInversion(Claim):
     """What residual and jumps of an η that was worked out beforehand leave of each signal in the end.
 
     With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps by J so
@@ -34,7 +34,7 @@ class PlayedBack(Claim):
         bounds: Whose ellipsoids say what is left of each signal: those of a box, or of the plant of the design.
     """
 
-    preview: Preview
+    preview: NoncausalTrajectory
     form: NormalForm
     error: float
     bounds: SignalBounds | Robust
@@ -42,7 +42,7 @@ class PlayedBack(Claim):
     beside: ClassVar[str] = "what is played back"
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["PlayedBack"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["StableInversion"]:
         """Yield what is left, where x_d is played back."""
         preview, form = controller.trajectory.preview, controller.form
         if preview is None or form is None:
@@ -52,7 +52,9 @@ class PlayedBack(Claim):
         yield cls(preview=preview, form=form, error=error, bounds=bounds)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["PlayedBack"]:
+    def read(
+        cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked
+    ) -> Iterator["StableInversion"]:
         """Yield the same: it follows from x_d and the other proofs."""
         yield from cls.prove(controller, asked)
 
@@ -70,7 +72,7 @@ class PlayedBack(Claim):
         """Return what is left of ‖y − y_d‖; Δ is not driven."""
         return 0.0 if of == "estimate" else self.error
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return H with η_ref + H s for a bounded η that is played back beside loads, where it is not 0."""
         loads = controller.plant.loads
         if loads is None:
@@ -78,7 +80,7 @@ class PlayedBack(Claim):
         H = resting(loads, self.form)
         return {"eta_with_loads": BallMatrix(H).texts} if any(H.entries()) else {}
 
-    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return what is played back, and what it leaves."""
         preview = self.preview
         return {

@@ -7,14 +7,14 @@ from typing import Any
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.decay import Decay
-from pwatrack.claims.limits import Limited
+from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.preview import PlayedBack
+from pwatrack.claims.preview import StableInversion
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import Asked, Claim, Controller, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
 
-CLAIMS: tuple[type[Claim], ...] = (Practical, Decay, Costs, Limited, SignalBounds, Robust, PlayedBack)
+CLAIMS: tuple[type[Claim], ...] = (Practical, Decay, Costs, NoSaturation, SignalBounds, Robust, StableInversion)
 
 IMPOSSIBLE = (
     "Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any gain, or for the one "
@@ -31,7 +31,7 @@ STATEMENT = " ".join(
 )
 
 
-def proved(controller: Controller, asked: Asked) -> Controller:
+def proved(controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with all claims that can be made of it, beside those that it has.
 
     Raises:
@@ -42,7 +42,7 @@ def proved(controller: Controller, asked: Asked) -> Controller:
     return controller
 
 
-def read(content: Mapping[str, Any], controller: Controller, asked: Asked) -> Controller:
+def read(content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with the claims that a certificate holds, without a solver.
 
     Raises:
@@ -53,7 +53,7 @@ def read(content: Mapping[str, Any], controller: Controller, asked: Asked) -> Co
     return controller
 
 
-def data(controller: Controller) -> dict[str, Any]:
+def data(controller: ProvedController) -> dict[str, Any]:
     """Return what a certificate holds of the claims of a controller."""
     content = {key: value for claim in CLAIMS for key, value in claim.nothing.items()}
     for claim in controller.claims:
@@ -62,12 +62,12 @@ def data(controller: Controller) -> dict[str, Any]:
     return content
 
 
-def figures(words: Words, controller: Controller) -> dict[str, Any]:
+def figures(words: Words, controller: ProvedController) -> dict[str, Any]:
     """Return what run.json says of the claims of a controller."""
     return {key: value for claim in controller.claims for key, value in claim.figures(words, controller).items()}
 
 
-def rows(words: Words, controller: Controller) -> Iterator[Row]:
+def rows(words: Words, controller: ProvedController) -> Iterator[Row]:
     """Yield what a summary says of the claims of a controller."""
     for claim in controller.claims:
         yield from claim.rows(words, controller)

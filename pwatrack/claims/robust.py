@@ -25,13 +25,13 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
-from pwatrack.control.controller import Asked, Claim, Controller, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.envelope import from_start, with_acting
-from pwatrack.control.synthesis import Design
+from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, Problem, Undecided
 from pwatrack.lmi.ellipsoid import Inner
@@ -70,7 +70,7 @@ class Robust(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"uncertain": None}
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator["Robust"]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
         """Yield the proof where parameters are uncertain; see `prove_box`."""
         if asked.box:
             plant, output = controller.plant, controller.tracking == "output"
@@ -78,7 +78,7 @@ class Robust(Claim):
             yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator["Robust"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
         """Yield what was proved, for the corners that the box has."""
         told = content["uncertain"]
         if told is not None and asked.box:
@@ -87,19 +87,19 @@ class Robust(Claim):
             bounds = tuple(read_bounds(entry) for entry in told["bounds"])
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the corners, and the bounds of entries of w."""
         intervals = [[one.name, *(text(end.centre) for end in (one.low, one.high))] for one in self.box]
         bounds = [bounds_content(bounds) for bounds in self.bounds]
         corners = [corner_content(corner) for corner in self.corners]
         return {"uncertain": {"parameters": intervals, "corners": corners, "bounds": bounds}}
 
-    def figures(self, words: Words, controller: Controller) -> dict[str, Any]:
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return the intervals; bounds.json has what is proved of signals."""
         box = {interval.name: [float(interval.low), float(interval.high)] for interval in self.box}
         return {"uncertain": {"parameters": box, "inequalities": self.count, "rate": self.rate}}
 
-    def rows(self, words: Words, controller: Controller) -> Iterator[Row]:
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is proved for all of the box."""
         box, order = ", ".join(interval.text for interval in self.box), 2 * len(self.plant.B)
         yield (
@@ -118,7 +118,7 @@ class Robust(Claim):
             _, on, unit = words.cause(bounds.channel, uncertain=True)
             yield "", f"{', '.join(words.limits(bounds.sizes.items()))} per {unit or '1'} of {on}"
 
-    def allows(self, controller: Controller, seen: Seen) -> dict[Form, Array]:
+    def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal may be for a plant of the box, from its start and for w as large as it is."""
         if seen.w is None or seen.designed:
             return {}
@@ -180,7 +180,7 @@ def _pairs(corner: Matrices, exact: Matrices) -> list[tuple[Sequence[BallMatrix]
 
 def prove_box(
     plant: PWASystem,
-    design: Design,
+    design: Gains,
     proofs: Sequence[AnyProof],
     corners: Sequence[Matrices],
     *,
@@ -203,7 +203,9 @@ def prove_box(
     """
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"
-        raise OutsideTheory(Problem(message=message, subject=(Part.UNCERTAIN,), hint="leave out one or the other"))
+        raise OutsideTheory(
+            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
+        )
     K, L = design.exact
     M = joint_matrices(plant.exact, corners, K, L)
     order = M[0].shape[0]
@@ -213,7 +215,7 @@ def prove_box(
             f"{_CLAIM} is undecided: {len(M)} inequalities of order {order}, at most {most} of that order are tried"
         )
         raise Undecided(
-            Problem(message=message, subject=(Part.UNCERTAIN,), hint="let parameters that matter least be known")
+            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="let parameters that matter least be known")
         )
     matrices = np.array([X.floats for X in M])
     worst = float(np.linalg.eigvals(matrices).real.max())
@@ -274,4 +276,6 @@ def _undecided(count: int, order: int, worst: float) -> Undecided:
     if worst >= 0:
         message += f"; at a corner an eigenvalue of the loop has real part {number_text(worst, '.3g')}"
     hint = "give smaller intervals, or ask for gains with a faster decay"
-    return Undecided(Problem(message=message, subject=(Part.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX)))
+    return Undecided(
+        Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX))
+    )

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
-from pwatrack.control.controller import Controller
-from pwatrack.control.program import Program
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.languages import LANGUAGES
 from pwatrack.export.schema import ControllerFile
@@ -166,7 +166,9 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
     return replace(found, file=parsed(told | {"sha256": digest(told)}, spec.path))
 
 
-def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: bool, steps: int) -> Subject:
+def _simulated(
+    spec: Spec, controller: ProvedController, runs: SampledController | None, given: bool, steps: int
+) -> Subject:
     """Return a controller with what it reads in the first steps of its simulation."""
     sampling = spec.scenario.conditions.sampling
     if sampling is None:
@@ -187,7 +189,7 @@ def _simulated(spec: Spec, controller: Controller, runs: Program | None, given: 
     return Subject(file, made.certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"), spec)
 
 
-def _outside(controller: Controller, file: ControllerFile, t: Any) -> Any:
+def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
     """Return the reference of a controller as it is given from outside, at some times."""
     assert file.program is not None
     trajectory, count = controller.trajectory, len(file.program.outside.reference)

@@ -11,9 +11,9 @@ from typing import Literal
 
 from rich.status import Status
 
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.pareto import Front, pareto
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
 from pwatrack.export.stored import check_same, read, with_gains
@@ -33,7 +33,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study import pipeline
 from pwatrack.study.how_far import HowFar, how_far
 from pwatrack.study.largest_box import LargestBox, largest_box
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.variation import EnsembleResult, Over, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]
@@ -49,7 +49,7 @@ class Members:
     executor: Executor | None = None
     workers: int | None = None
 
-    def of(self, result: Result, progress: Callable[[int], object]) -> EnsembleResult:
+    def of(self, result: SimulatedLoop, progress: Callable[[int], object]) -> EnsembleResult:
         """Return that ensemble of a run."""
         return ensemble(
             result,
@@ -134,8 +134,8 @@ class _Made:
     seconds: dict[str, float] = field(default_factory=dict)
     stored: Path | None = None
     spec: Spec | None = None
-    controller: Controller | None = None
-    runs: Program | None = None
+    controller: ProvedController | None = None
+    runs: SampledController | None = None
     largest: LargestBox | None = None
     answered: Mapping[str, int] = field(default_factory=dict)
 
@@ -144,7 +144,9 @@ class _Made:
         """What it took so far."""
         return Effort(seconds=self.seconds, answered=self.answered)
 
-    def design(self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool) -> tuple[Spec, Controller]:
+    def design(
+        self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool
+    ) -> tuple[Spec, ProvedController]:
         with self.timed("load"):
             spec = load_spec(self.path, self.parameters, outside=self.outside)
             self.spec = spec = replace(spec, objectives=replace(spec.objectives, solver=solver)) if solver else spec
@@ -164,12 +166,12 @@ class _Made:
         self.controller = controller
         return spec, controller
 
-    def simulated(self, spec: Spec, controller: Controller, status: Status) -> Result:
+    def simulated(self, spec: Spec, controller: ProvedController, status: Status) -> SimulatedLoop:
         status.update("Simulating the closed loop")
         with self.timed("simulate"):
             return pipeline.simulate(spec, controller, self.runs)
 
-    def _scaled(self, spec: Spec, controller: Controller) -> tuple[LargestBox, Controller]:
+    def _scaled(self, spec: Spec, controller: ProvedController) -> tuple[LargestBox, ProvedController]:
         """Return the largest box, and the design with the proof for the one of the spec."""
         box, subject = spec.objectives.uncertain, ("design", "uncertain")
         with spec.located():
@@ -190,7 +192,7 @@ class _Made:
     def tell(
         self,
         folder: Path,
-        result: Result | None,
+        result: SimulatedLoop | None,
         many: EnsembleResult | None,
         checked: Sequence[Checked],
         shown: Shown,
@@ -246,7 +248,7 @@ class _Made:
         return None
 
 
-def _check(spec: Spec, result: Result | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:
+def _check(spec: Spec, result: SimulatedLoop | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:
     """Refuse a loop, or a member of its ensemble, that grows without bound, contradicts its proof, or misses a wish."""
     found: list[Problem] = []
     if result is not None and result.outcome.code != ExitCode.DONE:
@@ -274,7 +276,7 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
     return show
 
 
-def _fronts(spec: Spec, controller: Controller) -> list[Front]:
+def _fronts(spec: Spec, controller: ProvedController) -> list[Front]:
     gains, plant = controller.design, controller.plant
     sizes = controller.sizes
     with spec.located(), asking(spec.objectives.solver):

@@ -9,8 +9,8 @@ from pwatrack.claims.decay import read_proofs
 from pwatrack.claims.exact_text import doubles
 from pwatrack.claims.practical import merged_ways
 from pwatrack.claims.registry import read
-from pwatrack.control.controller import Controller
-from pwatrack.control.synthesis import Design
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.synthesis import Gains
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.report.certificate import output_form
 from pwatrack.spec.spec import Spec
@@ -23,7 +23,7 @@ from pwatrack.study.tracking import desired_trajectory
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
 
-def told_design(spec: Spec, content: dict[str, Any]) -> Controller:
+def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     """Return the design that a certificate tells, with the plant and the reference of a spec.
 
     Args:
@@ -44,10 +44,10 @@ def told_design(spec: Spec, content: dict[str, Any]) -> Controller:
         if isinstance(proof, Dichotomy) and generator is not None:
             generator = replace(generator, certificate=proof)
     K, L, _ = told_gains(content)
-    controller = Controller(
+    controller = ProvedController(
         plant=plant,
         running=plant if content["practical"] is None else true,
-        design=Design(K=K, L=L, controller=_NOT_TOLD, observer=_NOT_TOLD),
+        design=Gains(K=K, L=L, controller=_NOT_TOLD, observer=_NOT_TOLD),
         trajectory=trajectory,
         generator=generator,
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),

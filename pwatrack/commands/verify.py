@@ -15,7 +15,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.audit.matrices import Fault
+from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
 from pwatrack.lmi.audit.shape import refuses
 from pwatrack.report.bounds import bound_content
@@ -87,7 +87,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
                 said += [f"it belongs to {named}{changed}: same plant, gains and goals", *filter(None, [other])]
                 if not faults and not refuses(content):
                     _against_folder(content, folder, described, said, faults)
-        except (Fault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        except (AuditFault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             faults.append(f"it, or a file beside it, is not that of a run: {type(error).__name__}: {error}"[:200])
     if faults:
         raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
@@ -251,7 +251,7 @@ def _json(path: Path) -> Any:
     """Return what a JSON file holds that is a mapping, or None if there is no such file."""
     try:
         content = parsed(_read(path), float) if path.is_file() else None
-    except Fault as fault:
+    except AuditFault as fault:
         raise CheckFailed(Problem(message=f"{path}: {fault}", subject=None)) from None
     except (ValueError, RecursionError):
         raise CheckFailed(Problem(message=f"{path} is not JSON", subject=None)) from None

@@ -41,7 +41,7 @@ from pwatrack.arrays import OVER_SUMS, Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside
 from pwatrack.control.compensation import coupling
 from pwatrack.lmi.chords import PeakGain, peak_gains
-from pwatrack.lmi.ellipsoid import Ellipsoid, Inner, ellipsoid, from_start
+from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
@@ -57,7 +57,7 @@ Form = tuple[Literal["output", "state", "input", "estimate", "coupling", "drive"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class SignalEllipsoid:
     """One ellipsoid: what d = 1 at most, or a start, can make of some signals of z' = M z + g d, M ∈ conv{M_p}.
 
     Attributes:
@@ -76,7 +76,7 @@ class Part:
     loop: Loop
     channel: Channel
     signals: tuple[Form, ...]
-    ellipsoid: Ellipsoid
+    ellipsoid: InvariantEllipsoid
 
     def size(self, signal: Form) -> float:
         """Return the bound of one signal."""
@@ -113,7 +113,7 @@ class Bounds:
 
     channel: Channel
     sizes: dict[Form, float]
-    parts: tuple[Part, ...]
+    parts: tuple[SignalEllipsoid, ...]
     peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
     proved: tuple[ProvedPeak, ...] = ()
 
@@ -159,7 +159,7 @@ def start_bounds(loops: "Loops") -> tuple[Bounds, ...]:
     return tuple(loops.bounds(("start", group[0])) for group in loops.starts)
 
 
-Sized = tuple[dict[Form, float], tuple["Part", ...]]  # of signals, and what proves it
+Sized = tuple[dict[Form, float], tuple["SignalEllipsoid", ...]]  # of signals, and what proves it
 
 
 class Loops:
@@ -270,7 +270,7 @@ class Loops:
             found = ellipsoid(self.M[loop], g, rows, self.inners[loop], tries=tries)
         if found is None:
             return {}, ()
-        part = Part(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)
+        part = SignalEllipsoid(loop=loop, channel=channel, signals=tuple(signals), ellipsoid=found)
         return dict(zip(signals, found.sizes, strict=True)), (part,)
 
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:

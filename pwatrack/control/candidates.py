@@ -12,7 +12,7 @@ from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import Inequality, bounded_cost, quadratic_cost, state_feedback
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
-    Program,
+    SemidefiniteProgram,
     Solution,
     bound_of_gain,
     largest_margin,
@@ -242,7 +242,7 @@ class _Box:
         """The ellipsoid: Σ ⪰ z zᵀ for every start z."""
         return np.asarray(self.G / self.weights @ self.G.T)
 
-    def program(self, inequality: Inequality, *, largest: bool) -> Program:
+    def program(self, inequality: Inequality, *, largest: bool) -> SemidefiniteProgram:
         """Maximise t with P ⪰ t Σ, the multiple of the ellipsoid, or minimise t, the worst cost, with P ⪰ Σ.
 
         [ū², r Y; ·, P] ⪰ 0 keeps |r Y P⁻¹ z| ≤ ū from there, for inputs r with a bound ū.
@@ -252,7 +252,7 @@ class _Box:
         """
         kept = (bound_of_gain(inequality, row[None], most=bound**2) for row, bound in self.limits)
         around = of_P(inequality, -1.0, **{"T" if largest else "constant": self.around})
-        return Program(constraints=(inequality, around, *kept), price=-1.0 if largest else 1.0)
+        return SemidefiniteProgram(constraints=(inequality, around, *kept), price=-1.0 if largest else 1.0)
 
     def weighed(self, P: Array) -> "_Box":
         """Return the same with an ellipsoid that is more like that of P."""

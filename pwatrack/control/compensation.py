@@ -23,7 +23,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.control.realisable import pseudo_inverse
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.loads import Loads
@@ -127,7 +127,7 @@ def check_played_back(form: NormalForm) -> None:
                     message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
                     "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
                     "then, would add to it is not the same in all cells",
-                    subject=(Part.ESTIMATE,),
+                    subject=(ProblemPart.ESTIMATE,),
                     hint="a load that acts as an input does, or another output",
                 )
             )
@@ -181,7 +181,7 @@ def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:
         Problem(
             message=f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
             "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
-            subject=(Part.ESTIMATE,),
+            subject=(ProblemPart.ESTIMATE,),
             hint="estimate loads that enter where inputs do",
         )
     )

@@ -17,8 +17,8 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.limits import Room
-from pwatrack.control.synthesis import Design
+from pwatrack.control.limits import Headroom
+from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words
 from pwatrack.lmi.exact_polynomial import AnyProof
@@ -44,7 +44,7 @@ class Asked:
     """
 
     words: Words
-    room: Room | None
+    room: Headroom | None
     box: Box
     corners: Callable[[PWASystem], Sequence[Matrices]]
     solver: Solver = "structured"
@@ -86,7 +86,7 @@ class Claim(ABC):
 
     @classmethod
     @abstractmethod
-    def prove(cls, controller: "Controller", asked: Asked) -> "Iterator[Claim]":
+    def prove(cls, controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
         """Yield what can be proved of a controller with the claims that come before: none, one or several.
 
         Raises:
@@ -95,7 +95,7 @@ class Claim(ABC):
 
     @classmethod
     @abstractmethod
-    def read(cls, content: Mapping[str, Any], controller: "Controller", asked: Asked) -> "Iterator[Claim]":
+    def read(cls, content: Mapping[str, Any], controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
         """Yield what a certificate holds of it, without a solver.
 
         Raises:
@@ -103,14 +103,14 @@ class Claim(ABC):
         """
 
     @abstractmethod
-    def data(self, controller: "Controller") -> dict[str, Any]:
+    def data(self, controller: "ProvedController") -> dict[str, Any]:
         """Return its part of a certificate, by key: exact numbers as text. Lists of several claims are joined."""
 
-    def rows(self, words: Words, controller: "Controller") -> Iterator[Row]:
+    def rows(self, words: Words, controller: "ProvedController") -> Iterator[Row]:
         """Yield what a summary says of it."""
         yield from ()
 
-    def figures(self, words: Words, controller: "Controller") -> dict[str, Any]:
+    def figures(self, words: Words, controller: "ProvedController") -> dict[str, Any]:
         """Return what run.json says of it, by keys of its own."""
         return {}
 
@@ -122,7 +122,7 @@ class Claim(ABC):
         """Return what it adds to a bound of the norm of all signals of a kind, each counted in its size."""
         return 0.0
 
-    def allows(self, controller: "Controller", seen: Seen) -> dict[Form, Array]:
+    def allows(self, controller: "ProvedController", seen: Seen) -> dict[Form, Array]:
         """Return how large each signal may be at the samples of a run, (K,), without what claims leave."""
         return {}
 
@@ -131,7 +131,7 @@ C = TypeVar("C", bound=Claim)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Controller:
+class ProvedController:
     """The overall design of Theorem 2 (state tracking) or Theorem 3 (output tracking).
 
     x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19). Where the plant has loads, the
@@ -150,7 +150,7 @@ class Controller:
 
     plant: PWASystem
     running: PWASystem
-    design: Design
+    design: Gains
     trajectory: DesiredTrajectory
     generator: TrajectoryGenerator | None
     proofs: tuple[AnyProof, ...]

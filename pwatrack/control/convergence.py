@@ -14,7 +14,7 @@ from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
 from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
-from pwatrack.lmi.polynomial import Polynomial, best_polynomial, degrees
+from pwatrack.lmi.polynomial import PolynomialLyapunov, best_polynomial, degrees
 from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, square
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role
@@ -245,7 +245,7 @@ def _precisely(M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: 
 
 def _polynomial(
     M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None
-) -> tuple[Polynomial | None, tuple[int, ...]]:
+) -> tuple[PolynomialLyapunov | None, tuple[int, ...]]:
     """Return the polynomial of the lowest degree that is proved for all cells, and the degrees that were tried.
 
     Where programs are small higher degrees are tried too, for a rate that is clearly larger: near the end of what one

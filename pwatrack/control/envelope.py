@@ -11,7 +11,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.control.bounds import Bounds, Channel, Form
-from pwatrack.control.trajectory import Preview
+from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.norm import root_above
 from pwatrack.rational import doubles
@@ -55,7 +55,7 @@ def from_start(
     return most
 
 
-def from_preview(found: Sequence[Bounds], columns: Array, preview: Preview) -> dict[Form, float]:
+def from_preview(found: Sequence[Bounds], columns: Array, preview: NoncausalTrajectory) -> dict[Form, float]:
     """Return the most that each signal is where η is off by what is played back, from error 0; nothing else acts.
 
     It drives e and not Δ, so that ellipsoids of e by itself do, and Δ stays 0.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.refusal import conflict_text
 from pwatrack.errors import Infeasible, Undecided
@@ -99,7 +99,7 @@ def _proved(form: NormalForm, A_eta: Array, *, preview: bool) -> Found | Dichoto
             claim="(17), convergence of the zero dynamics,",
             cells=form.plant.cell_names,
             role=GENERATOR,
-            subject=(Part.CELLS,),
+            subject=(ProblemPart.CELLS,),
             hint="the zero dynamics do not converge (non-minimum phase): another output may do",
             remedy=Remedy(Way.STATE_TRACKING),
         )

@@ -20,8 +20,8 @@ import numpy as np
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.compensation import coupling
-from pwatrack.control.synthesis import Design
-from pwatrack.control.trajectory import Preview
+from pwatrack.control.synthesis import Gains
+from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.lmi.exact import Proof, left_side
 from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.norm import Gauge, Norm, largest_gain, largest_share
@@ -100,7 +100,7 @@ class Guarantees:
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
         return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
 
-    def left(self, columns: Array, preview: Preview) -> float:
+    def left(self, columns: Array, preview: NoncausalTrajectory) -> float:
         """Return a bound of ‖y − y_d‖ where η is off by what is played back, from error 0.
 
         Args:
@@ -137,7 +137,7 @@ class Guarantees:
         return self.output if output else tuple(c.from_norm for c in self.controller)
 
 
-def guarantees(plant: PWASystem, design: Design, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
+def guarantees(plant: PWASystem, design: Gains, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
     """Read off the exact proofs what they promise. Every number is rounded to the safe side.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.within import Within
+from pwatrack.control.within import InputConstraint
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
@@ -96,7 +96,7 @@ class Starts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Room:
+class Headroom:
     """Limits of the inputs, and what the feedforward takes of them: what it leaves is room for errors.
 
     Attributes:
@@ -120,7 +120,7 @@ class Room:
         left = None if self.peak is None else self.peak.left(self.limits)
         return None if left is None or not (left > 0).all() else left
 
-    def within(self, sizes: Array) -> Within | None:
+    def within(self, sizes: Array) -> InputConstraint | None:
         """Return what a gain is to keep: from the starts of an ensemble where there is one, else within sizes (n,).
 
         Of an ensemble each error is at least a little, so that the starts have all directions.
@@ -130,4 +130,4 @@ class Room:
             return None
         members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
-        return Within(starts=e[:, e.any(axis=0)], left=left)
+        return InputConstraint(starts=e[:, e.any(axis=0)], left=left)

@@ -9,7 +9,7 @@ from math import lcm
 import flint
 import numpy as np
 
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.control import refusal
 from pwatrack.control.goal import Given, Goal, demands
 from pwatrack.control.synthesis import given
@@ -102,7 +102,7 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
             message = f"load '{load.name}' cannot be compensated in state tracking: it enters where no input does, and "
             message += "x_d is given"
             hint = "track an output instead: there x_d follows from the reference and the load"
-            raise OutsideTheory(Problem(message=message, subject=(Part.ESTIMATE, load.name), hint=hint))
+            raise OutsideTheory(Problem(message=message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint))
 
 
 def _too_many(plant: PWASystem, members: list[int]) -> str:
@@ -188,7 +188,7 @@ def _unseen(loads: Loads, members: list[int], reason: str, found: Refutation | N
     evidence = None if found is None else Impossibility(role=OBSERVER, rate=0.0, refutation=found)
     problem = Problem(
         message=f"(9) is infeasible: {kind} {names} cannot be estimated: {reason}",
-        subject=(Part.ESTIMATE,),
+        subject=(ProblemPart.ESTIMATE,),
         hint="measure another output, or estimate fewer loads",
     )
     return Infeasible(problem, evidence=evidence)

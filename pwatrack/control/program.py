@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.compensation import beside_given
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.realisable import input_trajectory, state_trajectory
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.model.conditions import Conditions, Method, Sampling
@@ -53,7 +53,7 @@ class Follows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class SampledController:
     """Observer, generator and law of a controller, sampled.
 
     Rows on v = (y, u, x̂, ŝ, η̂, w) and a last entry for the constant 1; columns that are always 0 are left out.
@@ -110,7 +110,7 @@ class Program:
         return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
 
 
-def program(controller: Controller, conditions: Conditions, *, given: bool = False) -> Program:
+def program(controller: ProvedController, conditions: Conditions, *, given: bool = False) -> SampledController:
     """Return the program of a controller that is sampled.
 
     Args:
@@ -138,7 +138,7 @@ def program(controller: Controller, conditions: Conditions, *, given: bool = Fal
         added = beside_given(plant, added.X)
     no_limits = np.tile([-np.inf, np.inf], (m, 1))
     rates, quanta = conditions.rates, conditions.quanta
-    return Program(
+    return SampledController(
         sampling=sampling,
         H=partition.H,
         h=partition.h,
@@ -169,7 +169,7 @@ def _stepper(sampling: Sampling) -> Callable[[Array], Array]:
     return step
 
 
-def _observer(controller: Controller, step: Callable[[Array], Array]) -> Array:
+def _observer(controller: ProvedController, step: Callable[[Array], Array]) -> Array:
     """Return the rows of x̂ and ŝ one sample later: (18) with held y and u, and with the loads."""
     plant, L = controller.plant, controller.design.L
     (n, m), (N, q) = plant.B.shape, L.shape
@@ -182,7 +182,7 @@ def _observer(controller: Controller, step: Callable[[Array], Array]) -> Array:
     return np.array([step(F_i)[rows] for F_i in F])
 
 
-def _generator(controller: Controller, trajectory: DesiredTrajectory, step: Callable[[Array], Array]) -> Array:
+def _generator(controller: ProvedController, trajectory: DesiredTrajectory, step: Callable[[Array], Array]) -> Array:
     """Return the rows of η̂ one sample later: (15), while its reference and the loads go on."""
     loads, S, rate = controller.plant.loads, trajectory.exosystem.S, trajectory.rate
     cells, p, size = rate.shape
@@ -226,7 +226,7 @@ def _follows(exosystem: Exosystem, h: float) -> Follows:
     )
 
 
-def _given_trajectory(controller: Controller) -> tuple[DesiredTrajectory, tuple[str, ...]]:
+def _given_trajectory(controller: ProvedController) -> tuple[DesiredTrajectory, tuple[str, ...]]:
     """Return the desired trajectory for a reference from outside, and the names of its entries."""
     plant, generator = controller.plant, controller.generator
     n, m = plant.B.shape

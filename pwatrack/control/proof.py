@@ -6,17 +6,17 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.refusal import other_solver
-from pwatrack.control.synthesis import Design
+from pwatrack.control.synthesis import Gains
 from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.exact_polynomial import AnyProof, Found, exactly
-from pwatrack.lmi.polynomial import Polynomial
+from pwatrack.lmi.polynomial import PolynomialLyapunov
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -26,7 +26,7 @@ _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturban
 
 def prove_design(
     plant: PWASystem,
-    design: Design,
+    design: Gains,
     generator: TrajectoryGenerator | None,
     *,
     sizes: Sizes | None = None,
@@ -76,18 +76,18 @@ def prove_inequality(
             N_i of its own for each.
         sizes: Of the states, (n,).
     """
-    M = different(M if hull is None or isinstance(certificate, Polynomial) else [M[i] for i in hull])
+    M = different(M if hull is None or isinstance(certificate, PolynomialLyapunov) else [M[i] for i in hull])
     best = exactly(role, M, certificate)
     if best is None:
         raise Undecided(
             Problem(
                 message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
-                subject=(Part.DESIGN,),
+                subject=(ProblemPart.DESIGN,),
                 hint="the case is marginal: ask for less, or try the other solver",
                 remedy=other_solver(),
             )
         )
-    if isinstance(certificate, Polynomial):
+    if isinstance(certificate, PolynomialLyapunov):
         return [best]
     found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P)
     second = None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)

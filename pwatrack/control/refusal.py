@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array, complex_text, number_text
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
@@ -28,7 +28,7 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         margin: The best that was found, relative to the largest entries.
     """
     claim = f"{task.role.claim} at a rate of {rate:g} 1/s" if rate else task.role.claim
-    subject = (task.role.part, Part.RATE) if rate else task.subject
+    subject = (task.role.part, ProblemPart.RATE) if rate else task.subject
     if refutation is None:
         message = f"{claim} is undecided: no gain with a proof was found, and no proof that there is none"
         if np.isfinite(margin):
@@ -126,7 +126,7 @@ def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
         Problem(
             message=f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
             f"the smallest that was found has {norm:.4g}",
-            subject=(task.role.part, Part.BOUND),
+            subject=(task.role.part, ProblemPart.BOUND),
             hint="allow a larger gain or a slower rate",
         )
     )
@@ -138,7 +138,7 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
         Problem(
             message=f"{task.role.claim} has no largest rate: "
             f"even {rate:.4g} 1/s can be reached, with ever larger gains",
-            subject=(task.role.part, Part.RATE),
+            subject=(task.role.part, ProblemPart.RATE),
             hint="give a bound of the gain beside it, or the rate that is wanted",
             remedy=Remedy(Way.GAIN_BOUND),
         )

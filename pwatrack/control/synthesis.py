@@ -8,13 +8,13 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, places
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
 from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.task import Task, reaches
-from pwatrack.control.within import Within
+from pwatrack.control.within import InputConstraint
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.exact import Certificate
 from pwatrack.lmi.exact_polynomial import Found
@@ -39,7 +39,7 @@ Proved = tuple[Array, Certificate]  # K and the proof of its best rate
 
 
 @dataclass(frozen=True, kw_only=True)
-class Design:
+class Gains:
     """The gains of Theorem 2.
 
     Attributes:
@@ -67,8 +67,8 @@ def synthesize(
     controller: Goal = DEFAULT,
     observer: Goal = DEFAULT,
     sizes: Sizes | None = None,
-    within: Within | None = None,
-) -> Design:
+    within: InputConstraint | None = None,
+) -> Gains:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
     Args:
@@ -90,11 +90,11 @@ def synthesize(
     sizes = sizes or Sizes.of(plant)
     K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
     L_transposed, P_o = gain(Task.of(plant, OBSERVER, sizes=sizes), observer)
-    return Design(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
+    return Gains(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
-def gain(task: Task, goal: Goal = DEFAULT, within: Within | None = None) -> tuple[Array, Found]:
+def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None) -> tuple[Array, Found]:
     """Return a gain K (m, n) for (8), or Lᵀ, that meets a goal, found or given, with the proof of its best rate.
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
@@ -163,7 +163,7 @@ def given(task: Task, K: Array) -> tuple[Array, Found]:
         claim=f"{task.role.claim} for the given gain {letter}",
         cells=task.cells,
         role=task.role,
-        subject=(task.role.part, Part[letter]),
+        subject=(task.role.part, ProblemPart[letter]),
         hint=f"mind the signs: u = K (x̂ − x_d) + u_ff, + L (ŷ − y); or leave {letter} out to have it designed",
     )
     return K, certificate
@@ -313,7 +313,9 @@ class Search:
         K, certificate = small or best
         return self.proved(Candidate(K=K, P=certificate.P), 0.0)
 
-    def cheapest_within(self, within: Within, found: Proved, rate: float, bound: float = np.inf) -> Proved | None:
+    def cheapest_within(
+        self, within: InputConstraint, found: Proved, rate: float, bound: float = np.inf
+    ) -> Proved | None:
         """Return a gain of least cost if it keeps bounds of the inputs, else one of least worst cost that does.
 
         The ellipsoid by which it is found is more careful than the proof for the gain: so bounds are loosened by what
@@ -337,7 +339,7 @@ class Search:
                 break
         return best
 
-    def fastest_within(self, within: Within, bound: float = np.inf) -> Proved | None:
+    def fastest_within(self, within: InputConstraint, bound: float = np.inf) -> Proved | None:
         """Bisect the rate for the fastest decay of a gain that keeps bounds of the inputs; None if none is found.
 
         With P ⪰ Σ and K_j P K_jᵀ ≤ ū_j² the trace of B K, see `fastest`, is at most Σ ū_j √(B_jᵀ Σ⁻¹ B_j).
@@ -358,7 +360,7 @@ class Search:
         best, _ = _fastest(best, slow, fast, lambda rate: self._kept(within, rate, bound))
         return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
 
-    def _kept(self, within: Within, rate: float, bound: float) -> Proved | None:
+    def _kept(self, within: InputConstraint, rate: float, bound: float) -> Proved | None:
         """Return a gain that keeps bounds of the inputs at a rate, if one is found whose own P proves it."""
         found = self.candidates.farthest(within.starts, within.left, rate)
         if found is None or not found[1] >= 1 or found[0].P is None or self.task.norm(found[0].K) > bound:

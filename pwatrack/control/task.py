@@ -8,7 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
-from pwatrack.causes import Part, Subject
+from pwatrack.causes import ProblemPart, Subject
 from pwatrack.lmi.exact import RATE_GIVEN, Certificate, likely_rate, of_proof, prove, prove_exactly
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
@@ -59,7 +59,7 @@ class Task:
     @property
     def subject(self) -> Subject:
         """What a refusal of every gain is about."""
-        return (Part.B if self.role is CONTROLLER else Part.C,)
+        return (ProblemPart.B if self.role is CONTROLLER else ProblemPart.C,)
 
     @cached_property
     def scale(self) -> Sizes:

@@ -21,7 +21,7 @@ _MOST_DOUBLINGS = 60  # of a fraction of the fastest time constant: no plant has
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preview:
+class NoncausalTrajectory:
     """What is known of a bounded η(t) that was worked out beforehand.
 
     Attributes:
@@ -95,7 +95,7 @@ class DesiredTrajectory:
     signs: IntArray
     turns: Array | None = None
     eta0: Array | None = None
-    preview: Preview | None = None
+    preview: NoncausalTrajectory | None = None
     until: float | None = None
     bounded: bool = True
     growth: Problem | None = None

@@ -18,7 +18,7 @@ from pwatrack.lmi.starts import held
 
 
 @dataclass(frozen=True, kw_only=True)
-class Within:
+class InputConstraint:
     """Errors e = G ζ, |ζ_k| ≤ 1, from which |K e| is to stay within bounds.
 
     Attributes:
@@ -41,7 +41,7 @@ class Within:
 
             >>> task = Task(A=np.zeros((1, 1, 1)), B=np.eye(1), cells=["all"])
             >>> K = np.array([[-0.5]])
-            >>> within = Within(starts=np.array([[2.0]]), left=np.array([3.0]))
+            >>> within = InputConstraint(starts=np.array([[2.0]]), left=np.array([3.0]))
             >>> 2.999 < within.share(task, K, task.reached(K, np.eye(1), 0.0)) <= 3
             True
         """

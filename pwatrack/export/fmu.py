@@ -57,7 +57,7 @@ _PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable:
+class ModelVariable:
     """A variable of a model; its number is its place in the list, the real ones come first.
 
     Attributes:
@@ -104,7 +104,7 @@ class Model:
     title: str
     description: str
     token: str
-    variables: tuple[Variable, ...]
+    variables: tuple[ModelVariable, ...]
     step: float | None
     preferred: tuple[float, float]
     files: tuple[str, ...]
@@ -259,7 +259,7 @@ def _units(root: ET.Element, model: Model) -> None:
             ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(base.offset)} if base.offset else {}))
 
 
-def _variable(variables: ET.Element, variable: Variable, number: int, version: Version) -> None:
+def _variable(variables: ET.Element, variable: ModelVariable, number: int, version: Version) -> None:
     said = {"name": variable.name, "valueReference": str(number), "description": _line(variable.description)}
     said |= {"causality": variable.causality, "variability": variable.variability}
     of: dict[str, str] = {"unit": _line(variable.unit)} if variable.unit else {}

@@ -10,7 +10,7 @@ import numpy as np
 from pwatrack.arrays import EPS, Array
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.export.c import code, header, initialiser
-from pwatrack.export.fmu import Model, Parts, Variable
+from pwatrack.export.fmu import Model, ModelVariable, Parts
 from pwatrack.export.source import Source, reference_unit, said, template
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
@@ -73,7 +73,7 @@ def controller_parts(c: Source, duration: float, resources: dict[str, bytes]) ->
     return Parts(model=model, sources=sources, resources=resources)
 
 
-def _controller_variables(c: Source) -> tuple[Variable, ...]:
+def _controller_variables(c: Source) -> tuple[ModelVariable, ...]:
     plant, of, eta = c.file.plant, c.program.sizes, c.file.trajectory.eta
     named = dict(zip(plant.loads.where, plant.loads.names, strict=True)) if plant.loads else {}
     loads = list[str]()
@@ -82,15 +82,15 @@ def _controller_variables(c: Source) -> tuple[Variable, ...]:
     states, start = [*plant.states, *loads], c.file.start
     x_hat, eta_hat = (start.x_hat, start.eta_hat) if start else ([0.0] * of["N"], [0.0] * of["p"])
 
-    def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> Variable:
+    def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> ModelVariable:
         held = causality in ("output", "local")
-        return Variable(name=name, causality=causality, description=text, unit=unit, start=value, held=held)
+        return ModelVariable(name=name, causality=causality, description=text, unit=unit, start=value, held=held)
 
     def unit_of(name: str) -> str:
         return plant.units.get(name, "")
 
     return (
-        Variable(name="simulation.time", causality="independent", description="time", unit="s"),
+        ModelVariable(name="simulation.time", causality="independent", description="time", unit="s"),
         *(of_kind("input", name, "measured now", unit_of(name), 0.0) for name in plant.outputs),
         *(
             of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
@@ -116,7 +116,7 @@ def _controller_variables(c: Source) -> tuple[Variable, ...]:
     )
 
 
-def _diagnosis(c: Source) -> list[Variable]:
+def _diagnosis(c: Source) -> list[ModelVariable]:
     names = c.file.plant.cells
     cells = ": " + ", ".join(f"{k} {name}" for k, name in enumerate(names[:32]))
     same = cells if len(c.program.sides) == len(names) else ", of those left where cells are merged"
@@ -126,7 +126,7 @@ def _diagnosis(c: Source) -> list[Variable]:
         "cell_desired": f"cell of the desired state{same}",
     }
     return [
-        Variable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
+        ModelVariable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
         for name, text in said.items()
     ]
 
@@ -202,7 +202,7 @@ def plant_parts(spec: Spec, name: str) -> Parts:
     return Parts(model=model, sources=sources, resources={})
 
 
-def _inputs(spec: Spec, plant: PWASystem) -> tuple[list[Variable], Array]:
+def _inputs(spec: Spec, plant: PWASystem) -> tuple[list[ModelVariable], Array]:
     """Return inputs, loads that are estimated, and disturbances of the spec, with their columns in ẋ."""
     units, disturbance, columns = spec.problem.units, spec.scenario.conditions.disturbance, list(plant.B.T)
     found = [_input(name, "held over a step", units.get(name, "")) for name in plant.inputs]
@@ -220,8 +220,8 @@ def _inputs(spec: Spec, plant: PWASystem) -> tuple[list[Variable], Array]:
     return found, np.array(columns).T
 
 
-def _input(name: str, text: str, of_unit: str) -> Variable:
-    return Variable(name=name, causality="input", description=text, unit=of_unit, start=0.0)
+def _input(name: str, text: str, of_unit: str) -> ModelVariable:
+    return ModelVariable(name=name, causality="input", description=text, unit=of_unit, start=0.0)
 
 
 def _per_second(text: str) -> str:
@@ -239,21 +239,21 @@ def _outputs(plant: PWASystem) -> tuple[list[tuple[str, str]], Array]:
 
 
 def _plant_variables(
-    spec: Spec, plant: PWASystem, inputs: list[Variable], outputs: list[tuple[str, str]], start: Array
-) -> tuple[Variable, ...]:
+    spec: Spec, plant: PWASystem, inputs: list[ModelVariable], outputs: list[tuple[str, str]], start: Array
+) -> tuple[ModelVariable, ...]:
     units = spec.problem.units
-    found = [Variable(name="simulation.time", causality="independent", description="time", unit="s"), *inputs]
+    found = [ModelVariable(name="simulation.time", causality="independent", description="time", unit="s"), *inputs]
     for name, text in [*outputs, *((name, "state") for name in plant.states)]:
-        found.append(Variable(name=name, causality="output", description=text, unit=units.get(name, "")))
+        found.append(ModelVariable(name=name, causality="output", description=text, unit=units.get(name, "")))
     for name, value in zip(plant.states, start.tolist(), strict=True):
         text = f"{name} at the start"
         found.append(
-            Variable(
+            ModelVariable(
                 name=f"start.{name}", causality="parameter", description=text, unit=units.get(name, ""), start=value
             )
         )
     cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cell_names[:32]))
-    return (*found, Variable(name="diagnosis.cell", causality="output", description=f"cell: {cells}", whole=True))
+    return (*found, ModelVariable(name="diagnosis.cell", causality="output", description=f"cell: {cells}", whole=True))
 
 
 def _tables(plant: PWASystem, B: Array) -> dict[str, object]:

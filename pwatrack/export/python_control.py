@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.controller import Controller
-from pwatrack.control.program import Program
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import SampledController
 from pwatrack.errors import InvalidSpec
 from pwatrack.simulation.routine import memory, routine
 
 
-def plant_system(controller: Controller, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
+def plant_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
     """Return the plant (1): from its inputs, and the loads that are estimated, to what is measured and tracked.
 
     Args:
@@ -54,7 +54,7 @@ def plant_system(controller: Controller, name: str, units: Mapping[str, str], st
     )
 
 
-def controller_system(controller: Controller, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
+def controller_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
     """Return observer (18), generator (15) and law (19) in continuous time, as they are proved: without any limit.
 
     It goes from what is measured to u, x̂ and x_d. The reference is made inside, of t. Args and raises: as
@@ -114,7 +114,9 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
     return control.interconnect([plant, controller], inputs=free, outputs=outputs, name=name, params=params)
 
 
-def sampled_system(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any, labels: Mapping[str, Any]) -> Any:
+def sampled_system(
+    program: SampledController, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any, labels: Mapping[str, Any]
+) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
     Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no

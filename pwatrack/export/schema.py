@@ -26,13 +26,13 @@ Texts = list[Text]
 Count = Annotated[int, Field(ge=0)]
 
 
-class Part(BaseModel):
+class StoredPart(BaseModel):
     """A part of the file: nothing is turned into another type, and no key is unknown."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class Loads(Part):
+class StoredLoads(StoredPart):
     """Unknown loads E s with s' = S s; the load k is entry where[k] of s. Estimates add to x_d, u_ff and eta_hat'."""
 
     names: Names
@@ -44,7 +44,7 @@ class Loads(Part):
     rate: list[Matrix]
 
 
-class Plant(Part):
+class StoredPlant(StoredPart):
     """x' = A_i x + b_i + B u where signs_ij (H_j x + h_j) >= 0 for all j; y = C x is measured. Cells come first.
 
     It is what the observer runs: its cells may be more than those of the trajectory, where cells are merged.
@@ -64,10 +64,10 @@ class Plant(Part):
     B: Matrix
     C: Matrix
     tracked_rows: Matrix
-    loads: Loads | None
+    loads: StoredLoads | None
 
 
-class Jump(Part):
+class StoredJump(StoredPart):
     """At t (s) the entries of w from `start` on are these."""
 
     t: Finite
@@ -75,18 +75,18 @@ class Jump(Part):
     w: Vector
 
 
-class Reference(Part):
+class Reference(StoredPart):
     """w' = S w; signals are Q w; defined up to `end` (s), where there is one."""
 
     S: Matrix
     Q: Matrix
     w0: Vector
-    pieces: list[Jump]
+    pieces: list[StoredJump]
     period: Finite | None
     end: Finite | None
 
 
-class Trajectory(Part):
+class StoredTrajectory(StoredPart):
     """In the cell i of x_d, s = (eta_hat, w, 1): eta_hat' = rate_i s, x_d = x_d_i s, u_ff = u_ff_i s.
 
     It is the cell i where signs_ij guards_j s >= 0 for all j.
@@ -101,14 +101,14 @@ class Trajectory(Part):
     reference: Reference
 
 
-class Start(Part):
+class Start(StoredPart):
     """What the controller starts with: x_hat, then estimates of loads; eta_hat."""
 
     x_hat: Vector
     eta_hat: Vector
 
 
-class Followed(Part):
+class Followed(StoredPart):
     """A desired trajectory in samples: rows on (s_hat, eta_hat, w, 1)."""
 
     generator: list[Matrix]
@@ -118,7 +118,7 @@ class Followed(Part):
     sides: list[list[Annotated[int, Field(ge=-1, le=1)]]]
 
 
-class Piece(Part):
+class StoredPiece(StoredPart):
     """At a tick the entries of w from `start` on are these."""
 
     tick: Count
@@ -131,7 +131,7 @@ class Inside(Followed):
 
     turn: Stack
     w0: Vector
-    pieces: list[Piece]
+    pieces: list[StoredPiece]
     end: Count | None
 
 
@@ -141,7 +141,7 @@ class Outside(Followed):
     reference: Texts
 
 
-class Sampled(Part):
+class Sampled(StoredPart):
     """The program of docs/arithmetic.md: x_hat one sample later on (y, u, x_hat, s_hat, 1); limits, null for none."""
 
     sample_time: Annotated[Finite, Field(gt=0)]
@@ -156,7 +156,7 @@ class Sampled(Part):
     outside: Outside
 
 
-class FinalBound(Part):
+class FinalBound(StoredPart):
     """Below what the tracking error of a signal ends, from every start."""
 
     signal: Name
@@ -164,7 +164,7 @@ class FinalBound(Part):
     unit: Text
 
 
-class ControllerFile(Part):
+class ControllerFile(StoredPart):
     """All of a controller.
 
     `claims` say what is proved of the tracking error; `practical` is below what it is proved to end where cells are
@@ -185,11 +185,11 @@ class ControllerFile(Part):
     practical: list[FinalBound] | None
     open: Texts
     failed: Texts
-    plant: Plant
+    plant: StoredPlant
     K: Matrix
     L: Matrix
     generator: dict[str, Any] | None
-    trajectory: Trajectory
+    trajectory: StoredTrajectory
     start: Start | None
     program: Sampled | None
 

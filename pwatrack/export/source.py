@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.step import Step, step
@@ -20,7 +20,7 @@ from pwatrack.export.stored import runs
 from pwatrack.simulation.routine import memory, routine
 
 if TYPE_CHECKING:
-    from pwatrack.simulation.kernel import Routine
+    from pwatrack.simulation.kernel import ControllerArrays
 
 _LAST_TICK = 2**31 - 2  # that 31 bits count, with one to spare: Structured Text has a sign
 _PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
@@ -72,12 +72,12 @@ class Source:
         return np.float32 if self.single else np.float64
 
     @cached_property
-    def program(self) -> Program:
+    def program(self) -> SampledController:
         """What runs."""
         return runs(self.file, given=self.given, single=self.single)
 
     @cached_property
-    def routine(self) -> "Routine":
+    def routine(self) -> "ControllerArrays":
         """The same as arrays."""
         found = routine(self.program, self.real)
         last = found.last

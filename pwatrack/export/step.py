@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from pwatrack.simulation.kernel import Routine
+    from pwatrack.simulation.kernel import ControllerArrays
 
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
@@ -80,7 +80,7 @@ class Step:
     hold: str
 
 
-def step(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> Step:
+def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:
     """Return the step of a controller.
 
     Args:
@@ -117,7 +117,7 @@ def step(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> Step:
     )
 
 
-def _constants(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> dict[str, tuple[Kind, NDArray[Any]]]:
+def _constants(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> dict[str, tuple[Kind, NDArray[Any]]]:
     real = type(routine.half)
     finfo, known = np.finfo(real), {**routine._asdict(), **starts}
     kinds: dict[str, Kind] = {"signs": "side", "sides": "side"}
@@ -135,7 +135,7 @@ def _constants(routine: "Routine", starts: Mapping[str, NDArray[Any]]) -> dict[s
     return found
 
 
-def _begin(routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
+def _begin(routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Iterable[Variable]) -> Iterator[str]:
     at = routine.at
     for variable in arrays:
         yield _loop("k", variable.length, f"{variable.name}[k] = 0.0")
@@ -151,7 +151,7 @@ def _begin(routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Var
 
 
 def _body(
-    routine: "Routine", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
+    routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
 ) -> Iterator[str]:
     """Yield a step, unless a number that is an index was overwritten: then the answer to that."""
     below = {

@@ -11,9 +11,9 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.program import Follows, Piece, Program, program
+from pwatrack.control.program import Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
@@ -29,7 +29,7 @@ _CHOSEN = ("sample_time", "method", "delay", "low", "high", "change", "quantum")
 
 def content(
     spec: Spec,
-    controller: Controller,
+    controller: ProvedController,
     *,
     proof: str,
     generator: dict[str, Any] | None,
@@ -75,7 +75,7 @@ def digest(found: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def sampled(controller: Controller, conditions: Conditions) -> dict[str, Any]:
+def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, Any]:
     """Return the part `program` of the file."""
     inside, outside = (program(controller, conditions, given=given) for given in (False, True))
     assert inside.follows is not None
@@ -139,7 +139,7 @@ def parsed(found: Any, path: Path) -> ControllerFile:
     return known
 
 
-def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> Program:
+def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> SampledController:
     """Return the program of a file.
 
     Args:
@@ -172,7 +172,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
             values = [missing if value is None else value for value in values]
         return np.array(values, dtype=np.int64 if whole else np.float64).reshape(shape)
 
-    found = Program(
+    found = SampledController(
         sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
         H=table("plant.H", planes, n),
         h=table("plant.h", planes),
@@ -235,7 +235,7 @@ def _refused(path: Path, what: str, hint: str = "") -> InvalidSpec:
     return InvalidSpec(Problem(message=f"{path}: {what}", subject=None, hint=hint))
 
 
-def _plant(spec: Spec, controller: Controller) -> dict[str, Any]:
+def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
     plant, added, loads = controller.plant, controller.compensation, None
     model = plant.model
     if plant.loads is not None:
@@ -287,7 +287,7 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     }
 
 
-def _followed(found: Program) -> dict[str, Any]:
+def _followed(found: SampledController) -> dict[str, Any]:
     names = ("generator", "x_d", "u_ff", "guards", "sides")
     return {name: getattr(found, name).tolist() for name in names}
 
@@ -310,7 +310,9 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
     return replace(spec, objectives=replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L)))
 
 
-def check_same(spec: Spec, controller: Controller, known: ControllerFile) -> tuple[Spec, Program | None]:
+def check_same(
+    spec: Spec, controller: ProvedController, known: ControllerFile
+) -> tuple[Spec, SampledController | None]:
     """Return the spec with the sample time of a stored controller, and its program.
 
     Args:

@@ -57,7 +57,7 @@ _OWN = {"y": "measured", "u": "put_out", "given": "from_outside"}  # arrays of t
 
 
 @dataclass(frozen=True)
-class Signal:
+class Port:
     """An input or output of a block: what it is called, what it is in the notation, and what is said of it."""
 
     called: str
@@ -78,8 +78,8 @@ class Names:
 
     block: str
     program: str
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
     own: dict[str, str]
     instance: str
     fault: str
@@ -163,7 +163,7 @@ def _cells(source: Source) -> str:
     return "cells        " + ", ".join(f"{k} {name}" for k, name in enumerate(source.file.plant.cells))
 
 
-def _signals(signals: Iterable[Signal], floats: str) -> list[str]:
+def _signals(signals: Iterable[Port], floats: str) -> list[str]:
     return [_declared(signal.called, floats, signal.what) for signal in signals]
 
 
@@ -171,7 +171,7 @@ def _declared(name: str, kind: str, what: str) -> str:
     return f"    {name} : {kind};" + f" (* {what} *)" * bool(what)
 
 
-def _entry(called: Names, signal: Signal) -> str:
+def _entry(called: Names, signal: Port) -> str:
     array, place = signal.entry
     return f"{called.own[array]}[{place}]"
 
@@ -249,21 +249,21 @@ def block_names(source: Source, own: Iterable[str]) -> Names:
     def unit(text: str) -> str:
         return f", in {said(text)}" if text else ""
 
-    def signals(which: Literal["y", "u"], labels: Iterable[str], what: str) -> tuple[Signal, ...]:
+    def signals(which: Literal["y", "u"], labels: Iterable[str], what: str) -> tuple[Port, ...]:
         found = []
         for k, label in enumerate(labels):
             called = legal(label, taken)
             other = "" if called == label else f"; {said(label)} in the spec"
-            found.append(Signal(called, (which, k), what + unit(plant.units.get(label, "")) + other))
+            found.append(Port(called, (which, k), what + unit(plant.units.get(label, "")) + other))
         return tuple(found)
 
     y, u = signals("y", plant.outputs, "measured"), signals("u", plant.inputs, "to be put out now")
     given = tuple(
-        Signal(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
+        Port(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
         for k, w in enumerate(source.program.reference if source.given else ())
     )
     wanted = tuple(
-        Signal(
+        Port(
             legal(f"{one.called}_wanted", taken), ("wanted", k), "before its limits" + unit(plant.units.get(label, ""))
         )
         for k, (one, label) in enumerate(zip(u, plant.inputs, strict=True))

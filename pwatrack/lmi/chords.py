@@ -29,7 +29,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.ellipsoid import Ellipsoid
+from pwatrack.lmi.ellipsoid import InvariantEllipsoid
 from pwatrack.lmi.exact import BITS, Packed
 from pwatrack.rational import (
     Rational,
@@ -168,7 +168,7 @@ class PeakGain(Packed):
     size: float
 
 
-def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: Ellipsoid) -> PeakGain | None:
+def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: InvariantEllipsoid) -> PeakGain | None:
     """Return the peak gain of z' = M z + g d, of c z; None where it takes too many steps or an entry is irrational.
 
     Args:
@@ -211,7 +211,7 @@ def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: Ellipsoid)
     )
 
 
-def _plan(M: Array, g: Array, c: Array, Q: Array, ellipsoid: Ellipsoid) -> tuple[int, list[int]] | None:
+def _plan(M: Array, g: Array, c: Array, Q: Array, ellipsoid: InvariantEllipsoid) -> tuple[int, list[int]] | None:
     """Return the exponent of the shortest step, and of each step how many times it is doubled."""
     size, a = ellipsoid.sizes[0], ellipsoid.a
     unit = int(np.floor(np.log2(0.49 / float(np.abs(M).sum(axis=1).max()))))

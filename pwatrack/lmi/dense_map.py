@@ -10,13 +10,13 @@ import numpy as np
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.lmi.blocks import Scaling
 from pwatrack.lmi.linear_map import Equations, LinearMap, Normal, Side, Triangle
-from pwatrack.lmi.program import Program
+from pwatrack.lmi.program import SemidefiniteProgram
 
 
 class DenseMap(LinearMap):
     """A `LinearMap` that keeps the left-hand sides of all unit vectors."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: SemidefiniteProgram) -> None:
         super().__init__(program, padded=True)
         self.images = np.zeros((self.size, self.blocks.size))
         cells, order = self.blocks.shapes[0]

@@ -46,7 +46,7 @@ Columns = tuple[BallMatrix, Sequence[Fraction]]  # g_k (N, k), and the weight w_
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipsoid(Packed):
+class InvariantEllipsoid(Packed):
     """Q ≻ 0 and −(M_p Q + Q M_pᵀ) − a Q − g gᵀ / a ≻ 0 for every p, proved exactly; and c Q cᵀ ≤ size² for rows c.
 
     Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls. So
@@ -92,7 +92,7 @@ class Inner:
 
 def ellipsoid(
     M: Sequence[BallMatrix], g: BallMatrix, forms: BallMatrix, inners: Sequence[Inner], *, tries: int = 3
-) -> Ellipsoid | None:
+) -> InvariantEllipsoid | None:
     """Return an ellipsoid, if one is proved, in which all c z are small: the sum of c Q cᵀ, each over its usual size.
 
     Args:
@@ -131,10 +131,12 @@ def ellipsoid(
         return None
     Q, far, a = best
     proved = enclosure(M, forms, _mixed(Q, far), a=a, driven=(g, [1 / Fraction(repr(a))]))
-    return None if proved is None else Ellipsoid(a=a, sizes=proved[1], **proved[0].parts)
+    return None if proved is None else InvariantEllipsoid(a=a, sizes=proved[1], **proved[0].parts)
 
 
-def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]) -> Ellipsoid | None:
+def from_start(
+    M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]
+) -> InvariantEllipsoid | None:
     """Return an ellipsoid that holds all starts G v, |v| ≤ 1, and in which all of c z are small at once.
 
     Args:
@@ -164,7 +166,7 @@ def from_start(M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners
     far = 2 * size * inner.Q
     Q = far if found is None else size * V @ found.P @ V.T
     proved = enclosure(M, forms, _mixed(Q, far), a=a, around=(G, [Fraction(1)] * G.shape[1]))
-    return None if proved is None else Ellipsoid(a=a, sizes=proved[1], **proved[0].parts)
+    return None if proved is None else InvariantEllipsoid(a=a, sizes=proved[1], **proved[0].parts)
 
 
 def _next(steps: Sequence[tuple[float, float]]) -> float:

@@ -19,7 +19,7 @@ from pwatrack.lmi.exact import (
     unpacked,
     whole,
 )
-from pwatrack.lmi.polynomial import Exponents, Monomials, Polynomial
+from pwatrack.lmi.polynomial import Exponents, Monomials, PolynomialLyapunov
 from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, is_positive_definite
 
@@ -59,7 +59,7 @@ class PolynomialProof(Packed):
 
 
 AnyProof = Proof | PolynomialProof
-Found = Certificate | Polynomial
+Found = Certificate | PolynomialLyapunov
 
 
 def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | None:
@@ -68,12 +68,12 @@ def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | Non
     Args:
         M: The matrices M_i of it, each different.
     """
-    if isinstance(found, Polynomial):
+    if isinstance(found, PolynomialLyapunov):
         return prove_polynomial(role, M, found)
     return prove_exactly(role, M, found.P if found.precise is None else found.precise, found.rate)
 
 
-def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> PolynomialProof | None:
+def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapunov) -> PolynomialProof | None:
     """Round P, N_i and the rate to short numbers and prove the inequality for them, or return None.
 
     Args:
@@ -109,7 +109,7 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: Polynomial) -> 
     )
 
 
-def _numbers(found: Polynomial, A: Sequence[Array]) -> Array | None:
+def _numbers(found: PolynomialLyapunov, A: Sequence[Array]) -> Array | None:
     """Return the N_i of these matrices, (l, N, N); None where one has none."""
     at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
     places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]

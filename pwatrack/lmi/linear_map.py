@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve, lapack, solve_triangular
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.lmi.blocks import Blocks, Scaling
 from pwatrack.lmi.inequality import Inequality
-from pwatrack.lmi.program import Program
+from pwatrack.lmi.program import SemidefiniteProgram
 
 _RIDGES = (1e-15, 1e-13, 1e-11, 1e-9)  # of the diagonal of H, the first that will do; for m ≥ 2 it is singular along
 # P = 0, Y = Ω Bᵀ, Ω skew, and near the end to working precision
@@ -167,7 +167,7 @@ class LinearMap:
         size: Number of entries.
     """
 
-    def __init__(self, program: Program, *, padded: bool = False) -> None:
+    def __init__(self, program: SemidefiniteProgram, *, padded: bool = False) -> None:
         """Read a program; padded, all matrices are filled up to the same order, by constraints 0 ≤ 1."""
         self.n, self.m, self.V = program.n, program.m, program.weight
         self.sides = [Side.of(c) for c in program.constraints]

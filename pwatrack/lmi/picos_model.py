@@ -31,7 +31,7 @@ from scipy import sparse
 from pwatrack.arrays import Array
 from pwatrack.lmi.cone_program import minimise
 from pwatrack.lmi.inequality import Inequality, Solver
-from pwatrack.lmi.program import Program, Solution
+from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 _STATUS = {
     clarabel.SolverStatus.Solved: (SS_OPTIMAL, SS_OPTIMAL, PS_FEASIBLE),
@@ -40,7 +40,7 @@ _STATUS = {
 }
 
 
-def solve(program: Program, solver: Solver = "clarabel") -> Solution | None:
+def solve(program: SemidefiniteProgram, solver: Solver = "clarabel") -> Solution | None:
     """Return the minimiser of a program, or None if the solver gave nothing."""
     problem, P, Y = _problem(program)
     t = picos.RealVariable("t")
@@ -69,7 +69,7 @@ def solve(program: Program, solver: Solver = "clarabel") -> Solution | None:
     )
 
 
-def _duals(program: Program, held: Sequence[Sequence[Any]]) -> tuple[Array, ...] | None:
+def _duals(program: SemidefiniteProgram, held: Sequence[Sequence[Any]]) -> tuple[Array, ...] | None:
     """Return the multipliers of constraints, 0 where no unknown stands in one; None where the solver gave none."""
     if any(side is not None and side.dual is None for sides in held for side in sides):
         return None
@@ -84,7 +84,7 @@ def _duals(program: Program, held: Sequence[Sequence[Any]]) -> tuple[Array, ...]
     )
 
 
-def _problem(unknowns: Program | Inequality) -> tuple[Any, Any, Any]:
+def _problem(unknowns: SemidefiniteProgram | Inequality) -> tuple[Any, Any, Any]:
     P = picos.SymmetricVariable("P", unknowns.n)
     Y = picos.RealVariable("Y", (unknowns.m, unknowns.n)) if unknowns.m else None
     return picos.Problem(), P, Y

@@ -173,7 +173,7 @@ def _moved(a: Exponents, j: int, k: int) -> Exponents:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polynomial:
+class PolynomialLyapunov:
     """P and N_i in floating point, for the monomials in weights of z = T e.
 
     Attributes:
@@ -212,7 +212,7 @@ def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
     return tuple(degree for degree in DEGREES if n > 1 and _rows(n, degree, cells) <= most_rows)
 
 
-def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> Polynomial | None:
+def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> PolynomialLyapunov | None:
     """Look for a polynomial of one degree with the largest rate.
 
     Args:
@@ -239,7 +239,7 @@ def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = T
     if first is None:
         return None
     rate, (P, N), _ = bisected(first, fast, sought.at, near=_ENCLOSED, most=trials - 1)
-    return Polynomial(A=A, degree=degree, T=T, P=P, N=N * speed, rate=rate * speed)
+    return PolynomialLyapunov(A=A, degree=degree, T=T, P=P, N=N * speed, rate=rate * speed)
 
 
 def short(X: Array) -> Array:

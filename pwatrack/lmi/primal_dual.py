@@ -23,7 +23,7 @@ from pwatrack.arrays import Array
 from pwatrack.lmi.blocks import Scaling, step_length
 from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.linear_map import LinearMap
-from pwatrack.lmi.program import Program, Solution
+from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 _FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
@@ -65,7 +65,7 @@ class _Move(NamedTuple):
 
 
 def solve(
-    program: Program, *, gap: float = 1e-7, against: float | None = None, after: Solution | None = None
+    program: SemidefiniteProgram, *, gap: float = 1e-7, against: float | None = None, after: Solution | None = None
 ) -> Solution | None:
     """Minimise from an infeasible start.
 
@@ -112,7 +112,7 @@ def solve(
     )
 
 
-def _map(program: Program) -> LinearMap:
+def _map(program: SemidefiniteProgram) -> LinearMap:
     """Return the quicker of the two forms of the linear map."""
     order = max(c.constant.shape[1] for c in program.constraints)
     order = order if program.weight is None else max(order, sum(program.weight.shape))

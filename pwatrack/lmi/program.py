@@ -13,7 +13,7 @@ _LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class SemidefiniteProgram:
     """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
     Attributes:
@@ -107,7 +107,7 @@ class Solution:
         (0.75, -0.5, 0.5, 0.25, 0.0)
     """
 
-    program: Program
+    program: SemidefiniteProgram
     P: Array
     Y: Array
     t: float
@@ -188,13 +188,13 @@ class Solution:
         return np.asarray(np.linalg.lstsq(columns, -rest.ravel())[0])
 
 
-def largest_margin(inequality: Inequality, most: float | None = None, *, any_sign: bool = False) -> Program:
+def largest_margin(inequality: Inequality, most: float | None = None, *, any_sign: bool = False) -> SemidefiniteProgram:
     """Maximise t subject to F_i(P, Y) ⪯ −t I for all cells and t I ⪯ P ⪯ I, t ≤ 1, and ‖Y‖ ≤ most where that is given.
 
     Without a bound Y may become large for a margin that is hardly better. For a P of any sign −I ⪯ P in place of t I.
     """
     n, N, eye = inequality.n, inequality.L.shape[1], np.eye(inequality.n)
-    return Program(
+    return SemidefiniteProgram(
         constraints=(
             replace(inequality, T=np.broadcast_to(np.eye(N), inequality.constant.shape)),
             of_P(inequality, -1.0, constant=-eye) if any_sign else of_P(inequality, -1.0, T=eye),
@@ -212,7 +212,7 @@ def _norm_of_Y(like: Inequality, most: float) -> Inequality:
     return bound_of_gain(like, np.eye(like.m), most=most, factors=(nothing, eye), constant=-most * eye)
 
 
-def least_violation(inequalities: Sequence[Inequality], definite: int | None = None) -> Program:
+def least_violation(inequalities: Sequence[Inequality], definite: int | None = None) -> SemidefiniteProgram:
     """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, P ⪰ 0 and tr P = 1.
 
     Where the least t is positive, the multipliers U_i have Σ tr U_i F_i(P, Y) ≥ t tr P for any P ⪰ 0 and Y.
@@ -226,10 +226,10 @@ def least_violation(inequalities: Sequence[Inequality], definite: int | None = N
     violated = (replace(c, T=np.broadcast_to(-np.eye(c.L.shape[1]), c.constant.shape)) for c in inequalities)
     bounded = (of_P(first, -1.0, eye[:order]),) if order else ()
     equalities = ((np.diag((np.arange(first.n) < order).astype(float)), 1.0),) if order else ()
-    return Program(constraints=(*violated, *bounded), price=1.0, equalities=equalities)
+    return SemidefiniteProgram(constraints=(*violated, *bounded), price=1.0, equalities=equalities)
 
 
-def least_condition(inequality: Inequality, unit: Array) -> Program:
+def least_condition(inequality: Inequality, unit: Array) -> SemidefiniteProgram:
     """Minimise κ subject to F_i(P) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
 
     κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1.
@@ -245,7 +245,7 @@ def least_condition(inequality: Inequality, unit: Array) -> Program:
     if not values[0] > 0:
         raise np.linalg.LinAlgError("U is not positive definite")
     narrow = vectors / np.sqrt(values / values[0])
-    return Program(
+    return SemidefiniteProgram(
         constraints=(
             inequality,
             of_P(inequality, -1.0, T=unit / values[-1]),
@@ -255,12 +255,12 @@ def least_condition(inequality: Inequality, unit: Array) -> Program:
     )
 
 
-def least_trace(inequality: Inequality) -> Program:
+def least_trace(inequality: Inequality) -> SemidefiniteProgram:
     """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
-    return Program(constraints=(inequality, of_P(inequality, -1.0)), price=0.0)
+    return SemidefiniteProgram(constraints=(inequality, of_P(inequality, -1.0)), price=0.0)
 
 
-def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> Program:
+def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> SemidefiniteProgram:
     """Minimise tr W P subject to F_i(P) ⪯ 0 for all cells and P ⪰ D; without D, F_i must make P ≻ 0.
 
     Args:
@@ -269,24 +269,24 @@ def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) ->
         above: D (n, n), positive semidefinite.
     """
     more = () if above is None else (of_P(inequality, -1.0, constant=above),)
-    return Program(constraints=(inequality, *more), price=0.0, cost=W)
+    return SemidefiniteProgram(constraints=(inequality, *more), price=0.0, cost=W)
 
 
-def least_cost(inequality: Inequality, weight: Array) -> Program:
+def least_cost(inequality: Inequality, weight: Array) -> SemidefiniteProgram:
     """Minimise tr V P⁻¹ Vᵀ subject to F_i(P) ⪯ 0 for all cells and P ⪰ 0.
 
     Args:
         inequality: From `quadratic_cost`.
         weight: V (n, n): its rows are the initial states whose costs are added up.
     """
-    return Program(
+    return SemidefiniteProgram(
         constraints=(inequality, of_P(inequality, -1.0)),
         price=0.0,
         weight=weight / np.linalg.norm(weight, 2),
     )
 
 
-def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array) -> Program:
+def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array) -> SemidefiniteProgram:
     """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
 
     Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
@@ -296,7 +296,7 @@ def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array)
         metric_root: H (n, n), invertible, with G = H Hᵀ; it is scaled to a norm of 1.
         input_root: E (m, m).
     """
-    return Program(
+    return SemidefiniteProgram(
         constraints=(
             inequality,
             of_P(inequality, -1.0, constant=_metric(metric_root)),
@@ -312,7 +312,7 @@ def smaller_gain(
     input_root: Array,
     last: tuple[Array, Array],
     first: tuple[Array, Array] | None = None,
-) -> Program:
+) -> SemidefiniteProgram:
     """Minimise κ² as `smallest_gain` does, with a bound that is the norm itself at P = P₀.
 
     In place of P ⪰ G and P itself, [κ² I, E Y; Yᵀ Eᵀ, P G⁻¹ P₀ + P₀ G⁻¹ P − P₀ G⁻¹ P₀] ⪰ 0: the last block is at most
@@ -341,7 +341,7 @@ def smaller_gain(
         factors=(columns.T, np.asarray(np.linalg.solve(metric_root.T, tangent), dtype=np.float64)),
         constant=tangent.T @ tangent,
     )
-    return Program(
+    return SemidefiniteProgram(
         constraints=(inequality, of_P(inequality, -1.0), gain),
         price=1.0,
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Role:
 
     name: str
     claim: str
-    part: Part
+    part: ProblemPart
     letter: str = ""
     transposed: bool = True
 
@@ -45,7 +45,7 @@ class Role:
         return X.transpose() if self.transposed else X
 
 
-PLANT = Role(name="plant", claim="(7)", part=Part.PLANT)
-CONTROLLER = Role(name="controller", claim="(8)", part=Part.CONTROLLER, letter="K", transposed=False)
-OBSERVER = Role(name="observer", claim="(9)", part=Part.OBSERVER, letter="L")
-GENERATOR = Role(name="generator", claim="(17)", part=Part.CELLS)
+PLANT = Role(name="plant", claim="(7)", part=ProblemPart.PLANT)
+CONTROLLER = Role(name="controller", claim="(8)", part=ProblemPart.CONTROLLER, letter="K", transposed=False)
+OBSERVER = Role(name="observer", claim="(9)", part=ProblemPart.OBSERVER, letter="L")
+GENERATOR = Role(name="generator", claim="(17)", part=ProblemPart.CELLS)

@@ -9,7 +9,7 @@ from typing import TypeVar
 from pwatrack.arrays import Array
 from pwatrack.lmi import cone_program, primal_dual
 from pwatrack.lmi.inequality import Solver
-from pwatrack.lmi.program import Program, Solution
+from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 Found = TypeVar("Found")
 
@@ -57,7 +57,7 @@ def asked() -> Solver:
 
 
 def solve(
-    program: Program, *, gap: float = 1e-6, against: float | None = None, after: Solution | None = None
+    program: SemidefiniteProgram, *, gap: float = 1e-6, against: float | None = None, after: Solution | None = None
 ) -> Solution | None:
     """Return a minimiser of a program, or None if nothing was found.
 

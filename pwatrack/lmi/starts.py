@@ -20,7 +20,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Inner, enclosure
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.inequality import Inequality, lyapunov
-from pwatrack.lmi.program import Program, of_P
+from pwatrack.lmi.program import SemidefiniteProgram, of_P
 from pwatrack.lmi.solve import solve
 
 _DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
@@ -32,7 +32,7 @@ _SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in, until it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held(Packed):
+class StartEllipsoid(Packed):
     """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
 
     Where M_p or c have irrational entries, for everything in their balls. So |c z| ≤ size at all times.
@@ -46,7 +46,7 @@ class Held(Packed):
     sizes: tuple[float, ...]
 
 
-def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> Held | None:
+def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:
     """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
 
     Args:
@@ -85,7 +85,7 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
     weights = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
     short, decimal = tuple((np.maximum(weights, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
     proved = enclosure(M, forms, _mixed(best[0], inner.Q), around=(decimal, [1 / Fraction(repr(w)) for w in short]))
-    return None if proved is None else Held(weights=short, sizes=proved[1], **proved[0].parts)
+    return None if proved is None else StartEllipsoid(weights=short, sizes=proved[1], **proved[0].parts)
 
 
 def _mixed(Q: Array, far: Array) -> Iterator[Array]:
@@ -132,7 +132,7 @@ def _smallest(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> 
     return Q * share
 
 
-def _farthest_starts(inequality: Inequality, rows: Array, starts: Array) -> Program:
+def _farthest_starts(inequality: Inequality, rows: Array, starts: Array) -> SemidefiniteProgram:
     """Maximise t subject to F_i(P) ⪯ 0 for all cells, P ⪰ t Σ, P ⪯ 1e6 I and c P cᵀ ≤ 1 for some rows c.
 
     What starts in √t times an ellipsoid, {z: z zᵀ ⪯ Σ}, then has |c z| ≤ 1.
@@ -143,7 +143,7 @@ def _farthest_starts(inequality: Inequality, rows: Array, starts: Array) -> Prog
         starts: Σ (n, n), positive semidefinite, of size 1.
     """
     eye = np.eye(inequality.n)
-    return Program(
+    return SemidefiniteProgram(
         constraints=(
             inequality,
             of_P(inequality, -1.0, eye, T=starts),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import EPS, Array, IntArray, readonly
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
 from pwatrack.model.hyperplanes import claims, merge
@@ -136,7 +136,9 @@ class Partition:
             found = arrangement([primitive(plane) for plane in planes], most)
         except TooMany:
             message = f"{len(planes)} hyperplanes make more than {most:,} cells"
-            raise InvalidSpec(Problem(message=message, subject=(Part.PLANT,), hint="fewer nonlinearities")) from None
+            raise InvalidSpec(
+                Problem(message=message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities")
+            ) from None
         bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
         signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
         return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)
@@ -147,7 +149,9 @@ class Partition:
         try:
             doubles = np.array([[float(v) for v in plane] for plane in exact]).reshape(len(exact), n + 1)
         except OverflowError:
-            problem = Problem(message="a border of the cells lies beyond the range of numbers", subject=(Part.PLANT,))
+            problem = Problem(
+                message="a border of the cells lies beyond the range of numbers", subject=(ProblemPart.PLANT,)
+            )
             raise InvalidSpec(problem) from None
         return cls(
             H=readonly(doubles[:, :-1]),
@@ -331,7 +335,7 @@ class Partition:
         return [
             Problem(
                 message=f"cells '{self.names[i]}' and '{self.names[j]}' overlap, for example at x = {_point(witness)}",
-                subject=(Part.CELLS, j),
+                subject=(ProblemPart.CELLS, j),
                 hint="interiors of cells must be disjoint (Section II)",
             )
             for (i, j), witness in sorted(overlaps.items())
@@ -375,7 +379,7 @@ def _rescaled(plane: list[Fraction]) -> list[Fraction]:
 def _hole(x: Sequence[Fraction]) -> Problem:
     return Problem(
         message=f"the cells do not cover the state space: no cell contains x = {_point(x)}",
-        subject=(Part.CELLS,),
+        subject=(ProblemPart.CELLS,),
         hint="every state must belong to a cell (Section II)",
     )
 

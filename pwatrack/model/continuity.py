@@ -19,7 +19,7 @@ _MOST_CYCLES = 2_000  # tree edges times other facets: with more, facets that do
 
 
 @dataclass(frozen=True, kw_only=True)
-class Jump:
+class Discontinuity:
     """What is left of F_i − F_j − g G on a facet.
 
     Attributes:
@@ -41,7 +41,7 @@ class Repair:
     Attributes:
         A, b: The largest change of each entry over the cells, (n, n) and (n,).
         B: The change of each entry, (n, m).
-        relative: The largest change of a row, of the terms of that row; see `Jump`.
+        relative: The largest change of a row, of the terms of that row; see `Discontinuity`.
     """
 
     A: Array
@@ -73,7 +73,7 @@ class Repair:
 class Discontinuous(Exception):
     """The field jumps at some facets by more than rounding."""
 
-    def __init__(self, jumps: Sequence[Jump]) -> None:
+    def __init__(self, jumps: Sequence[Discontinuity]) -> None:
         self.jumps = tuple(jumps)
         super().__init__(f"{len(jumps)} facets")
 
@@ -149,10 +149,10 @@ class _Sizes:
             return float(np.max(np.where(rows > 0, rows / terms, 0.0), initial=0.0))
 
 
-def _jump(facet: Facet, F: Sequence[Rational], planes: Sequence[Rational], sizes: _Sizes) -> Jump:
+def _jump(facet: Facet, F: Sequence[Rational], planes: Sequence[Rational], sizes: _Sizes) -> Discontinuity:
     difference, plane = F[facet.i] - F[facet.j], planes[facet.k]
     left = floats(difference - _step(difference, plane, sizes.pivots[facet.k]) * plane)
-    return Jump(facet=facet, A=left[:, :-1], b=left[:, -1], relative=sizes.relative(facet, left))
+    return Discontinuity(facet=facet, A=left[:, :-1], b=left[:, -1], relative=sizes.relative(facet, left))
 
 
 def _step(difference: Rational, plane: Rational, pivot: int) -> Rational:

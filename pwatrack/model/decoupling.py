@@ -6,7 +6,7 @@ import numpy as np
 
 from pwatrack.arrays import TINY, Array, balancing, number_text
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, unsure
 from pwatrack.model.pwa import PWASystem
@@ -85,7 +85,7 @@ def too_few_inputs(plant: PWASystem) -> OutsideTheory:
     return OutsideTheory(
         Problem(
             message=f"output tracking (Theorem 3) needs as many inputs as tracked outputs, the plant has {m} and {p}",
-            subject=(Part.PLANT,),
+            subject=(ProblemPart.PLANT,),
             hint="say which of them follow the reference",
             remedy=Remedy(Way.TRACKED, (", ".join(plant.tracked_names[:m]),)),
         )
@@ -108,7 +108,7 @@ def _dependent(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, ce
         Problem(
             message=f"not of form (11): the inputs do not act on {_listed(names)} independently{where}: {rows}, so the "
             "decoupling matrix is singular",
-            subject=(Part.B,),
+            subject=(ProblemPart.B,),
             hint="track another output or add an actuator",
             remedy=Remedy(Way.STATE_TRACKING),
         )
@@ -128,7 +128,7 @@ def _folded(plant: PWASystem, found: Sequence[Derivatives], D: Sequence[BallMatr
             message=f"not of form (11): the last derivative of {names} depends on the cell, and inputs do not move it "
             f"the same way in all: {what} is {figures[0]} in cell '{plant.cell_names[low]}' and {figures[1]} in "
             f"'{plant.cell_names[high]}', {turned}",
-            subject=(Part.B,),
+            subject=(ProblemPart.B,),
             hint="track another output",
             remedy=Remedy(Way.STATE_TRACKING),
         )

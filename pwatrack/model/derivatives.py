@@ -7,7 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import EPS, Array, number_text
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import Matrices, PWASystem
 
@@ -73,7 +73,7 @@ def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
     raise OutsideTheory(
         Problem(
             message=f"no relative degree in cell '{plant.cell_names[0]}': no input ever reaches the output '{name}'",
-            subject=(Part.B,),
+            subject=(ProblemPart.B,),
             hint="track another output or add an actuator",
             remedy=Remedy(Way.STATE_TRACKING),
         )
@@ -112,7 +112,7 @@ def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: 
             message=f"not of form (11): row C A^{order} differs between cells '{names[one]}' and "
             f"'{names[other]}' {reach}: entry '{plant.states[column]}' is {entries}, so derivative "
             f"{order + 1} of '{name}' jumps on {plant.hyperplane_text(facet.k)}, whatever the input does",
-            subject=(Part.C if plant.tracked_names == plant.outputs else Part.TRACKED,),
+            subject=(ProblemPart.C if plant.tracked_names == plant.outputs else ProblemPart.TRACKED,),
             hint="another output may have the same derivatives in every cell",
             remedy=Remedy(Way.STATE_TRACKING),
         )
@@ -124,7 +124,7 @@ def unsure(what: str, doubt: float) -> OutsideTheory:
     return OutsideTheory(
         Problem(
             message=f"the relative degree is not sure: {what} may be rounding, which can reach {doubt:.3g}",
-            subject=(Part.B,),
+            subject=(ProblemPart.B,),
             hint="write the plant in states of similar size that act on each other directly",
         )
     )

@@ -14,7 +14,7 @@ _ROUNDING = Fraction(1, 10**12)  # of its own numbers, up to which a border is t
 
 
 @dataclass(frozen=True, kw_only=True)
-class Merge:
+class SharedHyperplanes:
     """Which hyperplanes are kept, and the sides of these that the cells claim.
 
     Attributes:
@@ -29,7 +29,7 @@ class Merge:
     repairs: tuple[tuple[int, int, Fraction], ...] = ()
 
 
-def merge(rows: Sequence[Row], signs: IntArray) -> Merge:
+def merge(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:
     """Merge hyperplanes that are the same set, and those that two cells write with numbers rounded differently.
 
     The latter are those whose numbers (after a common factor) differ by at most 1e-12 of themselves, where no cell is
@@ -58,7 +58,7 @@ def merge(rows: Sequence[Row], signs: IntArray) -> Merge:
     )
 
 
-def _same(rows: Sequence[Row], signs: IntArray) -> Merge:
+def _same(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:
     """Merge equal sets. Of one whose both sides a cell claims, which has no interior, that cell has a second copy."""
     kept: list[int] = []
     columns: list[IntArray] = []
@@ -75,10 +75,10 @@ def _same(rows: Sequence[Row], signs: IntArray) -> Merge:
             homes[plane].append((len(kept), side))
             columns.append(claimed)
             kept.append(k)
-    return Merge(kept=tuple(kept), signs=np.array(columns, dtype=np.int64).reshape(len(kept), len(signs)).T)
+    return SharedHyperplanes(kept=tuple(kept), signs=np.array(columns, dtype=np.int64).reshape(len(kept), len(signs)).T)
 
 
-def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Merge:
+def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> SharedHyperplanes:
     """Merge distinct hyperplanes by rounding, the closest ones first."""
     table = signs.copy()
     home = list(range(len(rows)))
@@ -97,7 +97,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Merg
             assert size is not None
             home[j], repairs[j] = to, (to, size)
     kept = [k for k in range(len(rows)) if home[k] == k]
-    return Merge(
+    return SharedHyperplanes(
         kept=tuple(kept),
         signs=table[:, kept],
         repairs=tuple((k, to, size) for k, (to, size) in sorted(repairs.items())),

@@ -20,7 +20,7 @@ from pwatrack.real import Real
 
 
 @dataclass(frozen=True, kw_only=True)
-class Merge:
+class Simplification:
     """φ = φ̃ + w with |w| ≤ largest everywhere.
 
     Attributes:
@@ -44,7 +44,7 @@ class Merge:
         return BallMatrix.of([[v] for v in self.nonlinearity.direction])
 
 
-def merges(form: ScalarForm, element: int) -> list[Merge]:
+def merges(form: ScalarForm, element: int) -> list[Simplification]:
     """Return all ways to merge cells of one element, those with the least deviation first.
 
     Example: a gap of ±0.5 before a spring of stiffness 4 deviates from the spring without it by 2 at most.
@@ -62,9 +62,9 @@ def merges(form: ScalarForm, element: int) -> list[Merge]:
     return sorted(chain.from_iterable(found), key=lambda merge: (merge.largest, merge.last - merge.first, merge.first))
 
 
-def widest(form: ScalarForm) -> dict[int, Merge]:
+def widest(form: ScalarForm) -> dict[int, Simplification]:
     """Return each element merged whole, or as much of it as can be, where it can be."""
-    chosen = dict[int, Merge]()
+    chosen = dict[int, Simplification]()
     for k, element in enumerate(form.elements):
         widths = (_ways(form, k, width) for width in reversed(range(1, len(element.function.breakpoints))))
         ways = next(filter(None, widths), [])
@@ -73,16 +73,16 @@ def widest(form: ScalarForm) -> dict[int, Merge]:
     return chosen
 
 
-def _ways(form: ScalarForm, element: int, width: int) -> list[Merge]:
+def _ways(form: ScalarForm, element: int, width: int) -> list[Simplification]:
     """Return all ways to merge so many cells of an element, and the next one."""
-    nonlinearity, found = form.elements[element], list[Merge]()
+    nonlinearity, found = form.elements[element], list[Simplification]()
     function = nonlinearity.function
     for first in range(len(function.breakpoints) - width):
         other = _merged(function, first, first + width)
         if other is not None:
             marks = (*function.breakpoints, *other.breakpoints)
             found.append(
-                Merge(
+                Simplification(
                     element=element,
                     nonlinearity=nonlinearity,
                     first=first,
@@ -94,7 +94,7 @@ def _ways(form: ScalarForm, element: int, width: int) -> list[Merge]:
     return found
 
 
-def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Merge]) -> PWASystem:
+def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Simplification]) -> PWASystem:
     """Return the plant f̃ in which some elements are merged, each in one way.
 
     Args:

@@ -10,10 +10,10 @@ import numpy as np
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Facet, Partition
-from pwatrack.model.continuity import Discontinuous, Jump, Repair, repaired
+from pwatrack.model.continuity import Discontinuity, Discontinuous, Repair, repaired
 from pwatrack.model.loads import Loads
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.offset import continuous_offset
@@ -278,7 +278,7 @@ class PWASystem:
         whole = self.with_matrices(replace(self.exact, A=A, b=b))
         return replace(whole, repair=repair, remarks=(*self.remarks, remark))
 
-    def _jump_problem(self, jump: Jump, tolerance: float) -> Problem:
+    def _jump_problem(self, jump: Discontinuity, tolerance: float) -> Problem:
         facet, in_A = jump.facet, bool(jump.A.any())
         if in_A:
             row, column = np.unravel_index(np.argmax(np.abs(jump.A)), jump.A.shape)
@@ -293,7 +293,7 @@ class PWASystem:
         return Problem(
             message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: {figure}, "
             f"{jump.relative:.1e} of that equation's terms there; the field must be continuous (eq. (1))",
-            subject=(Part.CELLS, facet.i, Part.A if in_A else Part.b),
+            subject=(ProblemPart.CELLS, facet.i, ProblemPart.A if in_A else ProblemPart.b),
             hint=hint,
             remedy=remedy,
         )

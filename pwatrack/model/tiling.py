@@ -29,7 +29,7 @@ Shape = tuple[Row, ...]
 
 
 @dataclass(frozen=True)
-class Piece:
+class WeightedCell:
     """A polyhedron that counts `weight` times; `shape` has its borders, `owner` is the cell that it belongs to."""
 
     weight: int
@@ -52,12 +52,12 @@ class Tiling:
     n: int
 
     @cached_property
-    def pieces(self) -> list[Piece]:
+    def pieces(self) -> list[WeightedCell]:
         """The polyhedra, each counting once."""
-        return [Piece(1, shape, i) for i, shape in self.cells.items()]
+        return [WeightedCell(1, shape, i) for i, shape in self.cells.items()]
 
     @cached_property
-    def sheets(self) -> dict[Row, list[Piece]]:
+    def sheets(self) -> dict[Row, list[WeightedCell]]:
         """The facets on each hyperplane in coordinates there, counting 1 above and −1 below."""
         return _sheets(self.pieces)
 
@@ -85,18 +85,18 @@ class Tiling:
         return [(point, [p.owner for p in self.pieces if _inside(point, p.shape)]) for point in points]
 
 
-def _sheets(pieces: Sequence[Piece]) -> dict[Row, list[Piece]]:
-    found: dict[Row, list[Piece]] = defaultdict(list)
+def _sheets(pieces: Sequence[WeightedCell]) -> dict[Row, list[WeightedCell]]:
+    found: dict[Row, list[WeightedCell]] = defaultdict(list)
     for piece in pieces:
         for k, row in enumerate(piece.shape):
             plane, side = oriented(row)
             shape = tightest(restricted(piece.shape[:k] + piece.shape[k + 1 :], plane))
             if shape is not None:  # it never is, as the row is a border
-                found[plane].append(Piece(side * piece.weight, shape, piece.owner))
+                found[plane].append(WeightedCell(side * piece.weight, shape, piece.owner))
     return {plane: _comparable(facets, len(plane) - 2) for plane, facets in found.items()}
 
 
-def _comparable(pieces: Sequence[Piece], n: int) -> list[Piece]:
+def _comparable(pieces: Sequence[WeightedCell], n: int) -> list[WeightedCell]:
     """Write pieces of ℝⁿ by their borders alone, but for those that cancel as they are."""
     total: dict[Shape, int] = defaultdict(int)
     for piece in pieces:
@@ -105,7 +105,9 @@ def _comparable(pieces: Sequence[Piece], n: int) -> list[Piece]:
     return [replace(piece, shape=shape) for piece in pieces if (shape := shapes[piece.shape]) is not None]
 
 
-def _uneven(pieces: Sequence[Piece], sheets: dict[Row, list[Piece]], n: int, wanted: int) -> Iterator[Point]:
+def _uneven(
+    pieces: Sequence[WeightedCell], sheets: dict[Row, list[WeightedCell]], n: int, wanted: int
+) -> Iterator[Point]:
     """Give points, off all borders, that do not count `wanted`; none if that is what almost all points count."""
     planes = list(sheets)
     even = True
@@ -123,7 +125,7 @@ def _uneven(pieces: Sequence[Piece], sheets: dict[Row, list[Piece]], n: int, wan
             yield point
 
 
-def _beside(point: Point, plane: Row, pieces: Sequence[Piece], planes: Sequence[Row], wanted: int) -> Point:
+def _beside(point: Point, plane: Row, pieces: Sequence[WeightedCell], planes: Sequence[Row], wanted: int) -> Point:
     """Return a point next to one of a hyperplane across which the count jumps."""
     others = [other for other in planes if other != plane]
     crossing = [row for row in restricted(others, plane) if any(row[:-1])]
@@ -133,17 +135,17 @@ def _beside(point: Point, plane: Row, pieces: Sequence[Piece], planes: Sequence[
     return next(side for side in sides if _count(side, pieces) != wanted)
 
 
-def _uncancelled(pieces: Sequence[Piece]) -> list[Piece]:
+def _uncancelled(pieces: Sequence[WeightedCell]) -> list[WeightedCell]:
     """Return pieces that count the same in sum, without those that count 0 together because they are equal."""
     total: dict[Shape, int] = defaultdict(int)
     owner = {}
     for piece in pieces:
         total[piece.shape] += piece.weight
         owner[piece.shape] = piece.owner
-    return [Piece(weight, shape, owner[shape]) for shape, weight in total.items() if weight]
+    return [WeightedCell(weight, shape, owner[shape]) for shape, weight in total.items() if weight]
 
 
-def _count(point: Point, pieces: Sequence[Piece]) -> int:
+def _count(point: Point, pieces: Sequence[WeightedCell]) -> int:
     return sum(piece.weight for piece in pieces if _inside(point, piece.shape))
 
 

@@ -5,13 +5,13 @@ from typing import Any
 
 from pwatrack.claims.bounds import SignalBounds, bound_entry
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.spec.spec import Spec
 
 FORMAT = "pwatrack bounds 1"
 
 
-def bound_content(spec: Spec, controller: Controller) -> dict[str, Any]:
+def bound_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
     """Return the content of bounds.json."""
     words, found = spec.words, controller.claim(SignalBounds)
     table = [bound_entry(words, bounds) for bounds in (*found.acting, *found.starts)]
@@ -36,7 +36,7 @@ def bound_content(spec: Spec, controller: Controller) -> dict[str, Any]:
     }
 
 
-def _start_sizes(controller: Controller) -> Iterator[tuple[str, float]]:
+def _start_sizes(controller: ProvedController) -> Iterator[tuple[str, float]]:
     plant, sizes = controller.plant, controller.sizes
     yield from zip(plant.states, sizes.state.tolist(), strict=True)
     if plant.loads is not None:

@@ -10,7 +10,7 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
 from pwatrack.claims.subject import elements_content, form_content, plant_content
 from pwatrack.control.compensation import compensation
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
 from pwatrack.lmi.audit.reading import FORMAT, number
@@ -23,7 +23,7 @@ from pwatrack.study.merged import merged_spec
 from pwatrack.study.sizing import spec_form
 
 
-def design_certificate(spec: Spec, controller: Controller) -> dict[str, Any]:
+def design_certificate(spec: Spec, controller: ProvedController) -> dict[str, Any]:
     """Return the content of certificate.json."""
     content, form = data(controller), controller.form
     for practical in controller.claims_of(Practical):

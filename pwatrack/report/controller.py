@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import PwatrackError
 from pwatrack.export.stored import content
 from pwatrack.model.nonlinearity import MOST_LISTED
@@ -15,7 +15,7 @@ from pwatrack.report.run_folder import json_text
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.spec.spec import Spec
 from pwatrack.study.pipeline import start_of
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,9 @@ class Written:
     controller: dict[str, Any] | None
 
 
-def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None, failed: Sequence[str] = ()) -> Written:
+def written(
+    spec: Spec, controller: ProvedController, start: Mapping[str, Any] | None, failed: Sequence[str] = ()
+) -> Written:
     """Return a design as its files tell it; `start` and `failed` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
     if not has_tables(controller):
@@ -45,12 +47,12 @@ def written(spec: Spec, controller: Controller, start: Mapping[str, Any] | None,
     return Written(certificate, generator, told)
 
 
-def has_tables(controller: Controller) -> bool:
+def has_tables(controller: ProvedController) -> bool:
     """Say whether a controller has few enough cells for tables of them all."""
     return max(len(controller.plant.A), len(controller.plant.model.A)) <= MOST_LISTED
 
 
-def known_start(spec: Spec, controller: Controller) -> dict[str, Any] | None:
+def known_start(spec: Spec, controller: ProvedController) -> dict[str, Any] | None:
     """Return where observer and generator of a design start in a run; None where that is refused, or has no tables."""
     if not has_tables(controller):
         return None
@@ -61,7 +63,7 @@ def known_start(spec: Spec, controller: Controller) -> dict[str, Any] | None:
         return None
 
 
-def starts(result: Result) -> dict[str, Any]:
+def starts(result: SimulatedLoop) -> dict[str, Any]:
     """Return where observer and generator of a run started."""
     return _of_controller(result.loop, result.start)
 

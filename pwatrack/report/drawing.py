@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pwatrack.interruption import as_ended
 
 if TYPE_CHECKING:
-    from pwatrack.study.result import Result
+    from pwatrack.study.result import SimulatedLoop
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first
@@ -19,7 +19,7 @@ def prepare(executor: Executor) -> None:
         executor.submit(_ready)
 
 
-def begin(result: "Result", executor: Executor | None) -> Callable[[], dict[str, bytes]]:
+def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, bytes]]:
     """Begin to draw the pictures of a run, and return what waits for them: the content of their files, by name.
 
     Args:
@@ -39,7 +39,7 @@ def begin(result: "Result", executor: Executor | None) -> Callable[[], dict[str,
     return wait
 
 
-def drawn(share: slice, result: "Result") -> dict[str, bytes]:
+def drawn(share: slice, result: "SimulatedLoop") -> dict[str, bytes]:
     """Draw some of the pictures of a run."""
     from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.pictures import pictures

@@ -9,12 +9,12 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.words import load_kind
-from pwatrack.simulation.region import Box, Region
-from pwatrack.study.result import Result
+from pwatrack.simulation.region import BoxRegion, Region
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.variation import EnsembleResult
 
 
-def measures(result: Result) -> dict[str, Any]:
+def measures(result: SimulatedLoop) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
     steady_state, figures = result.steady_state, asdict(result.figures)
     del figures["sampled"]
@@ -74,7 +74,7 @@ def member_figures(many: EnsembleResult) -> dict[str, Array]:
     return columns
 
 
-def load_content(result: Result) -> dict[str, dict[str, Any]]:
+def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
     """Return what run.json says of each load that is estimated: what is known of it, what it and its estimate are."""
     loads, response = result.controller.plant.loads, result.response
     return {
@@ -90,8 +90,8 @@ def load_content(result: Result) -> dict[str, dict[str, Any]]:
 
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
     """Return what of a region varies, by name."""
-    box = isinstance(region, Box)
-    first, second = (region.low, region.high) if isinstance(region, Box) else (region.center, region.radii)
+    box = isinstance(region, BoxRegion)
+    first, second = (region.low, region.high) if isinstance(region, BoxRegion) else (region.center, region.radii)
     entries = zip(names, first.tolist(), second.tolist(), strict=True)
     varied = {name: [a, b] for name, a, b in entries if (a < b if box else b > 0)}
     return {"box" if box else "ellipsoid": varied}

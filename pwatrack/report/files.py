@@ -16,7 +16,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import figures
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
@@ -46,7 +46,7 @@ from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.study.how_far import HowFar
 from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.tracking import reference_remarks
 from pwatrack.study.variation import EnsembleResult
 from pwatrack.version import versions
@@ -77,7 +77,7 @@ NONE = Effort()
 
 def write_design(
     spec: Spec,
-    controller: Controller,
+    controller: ProvedController,
     folder: str | Path,
     *,
     fronts: Sequence[Front] = (),
@@ -131,7 +131,7 @@ def write_design(
 
 
 def write_result(
-    result: Result,
+    result: SimulatedLoop,
     folder: str | Path,
     *,
     many: EnsembleResult | None = None,
@@ -177,7 +177,7 @@ def write_result(
     return Path(folder)
 
 
-def _result_content(result: Result) -> dict[str, Any]:
+def _result_content(result: SimulatedLoop) -> dict[str, Any]:
     """Return what the index says of a simulation."""
     proved = proved_content(result.spec, result.controller)
     content: dict[str, Any] = proved | {
@@ -194,7 +194,7 @@ def _result_content(result: Result) -> dict[str, Any]:
     return content
 
 
-def _tracked_content(result: Result) -> dict[str, Any]:
+def _tracked_content(result: SimulatedLoop) -> dict[str, Any]:
     """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
     sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     return {"sizes": sizes, "unit": error_unit(result)}
@@ -206,7 +206,9 @@ def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
     return missed | ({"requirements": [each.content for each in checked]} if checked else {})
 
 
-def missed(checked: Sequence[Checked], result: Result | None = None, many: EnsembleResult | None = None) -> list[str]:
+def missed(
+    checked: Sequence[Checked], result: SimulatedLoop | None = None, many: EnsembleResult | None = None
+) -> list[str]:
     """Return what a run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
     found = [each.text for each in checked if not each.met]
     found += [result.outcome.text] if result is not None and result.outcome.code else []
@@ -214,7 +216,7 @@ def missed(checked: Sequence[Checked], result: Result | None = None, many: Ensem
 
 
 def _design_files(
-    run: RunFolder, spec: Spec, controller: Controller, start: dict[str, Any] | None, failed: Sequence[str]
+    run: RunFolder, spec: Spec, controller: ProvedController, start: dict[str, Any] | None, failed: Sequence[str]
 ) -> None:
     keep(run, spec)
     costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
@@ -237,7 +239,7 @@ def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, An
     return gains | ({"cost_bounds": {part: X.tolist() for part, X in costs.items()}} if costs else {})
 
 
-def proved_content(spec: Spec, controller: Controller) -> dict[str, Any]:
+def proved_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
     """Return what of run.json follows from the spec and the proofs: nothing in it is simulated, or found on the way."""
     return {
         "name": spec.name,
@@ -326,7 +328,7 @@ def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
     run.place("pareto.png").write_bytes(png(pareto_fronts(spec.name, fronts)))
 
 
-def _signals(run: RunFolder, result: Result) -> None:
+def _signals(run: RunFolder, result: SimulatedLoop) -> None:
     """Write trace.csv and events.csv, block by block."""
     columns = [name for names, _ in signal_columns(result, result.response) for name in names]
     columns += ["cell_" + part.name.replace(" ", "_") for part in result.loop.flow.parts]
@@ -347,7 +349,7 @@ def _signals(run: RunFolder, result: Result) -> None:
             event.writerows(_event_rows(result.loop, block.trace))
 
 
-def signal_columns(result: Result, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
+def signal_columns(result: SimulatedLoop, response: Response) -> Sequence[tuple[Sequence[str], Array]]:
     """Return the names and values of all signals at some samples: t (K,), the others (K, ·)."""
     plant = result.spec.problem.plant
     loads = () if plant.loads is None else plant.loads.names
@@ -370,7 +372,7 @@ def signal_columns(result: Result, response: Response) -> Sequence[tuple[Sequenc
     )
 
 
-def _reads_other(result: Result) -> bool:
+def _reads_other(result: SimulatedLoop) -> bool:
     """Say whether a controller reads something else than y."""
     return result.loop.conditions.sampling is not None or result.loop.conditions.noise is not None
 

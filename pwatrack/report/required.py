@@ -6,13 +6,13 @@ from math import ceil, inf, isfinite
 from typing import Any
 
 from pwatrack.claims.decay import gain_figures
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.report.figures import measures
 from pwatrack.report.wording import error_unit
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.variation import EnsembleResult
 
 Figures = Mapping[str, Any]
@@ -60,7 +60,7 @@ class Checked:
 
 
 def required(
-    spec: Spec, controller: Controller, result: Result | None = None, many: EnsembleResult | None = None
+    spec: Spec, controller: ProvedController, result: SimulatedLoop | None = None, many: EnsembleResult | None = None
 ) -> tuple[Checked, ...]:
     """Hold what a spec requires against what came out; what is about a run or an ensemble that there is none of waits.
 
@@ -142,7 +142,7 @@ def _checked(
     return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text)
 
 
-def _unit(spec: Spec, result: Result | None, asked: Requirement, signal: str) -> str:
+def _unit(spec: Spec, result: SimulatedLoop | None, asked: Requirement, signal: str) -> str:
     quantity = asked.quantity
     if quantity.share:
         return "%"

@@ -11,7 +11,7 @@ from rich.table import Table
 from pwatrack.arrays import complex_text, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import sized
 from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
 from pwatrack.report.required import Checked
@@ -22,7 +22,7 @@ from pwatrack.report.wording import error_unit, states_unit
 from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.spec.spec import Spec
 from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.tracking import reference_remarks
 from pwatrack.study.variation import EnsembleResult
 
@@ -32,7 +32,7 @@ _SIGNALS = 6  # that are printed of all that are tracked
 def print_design(
     console: Console,
     spec: Spec,
-    controller: Controller,
+    controller: ProvedController,
     checked: Sequence[Checked] = (),
     largest: LargestBox | None = None,
 ) -> None:
@@ -48,7 +48,7 @@ def print_design(
     console.print(table)
 
 
-def _proved_rows(table: Table, spec: Spec, controller: Controller) -> None:
+def _proved_rows(table: Table, spec: Spec, controller: ProvedController) -> None:
     for row in rows(spec.words, controller):
         table.add_row(*row)
 
@@ -65,7 +65,7 @@ def _met_row(table: Table, checked: Sequence[Checked]) -> None:
         table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
 
 
-def print_result(console: Console, result: Result, checked: Sequence[Checked] = ()) -> None:
+def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Checked] = ()) -> None:
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
     table = titled(result.spec.name)
@@ -104,7 +104,7 @@ def print_result(console: Console, result: Result, checked: Sequence[Checked] = 
     console.print(table)
 
 
-def _step_text(figures: Mapping[str, Any], name: str, result: Result) -> str:
+def _step_text(figures: Mapping[str, Any], name: str, result: SimulatedLoop) -> str:
     """Say how an output went to where its reference rests, or when it settled on one that does not."""
     settled, band = figures["settling_time"][name], result.spec.scenario.bands.get(name)
     within = "2 %" if band is None else f"{band:g} {result.spec.problem.units.get(name, '')}".rstrip()
@@ -117,7 +117,7 @@ def _step_text(figures: Mapping[str, Any], name: str, result: Result) -> str:
     return f"{said}, {risen}, goes beyond by {100 * figures['overshoot'][name]:.3g} %"
 
 
-def _repair_rows(table: Table, result: Result) -> None:
+def _repair_rows(table: Table, result: SimulatedLoop) -> None:
     """Say what the numbers that were given, where they had to be repaired, could change in this run."""
     repair, spec = result.controller.plant.repair, result.spec
     if repair is None:

@@ -13,10 +13,10 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.study.bands import covered
 from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 
-def since(result: Result) -> tuple[int, float]:
+def since(result: SimulatedLoop) -> tuple[int, float]:
     """Return from which tenth of a run on, and from which time in s, w is what it is taken for in the end.
 
     It is the last tenth, or as many as hold a period of the reference.
@@ -28,7 +28,7 @@ def since(result: Result) -> tuple[int, float]:
     return max(first, 0), float(starts[max(first, 0)])
 
 
-def box_figures(result: Result, robust: Robust) -> dict[str, dict[str, float]]:
+def box_figures(result: SimulatedLoop, robust: Robust) -> dict[str, dict[str, float]]:
     """Return what a box of parameters can do along the x_d of a run, and what was seen of it.
 
     Returns:
@@ -61,7 +61,7 @@ def largest_text(largest: LargestBox) -> str:
     return f"proved for the box scaled by {largest.factor:g}: {box}{end}"
 
 
-def run_rows(result: Result) -> Iterator[str]:
+def run_rows(result: SimulatedLoop) -> Iterator[str]:
     """Yield what a box can do along the x_d of a run, and what was seen of it where the run is one of the box."""
     for robust in result.controller.claims_of(Robust):
         if result.w is None:
@@ -70,7 +70,7 @@ def run_rows(result: Result) -> Iterator[str]:
             yield _along_text(result, robust)
 
 
-def _along_text(result: Result, robust: Robust) -> str:
+def _along_text(result: SimulatedLoop, robust: Robust) -> str:
     found = box_figures(result, robust)
     units = dict(result.spec.words.signal(form) for form in robust.bounds[0].sizes)
     shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())

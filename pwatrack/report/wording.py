@@ -2,10 +2,10 @@
 
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 
-def error_unit(result: Result) -> str:
+def error_unit(result: SimulatedLoop) -> str:
     """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
     names = result.controller.error_names
     return result.spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"

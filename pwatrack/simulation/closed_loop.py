@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.controller import Controller
-from pwatrack.control.program import Program, program
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
@@ -34,7 +34,7 @@ class ClosedLoop:
         x_d, u_ff, u: Rows with x_d = x_d[cell of x_d] z, (l, n, N); likewise u_ff, and u before its limits, (l, m, N).
     """
 
-    controller: Controller
+    controller: ProvedController
     conditions: Conditions
     at: Layout
     flow: Flow
@@ -213,7 +213,9 @@ class Response:
         return np.asarray(np.linalg.norm(self.tracking_error / self.error_sizes, axis=1))
 
 
-def closed_loop(controller: Controller, conditions: Conditions = NOMINAL, runs: Program | None = None) -> ClosedLoop:
+def closed_loop(
+    controller: ProvedController, conditions: Conditions = NOMINAL, runs: SampledController | None = None
+) -> ClosedLoop:
     """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
     Args:
@@ -311,7 +313,7 @@ def _field(plant: PWASystem, x: Array) -> Array:
 
 
 def _counted(
-    flow: Flow, controller: Controller, at: Layout, reference: Array, *, x_d: Array, u_ff: Array, off: Array
+    flow: Flow, controller: ProvedController, at: Layout, reference: Array, *, x_d: Array, u_ff: Array, off: Array
 ) -> Flow:
     """Return the rates of x less those of x_d in the first cell, and those of x̂ less those of x.
 

@@ -76,7 +76,7 @@ class Looked:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class InternalDynamics:
     """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w.
 
     Attributes:

@@ -11,10 +11,10 @@ from pwatrack.model.reference import Exosystem, spectral_terms
 _TAYLOR = 14  # terms of e^{M t} for ‖M t‖ ≤ 1/2: the next is below 1e-16
 
 
-class Modes:
+class SplitModes:
     """A_i split into its stable and its unstable part, A_i V = V diag(Λ_s, Λ_u), each driven by the reference."""
 
-    def __init__(self, A: Array, B: Array, turns: "Turns") -> None:
+    def __init__(self, A: Array, B: Array, turns: "ReferenceTransition") -> None:
         T, Z, q = schur(A, sort="lhp")
         X = solve_sylvester(T[:q, :q], -T[q:, q:], -T[:q, q:]) if 0 < q < len(A) else np.zeros((q, len(A) - q))
         unit = np.eye(len(A))
@@ -26,7 +26,7 @@ class Modes:
         self.backward = Driven(-T[q:, q:], -(W @ B)[q:], turns, -1.0)
 
 
-class Turns:
+class ReferenceTransition:
     """t ↦ e^{S t} of the reference and the constant 1, in closed form."""
 
     def __init__(self, system: Exosystem) -> None:
@@ -52,7 +52,7 @@ class Driven:
     closed form, so that errors do not double with it.
     """
 
-    def __init__(self, L: Array, B: Array, turns: Turns, sign: float) -> None:
+    def __init__(self, L: Array, B: Array, turns: ReferenceTransition, sign: float) -> None:
         self._q, self._turns, self._sign = len(L), turns, sign
         self._M = np.block([[L, B], [np.zeros((len(turns.S), len(L))), sign * turns.S]])
         self._d = balancing(self._M[None])

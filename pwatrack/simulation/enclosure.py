@@ -151,7 +151,7 @@ class _Pieces:
     length: Array
 
 
-class Turns:
+class Transitions:
     """What is known of e^{Fσ} in a mode."""
 
     def __init__(self, F: Array) -> None:
@@ -186,7 +186,7 @@ class Turns:
 class _Tables:
     """What is known of some rows in a mode, transposed, so that products run along rows."""
 
-    def __init__(self, turns: Turns, rows: Array) -> None:
+    def __init__(self, turns: Transitions, rows: Array) -> None:
         self.turns, self.F, self.rows, self.u = turns, turns.F.T, rows.T, unit(len(turns.F))
         self._terms: dict[int, Array] = {}
         self._bounds: dict[int, Array] = {}
@@ -219,7 +219,7 @@ class Enclosing:
         turns: Others that enclose signals of the same flow may share this.
     """
 
-    def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Turns] | None = None) -> None:
+    def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Transitions] | None = None) -> None:
         self._rows, self._norm, self._left = rows, norm, MOST_PIECES
         self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
@@ -240,7 +240,7 @@ class Enclosing:
             if not len(here):
                 continue
             if mode not in self._tables:
-                turns = self._turns.get(mode) or self._turns.setdefault(mode, Turns(block.F[number]))
+                turns = self._turns.get(mode) or self._turns.setdefault(mode, Transitions(block.F[number]))
                 self._tables[mode] = _Tables(turns, block.reading(self._rows(mode)))
             table, pieces = (
                 self._tables[mode],
@@ -364,7 +364,7 @@ class Enclosing:
                 self._attain(only, t + tau[:, k % off.shape[1]] * length)
 
 
-def _halved(turns: Turns, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
+def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
     """Return each piece as two, the first one of a length s 2ᵈ."""
     half, middle = turns.s * 2.0 ** (levels - 1), np.empty_like(zeta)
     for level in np.unique(levels).tolist():

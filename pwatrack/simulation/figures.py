@@ -11,7 +11,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.enclosure import Enclosing, Segments, Turns
+from pwatrack.simulation.enclosure import Enclosing, Segments, Transitions
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.trace import last_tenth
 
@@ -192,7 +192,7 @@ class Measuring:
     def __post_init__(self) -> None:
         if self.loop is not None:
             error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
-            turns: dict[Mode, Turns] = {}
+            turns: dict[Mode, Transitions] = {}
             self._error, self._late = (Enclosing(lambda _: error, norm=True, turns=turns) for _ in range(2))
             self._inputs = Enclosing(self.loop.inputs, turns=turns)
             each = self.loop.signal_errors

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.model.pwa import PWASystem
 
 Mode = tuple[int, ...]
@@ -49,7 +49,7 @@ class Clock:
         scale: In z they are so many times as large, (V,).
     """
 
-    program: Program
+    program: SampledController
     measured: Array
     quantum: Array
     source: IntArray

@@ -73,7 +73,7 @@ def _as_written(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile the walk, which allocates nothing.
 
-    Counting references to the arrays of `Room` took twice as long as the steps themselves.
+    Counting references to the arrays of `Workspace` took twice as long as the steps themselves.
     """
     return _jitted(function, fastmath=_FUSED, _nrt=False)
 
@@ -82,12 +82,12 @@ def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Put a part of the walk where it is called, before anything is compiled.
 
     Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each
-    by, that was half of the time to compile. Handing over the arrays of `Room` took a third of that of the steps.
+    by, that was half of the time to compile. Handing over the arrays of `Workspace` took a third of that of the steps.
     """
     return _jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
 
 
-class Field(NamedTuple):
+class FlowTables(NamedTuple):
     """A flow of order N with P parts, C cells and K guards in all, and the grid of steps.
 
     Attributes:
@@ -133,7 +133,7 @@ Places = namedtuple(
 )
 
 
-class Routine(NamedTuple):
+class ControllerArrays(NamedTuple):
     """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
 
     Attributes:
@@ -178,7 +178,7 @@ class Routine(NamedTuple):
     last: int
 
 
-class Ticks(NamedTuple):
+class ControllerClock(NamedTuple):
     """How a program sits in the loop.
 
     Attributes:
@@ -189,7 +189,7 @@ class Ticks(NamedTuple):
         scale: These, in z, are so many times as large, powers of two, (V,).
     """
 
-    routine: Routine
+    routine: ControllerArrays
     measured: Array
     quantum: Array
     source: IntArray
@@ -197,7 +197,7 @@ class Ticks(NamedTuple):
     scale: Array
 
 
-class Modes(NamedTuple):
+class ModeTables(NamedTuple):
     """What is known of each mode met so far; matrices are transposed, so that products run along rows.
 
     Attributes:
@@ -250,7 +250,7 @@ class Log(NamedTuple):
     break_z: Array
 
 
-class Trajectory(NamedTuple):
+class KernelState(NamedTuple):
     """A trajectory on its way: where it is, and what it goes by.
 
     Attributes:
@@ -274,7 +274,7 @@ class Trajectory(NamedTuple):
     y: Array
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Room to work in, so that no step allocates anything.
 
     Attributes:
@@ -317,9 +317,9 @@ class Room(NamedTuple):
     sides: IntArray
 
 
-def room_for(N: int, K: int, most: int) -> Room:
+def room_for(N: int, K: int, most: int) -> Workspace:
     """Return room to work in for a state (N,), K guards and so many Taylor terms."""
-    return Room(
+    return Workspace(
         np.empty((most, N)),
         np.empty(most),
         np.empty((PIECES, most + 2)),
@@ -617,7 +617,7 @@ def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
 
 
 @_inlined
-def _sides(F: Array, degree: int, guards: Array, at: Trajectory, before: IntArray, room: Room) -> None:
+def _sides(F: Array, degree: int, guards: Array, at: KernelState, before: IntArray, room: Workspace) -> None:
     """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and when that is sure.
 
     A guard at 0 counts by its first derivative that is not 0: the field is
@@ -765,14 +765,14 @@ def _note(state: Any, log: Log, since: float, guard: int, span: float) -> None:
 
 
 @_compiled
-def matters(span: float, t: float, field: Field) -> bool:
+def matters(span: float, t: float, field: FlowTables) -> bool:
     """Say whether a doubt of some finest steps about when something happens, at t in s, is worth a word."""
     least = max(_VAGUE[0], _VAGUE[1] * 2.0**field.doublings)
     return span > least and span * field.h > SAME_TIME * max(1.0, t)
 
 
 @_inlined
-def _sample(field: Field, at: Trajectory, log: Log) -> None:
+def _sample(field: FlowTables, at: KernelState, log: Log) -> None:
     """Write down state and mode where this is the time of a sample."""
     s = at.state[0]
     if s.k & ((1 << field.doublings) - 1) == 0 and s.done == 0.0:
@@ -783,7 +783,7 @@ def _sample(field: Field, at: Trajectory, log: Log) -> None:
 
 
 @_inlined
-def _break(field: Field, at: Trajectory, log: Log) -> None:
+def _break(field: FlowTables, at: KernelState, log: Log) -> None:
     """Write down from where it goes on anew."""
     s = at.state[0]
     log.break_time[s.breaks], log.break_mode[s.breaks] = (s.k + s.done) * field.h, s.m
@@ -793,7 +793,7 @@ def _break(field: Field, at: Trajectory, log: Log) -> None:
 
 
 @_inlined
-def _enter(field: Field, at: Trajectory, log: Log) -> None:
+def _enter(field: FlowTables, at: KernelState, log: Log) -> None:
     """Write down that a mode was entered. Changes within rounding of each other are one; the start is none."""
     s = at.state[0]
     if s.k == 0 and s.done == 0.0 and s.events == 1:
@@ -810,7 +810,7 @@ def _enter(field: Field, at: Trajectory, log: Log) -> None:
 
 
 @_inlined
-def _settle(field: Field, modes: Modes, known: int, at: Trajectory, log: Log, room: Room) -> bool:
+def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, log: Log, room: Workspace) -> bool:
     """Find the mode in which the trajectory goes on from where it is; say whether it has one that is filled in.
 
     It may take some calls: a mode is right once its own field leads to the sides that it is on.
@@ -844,7 +844,7 @@ def _settle(field: Field, modes: Modes, known: int, at: Trajectory, log: Log, ro
 
 
 @_inlined
-def _stride(field: Field, modes: Modes, free: int, at: Trajectory, room: Room) -> bool:
+def _stride(field: FlowTables, modes: ModeTables, free: int, at: KernelState, room: Workspace) -> bool:
     """Take the longest step on the grid that meets neither guard nor reset, and say whether there is one.
 
     Args:
@@ -888,7 +888,7 @@ def _stride(field: Field, modes: Modes, free: int, at: Trajectory, room: Room) -
 
 
 @_inlined
-def _look(field: Field, modes: Modes, m: int, z: Array, room: Room) -> None:
+def _look(field: FlowTables, modes: ModeTables, m: int, z: Array, room: Workspace) -> None:
     """Write what `stays_clear` goes by: how the guards and their slopes are at z, and how fast they may change."""
     _apply(modes.rounding[m], room.size, room.tolerance)
     for i in range(len(z)):
@@ -907,7 +907,7 @@ def _look(field: Field, modes: Modes, m: int, z: Array, room: Room) -> None:
 
 
 @_inlined
-def _cross(field: Field, modes: Modes, length: float, at: Trajectory, log: Log, room: Room) -> bool:
+def _cross(field: FlowTables, modes: ModeTables, length: float, at: KernelState, log: Log, room: Workspace) -> bool:
     """Go on within a finest step, to its first crossing or for a length, and say whether a guard is crossed."""
     s, m, z = at.state[0], at.state[0].m, at.z
     tau, guard = _first_of_all(field, modes, length, at, log, room)
@@ -933,7 +933,9 @@ def _cross(field: Field, modes: Modes, length: float, at: Trajectory, log: Log, 
 
 
 @_inlined
-def _first_of_all(field: Field, modes: Modes, length: float, at: Trajectory, log: Log, room: Room) -> tuple[float, int]:
+def _first_of_all(
+    field: FlowTables, modes: ModeTables, length: float, at: KernelState, log: Log, room: Workspace
+) -> tuple[float, int]:
     """Return where within a length the first guard is crossed, and which that is; infinity and -1 for none."""
     s, m, z, degree = at.state[0], at.state[0].m, at.z, modes.degree[at.state[0].m]
     power = room.powers[: degree + 1]
@@ -1012,7 +1014,7 @@ def _cell(found: int, signs: IntArray, room: Array, g: int) -> int:
 
 
 @_as_written
-def _advance(routine: Routine, memory: Array, room: Array, old: Any, new: Any) -> None:
+def _advance(routine: ControllerArrays, memory: Array, room: Array, old: Any, new: Any) -> None:
     """Step the reference on by one sample: w, and the copies of it that are renewed every 2¹⁰ and 2²⁰ samples."""
     at, renewed = routine.at, len(routine.turn) - 1
     level = 0
@@ -1044,7 +1046,7 @@ def _advance(routine: Routine, memory: Array, room: Array, old: Any, new: Any) -
 
 
 @_as_written
-def _begin(routine: Routine, room: Array, new: Any) -> None:
+def _begin(routine: ControllerArrays, room: Array, new: Any) -> None:
     """Set the entries of w that a piece of the reference is about, and renew the copies."""
     at, renewed = routine.at, len(routine.turn) - 1
     for a in range(at.s):
@@ -1060,7 +1062,7 @@ def _begin(routine: Routine, room: Array, new: Any) -> None:
 
 
 @_as_written
-def _put_out(routine: Routine, memory: Array, room: Array, channel: int, value: float, fine: bool) -> bool:
+def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int, value: float, fine: bool) -> bool:
     """Limit the value that an input is to have, put it behind those that wait, and put the first of them out."""
     at = routine.at
     "7. Limits: input {channel}."
@@ -1099,7 +1101,7 @@ def _put_out(routine: Routine, memory: Array, room: Array, channel: int, value: 
 
 
 @_as_written
-def _next(routine: Routine, memory: Array, room: Array, y: Array, given: Array, old: Any, new: Any) -> bool:
+def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given: Array, old: Any, new: Any) -> bool:
     """Write what the controller remembers after a tick to room and new, and say whether u may be put out.
 
     This and what it calls is the one statement of what a controller does: `export.step` prints it in other languages.
@@ -1153,7 +1155,7 @@ def _next(routine: Routine, memory: Array, room: Array, y: Array, given: Array, 
 
 
 @_as_written
-def tick(routine: Routine, memory: Array, counts: Any, room: Array, y: Array, given: Array) -> int:
+def tick(routine: ControllerArrays, memory: Array, counts: Any, room: Array, y: Array, given: Array) -> int:
     """Run the controller once, as docs/arithmetic.md says.
 
     Args:
@@ -1184,7 +1186,7 @@ def tick(routine: Routine, memory: Array, counts: Any, room: Array, y: Array, gi
 
 
 @_inlined
-def _run(ticks: Ticks, at: Trajectory) -> None:
+def _run(ticks: ControllerClock, at: KernelState) -> None:
     """Measure, and run the controller."""
     y, z, memory = at.y, at.z, at.memory
     for a in range(len(y)):
@@ -1201,7 +1203,7 @@ def _run(ticks: Ticks, at: Trajectory) -> None:
 
 
 @_inlined
-def _reset(resets: Resets, at: Trajectory) -> None:
+def _reset(resets: Resets, at: KernelState) -> None:
     """Carry out what is due: all entries that take new values at once; the controller comes after that."""
     s, z = at.state[0], at.z
     r, step = s.resets, resets.step[s.resets]
@@ -1217,7 +1219,14 @@ def _reset(resets: Resets, at: Trajectory) -> None:
 
 @_uncounted
 def walk(
-    field: Field, modes: Modes, known: int, resets: Resets, ticks: Ticks, at: Trajectory, log: Log, room: Room
+    field: FlowTables,
+    modes: ModeTables,
+    known: int,
+    resets: Resets,
+    ticks: ControllerClock,
+    at: KernelState,
+    log: Log,
+    room: Workspace,
 ) -> int:
     """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 
@@ -42,7 +42,7 @@ class Layout:
     order: int
 
     @staticmethod
-    def of(controller: Controller, conditions: Conditions) -> "Layout":
+    def of(controller: ProvedController, conditions: Conditions) -> "Layout":
         """Return the layout for these conditions."""
         (n, m), q = controller.plant.B.shape, len(controller.plant.C)
         p, s = controller.trajectory.rate.shape[1], len(controller.trajectory.exosystem.w0)

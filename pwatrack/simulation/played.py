@@ -11,7 +11,7 @@ from pwatrack.arrays import EPS, Array, IntArray
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.model.reference import Exosystem, exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
-from pwatrack.simulation.curve import MOST_TURN, Curve, Field, Looked
+from pwatrack.simulation.curve import MOST_TURN, Curve, InternalDynamics, Looked
 
 DEGREE = 9  # of the polynomials that are played back
 _INSTANT = 1e-9  # of a piece: a shorter stay beyond a facet adds nothing that a simulation could show
@@ -68,7 +68,7 @@ class Played:
     def of(trajectory: DesiredTrajectory, pieces: Pieces, turns: int, period: float) -> "Played":
         """Look at what is played back of a trajectory."""
         system, p = trajectory.exosystem, trajectory.rate.shape[1]
-        field = Field(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
+        field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
         start = np.concatenate([k * period + pieces.start for k in range(turns)])
         cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
         w = states_at(system, cut.start)

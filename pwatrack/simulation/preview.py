@@ -21,13 +21,13 @@ import numpy as np
 import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import EPS, Array, balancing
-from pwatrack.causes import Part
-from pwatrack.control.trajectory import DesiredTrajectory, Preview
+from pwatrack.causes import ProblemPart
+from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.reference import beside, exosystem
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import Curve, Field, Looked
-from pwatrack.simulation.driven import Modes, Turns
+from pwatrack.simulation.curve import Curve, InternalDynamics, Looked
+from pwatrack.simulation.driven import ReferenceTransition, SplitModes
 from pwatrack.simulation.played import DEGREE, FIT, Pieces, Played, jumps_of, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
@@ -42,7 +42,7 @@ _SEEN = 64  # points of each stay from which the size of η is taken
 _MOST_PIECES = 200_000  # of what is played back
 
 
-def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tuple[Signal, ...], Preview]:
+def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
     """Return the bounded solution of the internal dynamics from t = 0 on, in pieces that are polynomials.
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
@@ -71,7 +71,7 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
         solution = _Problem(trajectory, 0.0, last, periodic=False).solve()
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
     played = Played.of(trajectory, solution.pieces(duration), turns, period or 0.0)
-    return played.signals, Preview(
+    return played.signals, NoncausalTrajectory(
         names=trajectory.names,
         residual=played.looked.residual.max(axis=0),
         terms=played.terms,
@@ -157,12 +157,12 @@ class _Problem:
         self.guards = trajectory.guards.copy()
         self.guards[:, :p] *= self.d
         self.signs, self.end, self.periodic, self.p = trajectory.signs, end, periodic, p
-        self.turns = Turns(system)
+        self.turns = ReferenceTransition(system)
         breaks = dict.fromkeys([start, 0.0, *(reset.t for reset in system.resets)])
         self.breaks = [t for t in breaks if start <= t < end]
         starts = states_at(system, np.array(self.breaks)).astype(np.float64)
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
-        self.field = Field(rate=self.rate, guards=self.guards, signs=self.signs, S=system.S)
+        self.field = InternalDynamics(rate=self.rate, guards=self.guards, signs=self.signs, S=system.S)
         self.quick = float(np.abs(system.rates).max(initial=0.0))
         poles = np.linalg.eigvals(self.rate[:, :, :p])
         self.fastest, self.settled = float(np.abs(poles).max()), _SETTLED / float(np.abs(poles.real).min())
@@ -187,7 +187,7 @@ class _Problem:
 
     def _settled(self, stays: Sequence[_Stay], way: float) -> "_Solution | None":
         rate = (1 - way) * self.rate[0] + way * self.rate
-        modes = dict[int, Modes]()
+        modes = dict[int, SplitModes]()
         for _ in range(_MOST_STEPS):
             solution = _Solution(self, rate, modes, stays)
             if solution.missed <= _MISSED:
@@ -204,10 +204,10 @@ class _Problem:
 class _Solution:
     """η(t) for given stays: what joins them is linear."""
 
-    def __init__(self, problem: _Problem, rate: Array, modes: dict[int, Modes], stays: Sequence[_Stay]) -> None:
+    def __init__(self, problem: _Problem, rate: Array, modes: dict[int, SplitModes], stays: Sequence[_Stay]) -> None:
         self.problem, self.rate, self.stays = problem, rate, list(stays)
         for i in {stay.cell for stay in stays} - set(modes):
-            modes[i] = Modes(rate[i][:, : problem.p], rate[i][:, problem.p :], problem.turns)
+            modes[i] = SplitModes(rate[i][:, : problem.p], rate[i][:, problem.p :], problem.turns)
         if len({modes[stay.cell].stable for stay in stays}) > 1:
             raise _unsettled("cells differ in how many unstable modes they have")
         self._modes = modes
@@ -383,7 +383,7 @@ def _unsettled(reason: str) -> Undecided:
     return Undecided(
         Problem(
             message=f"the bounded solution of the internal dynamics was not found: {reason}",
-            subject=(Part.REFERENCE,),
+            subject=(ProblemPart.REFERENCE,),
             hint="a slower or smoother reference, or state tracking (Theorem 2)",
         )
     )

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, balancing
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.flow import Flow
@@ -144,7 +144,7 @@ class Propagator:
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         _check_resolved(flow, sample_time, self.samples)
         doublings = _doublings(flow.size(), sample_time)
-        self.field = kernel.Field(
+        self.field = kernel.FlowTables(
             first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
             guards=np.ascontiguousarray(flow.guards().T),
             signs=block_diag(*(part.signs for part in flow.parts)).astype(np.int64),
@@ -198,7 +198,7 @@ class Walk:
         self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
         self.state["left"] = MOST_STEPS[0] + MOST_STEPS[1] * samples
         self.near_since = np.full(len(places), np.inf)
-        self._at = kernel.Trajectory(
+        self._at = kernel.KernelState(
             state=self.state,
             z=self.z,
             near_since=self.near_since,
@@ -280,7 +280,7 @@ class Walk:
             "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
         )
         message = f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s"
-        return CheckFailed(Problem(message=message, subject=(Part.DURATION,), hint=hint))
+        return CheckFailed(Problem(message=message, subject=(ProblemPart.DURATION,), hint=hint))
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
@@ -372,10 +372,10 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
 
 def _ticks(flow: Flow) -> Any:
     """Return how the program of a clock sits in the loop; one that never runs where there is none."""
-    from pwatrack.simulation.kernel import Ticks
+    from pwatrack.simulation.kernel import ControllerClock
 
     clock = flow.clock
-    return Ticks(
+    return ControllerClock(
         routine=routine(NONE if clock is None else clock.program),
         measured=np.ascontiguousarray((np.zeros((0, len(flow.F0))) if clock is None else clock.measured).T),
         quantum=np.zeros(0) if clock is None else clock.quantum.copy(),
@@ -399,7 +399,7 @@ def _controller(flow: Flow, z: Array) -> dict[str, Any]:
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
     """Refuse a run whose times or oscillations floating point cannot resolve."""
-    subject, rate, end = (Part.DURATION,), float(np.linalg.norm(flow.size(), 2)), (samples - 1) * sample_time
+    subject, rate, end = (ProblemPart.DURATION,), float(np.linalg.norm(flow.size(), 2)), (samples - 1) * sample_time
     if not (samples - 1) * max(1.0, 4 * rate * sample_time) <= _MOST_FINEST:
         message = (
             f"{end:.6g} s are too long for a closed loop with rates of {rate:.3g} 1/s: these are {rate * end:.3g} time "

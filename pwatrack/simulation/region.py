@@ -8,7 +8,7 @@ from pwatrack.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box:
+class BoxRegion:
     """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is.
 
     Attributes:
@@ -22,7 +22,7 @@ class Box:
         """Return points drawn uniformly, (count, n); fewer points are the first of more.
 
         Example:
-            >>> box = Box(low=np.array([-1.0, 2.0]), high=np.array([1.0, 2.0]))
+            >>> box = BoxRegion(low=np.array([-1.0, 2.0]), high=np.array([1.0, 2.0]))
             >>> points = box.draw(np.random.default_rng(1), 100)
             >>> bool((np.abs(points[:, 0]) <= 1).all()), points[:, 1].min(), points[:, 1].max()
             (True, np.float64(2.0), np.float64(2.0))
@@ -33,7 +33,7 @@ class Box:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipsoid:
+class EllipsoidRegion:
     """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre.
 
     Attributes:
@@ -47,7 +47,7 @@ class Ellipsoid:
         """Return points drawn uniformly, (count, n); fewer points are the first of more.
 
         Example:
-            >>> disc = Ellipsoid(center=np.array([5.0, 0.0]), radii=np.array([1.0, 0.1]))
+            >>> disc = EllipsoidRegion(center=np.array([5.0, 0.0]), radii=np.array([1.0, 0.1]))
             >>> points = disc.draw(np.random.default_rng(1), 100)
             >>> bool((((points - disc.center) / disc.radii) ** 2).sum(axis=1).max() < 1 + 1e-12)
             True
@@ -61,4 +61,4 @@ class Ellipsoid:
         return points
 
 
-Region = Box | Ellipsoid
+Region = BoxRegion | EllipsoidRegion

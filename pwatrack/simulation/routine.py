@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.model.conditions import Sampling
 
 if TYPE_CHECKING:
-    from pwatrack.simulation.kernel import Routine
+    from pwatrack.simulation.kernel import ControllerArrays
 
 COUNTS = np.dtype([(name, np.int64) for name in ("started", "tick", "since", "piece", "cell", "cell_d", "status")])
 
 
-def routine(program: Program, real: Any = np.float64) -> "Routine":
+def routine(program: SampledController, real: Any = np.float64) -> "ControllerArrays":
     """Return a program as arrays, of double or single floats."""
-    from pwatrack.simulation.kernel import Places, Routine
+    from pwatrack.simulation.kernel import ControllerArrays, Places
 
     def numbers(values: Array) -> NDArray[Any]:
         return np.array(values, dtype=real, order="C")  # a copy: what is compiled is for arrays that may change
@@ -31,7 +31,7 @@ def routine(program: Program, real: Any = np.float64) -> "Routine":
     pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
     ticks, starts = [piece.tick for piece in pieces], np.cumsum([0, *(len(piece.w) for piece in pieces)])
     floats = ("H", "h", "observer", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
-    return Routine(
+    return ControllerArrays(
         at=Places(
             **of, known=known, delay=program.sampling.delay, **{key: at.start for key, at in program.places.items()}
         ),
@@ -53,7 +53,9 @@ def routine(program: Program, real: Any = np.float64) -> "Routine":
     )
 
 
-def memory(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any = np.float64) -> dict[str, NDArray[Any]]:
+def memory(
+    program: SampledController, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any = np.float64
+) -> dict[str, NDArray[Any]]:
     """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
     Args:
@@ -70,7 +72,7 @@ def memory(program: Program, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any = n
     return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["source"].stop, dtype=real)}
 
 
-NONE = Program(  # one that never runs
+NONE = SampledController(  # one that never runs
     sampling=Sampling(sample_time=1.0),
     H=np.zeros((0, 0)),
     h=np.zeros(0),

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
 
@@ -17,7 +17,7 @@ _SHORTER = 16  # times below one that are looked at too
 _SURE = 1 + 1e-9  # the eigenvalues of a map are known to less
 
 
-def unstable_cell(controller: Controller, conditions: Conditions) -> "tuple[str, SampleMaps, float] | None":
+def unstable_cell(controller: ProvedController, conditions: Conditions) -> "tuple[str, SampleMaps, float] | None":
     """Say in which cell the sampled loop is unstable by itself, where it is not in any at a shorter sample time.
 
     Nothing is said of a loop that is stable in each cell: switching between them may still make it run away.
@@ -49,7 +49,7 @@ def unstable_cell(controller: Controller, conditions: Conditions) -> "tuple[str,
     return message, maps, longest
 
 
-def sampling_remarks(controller: Controller, conditions: Conditions) -> tuple[str, ...]:
+def sampling_remarks(controller: ProvedController, conditions: Conditions) -> tuple[str, ...]:
     """Say beforehand that a simulation will be refused for its sample time."""
     found = unstable_cell(controller, conditions)
     return () if found is None else (f"{found[0]}; so it is not simulated",)
@@ -67,7 +67,7 @@ class SampleMaps:
         sampling: How it is sampled; its sample time is what the methods are asked for.
     """
 
-    controller: Controller
+    controller: ProvedController
     plant: PWASystem
     sampling: Sampling
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Part, Remedy, Way
-from pwatrack.control.controller import Controller
+from pwatrack.causes import ProblemPart, Remedy, Way
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
@@ -27,7 +27,7 @@ _TRIES = 12  # of them: down to a twelfth
 _SEED = 1  # of the directions: the same ones each time
 
 
-def check_sample_time(controller: Controller, conditions: Conditions) -> None:
+def check_sample_time(controller: ProvedController, conditions: Conditions) -> None:
     """Refuse a sample time at which the loop is unstable in some cell, where no cell is at a shorter one.
 
     Args:
@@ -48,7 +48,7 @@ def check_sample_time(controller: Controller, conditions: Conditions) -> None:
     else:
         message += f"and at {offer[0]:g} s all of {offer[1]} simulated runs from other starts died out"
     remedy = None if offer is None else Remedy(Way.FASTER_SAMPLES, (offer[0],))
-    raise CheckFailed(Problem(message=message, subject=(Part.SAMPLE_TIME,), remedy=remedy))
+    raise CheckFailed(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy))
 
 
 def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.flow import Clock, Flow
 from pwatrack.simulation.layout import Layout
 
 
-def sampled(flow: Flow, program: Program, conditions: Conditions, at: Layout, *, measured: Array) -> Flow:
+def sampled(flow: Flow, program: SampledController, conditions: Conditions, at: Layout, *, measured: Array) -> Flow:
     """Return a closed loop whose controller runs at every multiple of a sample time.
 
     At each tick the program steps observer and generator on from the last tick, in the cells they were in then,
@@ -42,7 +42,7 @@ def sampled(flow: Flow, program: Program, conditions: Conditions, at: Layout, *,
     return Flow(F0=F0, parts=(flow.parts[0], *still), clock=clock)
 
 
-def seen(program: Program, at: Layout) -> tuple[IntArray, IntArray]:
+def seen(program: SampledController, at: Layout) -> tuple[IntArray, IntArray]:
     """Return which numbers of the program are in z, and where."""
     names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat, "eta_hat": at.eta_hat, "w": at.w_held}
     names |= {"late": at.late, "before": at.before, "wanted": at.wanted, "change": at.change}

@@ -15,14 +15,14 @@ from pwatrack.simulation.trace import Trace
 _LARGE = Path("/var/tmp")  # noqa: S108  on a disk; /tmp is in memory on many machines
 
 
-class Spool:
+class TraceOnDisk:
     """Traces in a file that has no name, so that none is left behind: it goes with this object, or with its process.
 
     The file is in TMPDIR where that is set.
 
     Example:
         >>> import numpy as np
-        >>> spool = Spool()
+        >>> spool = TraceOnDisk()
         >>> for t in (0.0, 1.0):
         ...     spool.add(Trace(t=np.array([t]), z=np.ones((1, 2)), modes=np.zeros((1, 1), dtype=int), events=()))
         >>> [float(trace.t[0]) for trace in spool]
@@ -67,8 +67,8 @@ class Spool:
         return InvalidSpec(Problem(message=message, hint=hint))
 
 
-def _spooled(traces: list[Trace]) -> Spool:
-    spool = Spool()
+def _spooled(traces: list[Trace]) -> TraceOnDisk:
+    spool = TraceOnDisk()
     for trace in traces:
         spool.add(trace)
     return spool

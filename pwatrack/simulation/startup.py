@@ -3,7 +3,7 @@
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Part, Subject
+from pwatrack.causes import ProblemPart, Subject
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
@@ -14,7 +14,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
 from pwatrack.simulation.visits import desired_flow
 
-_GENERATOR: Subject = (Part.GENERATOR_START,)
+_GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
 
 
 def measured_start(loop: ClosedLoop, x: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
-from pwatrack.causes import Part, Remedy, Subject, Way
+from pwatrack.causes import ProblemPart, Remedy, Subject, Way
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import simulate_flow
@@ -42,7 +42,7 @@ def periodic_state(
     free: int,
     period: float,
     samples: int = 400,
-    subject: Subject = (Part.START,),
+    subject: Subject = (ProblemPart.START,),
     remedy: Remedy | None = _GIVEN,
 ) -> SteadyState:
     """Return one period of the periodic solution of a flow driven by a periodic exosystem.

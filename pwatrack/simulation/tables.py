@@ -22,7 +22,7 @@ class Tables:
     """
 
     def __init__(self, flow: Flow, h: float, doublings: int) -> None:
-        from pwatrack.simulation.kernel import Modes
+        from pwatrack.simulation.kernel import ModeTables
 
         self.flow, self.h, self.guards = flow, h, flow.guards().T
         (N, K), D = self.guards.shape, doublings + 1
@@ -30,7 +30,7 @@ class Tables:
         self.met: list[Mode] = []
         self.numbers: dict[Mode, int] = {}
         self._lock = Lock()
-        self.arrays = Modes(
+        self.arrays = ModeTables(
             cells=np.zeros((1, len(flow.parts)), dtype=np.int64),
             sides=np.zeros((1, K), dtype=np.int64),
             F=np.zeros((1, N, N)),

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Part
+from pwatrack.causes import ProblemPart
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.pwa import PWASystem
@@ -69,7 +69,7 @@ def blocks(
             Problem(
                 message=f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
                 f"at most {_LONGEST:.0e} are walked",
-                subject=(Part.REFERENCE,),
+                subject=(ProblemPart.REFERENCE,),
                 hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
             )
         )

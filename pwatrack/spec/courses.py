@@ -14,7 +14,13 @@ from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.course import Course, Formula, Profile, polyline
 from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.spec.signal_section import CourseSection, PolylineSection, ReferenceSection, StepSection, TrapezoidSection
+from pwatrack.spec.signal_section import (
+    PolylineSection,
+    ProfileSection,
+    ReferenceSection,
+    StepSection,
+    TrapezoidSection,
+)
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
@@ -30,8 +36,8 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
     if section.setpoint is not None:
         return SetPoint(readonly([section.setpoint[name] for name in tracked]))
     kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
-    given, signals = getattr(section, kind), list[tuple[CourseSection, Subject]]()
-    if isinstance(given, CourseSection):
+    given, signals = getattr(section, kind), list[tuple[ProfileSection, Subject]]()
+    if isinstance(given, ProfileSection):
         signals = [(given, ())]
     elif isinstance(given, dict):
         signals = [(given[name], (name,)) for name in tracked]
@@ -46,7 +52,7 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
 
 
 def all_courses(
-    signals: Sequence[tuple[CourseSection, Subject]], folder: Folder, horizon: float, subject: Subject
+    signals: Sequence[tuple[ProfileSection, Subject]], folder: Folder, horizon: float, subject: Subject
 ) -> tuple[tuple[Course, ...], ...]:
     """Return the courses of signals, each with its path below a subject; raises as `build_courses`, for all at once."""
     return _all(partial(build_courses, signal, folder, horizon, (*subject, *where)) for signal, where in signals)
@@ -65,7 +71,7 @@ def _all(makers: Iterable[Callable[[], _Made]]) -> tuple[_Made, ...]:
     return tuple(made)
 
 
-def build_courses(section: CourseSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
+def build_courses(section: ProfileSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
     """Return the courses whose sum is a signal, up to a `horizon` in s; table files are looked for in a folder.
 
     Raises:
@@ -98,7 +104,7 @@ def _refused(text: str, subject: Subject, hint: str = "") -> InvalidSpec:
     return InvalidSpec(Problem(message=path_text(subject) + text, subject=subject, hint=hint))
 
 
-def _formula(section: CourseSection, horizon: float, subject: Subject) -> Formula:
+def _formula(section: ProfileSection, horizon: float, subject: Subject) -> Formula:
     """Return the sum of constant, sines and formula."""
     t = ExponentialPolynomial.time()
     total = ExponentialPolynomial.constant(section.constant)

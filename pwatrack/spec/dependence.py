@@ -29,14 +29,14 @@ _MOST_POWER = 20  # of a parameter: nobody writes more
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class LaurentPolynomial:
     """Σ c p₁^k₁ p₂^k₂ … with whole exponents, of either sign: c of each product of powers that is not exactly 0.
 
     A sum as a divisor, and an exponent that is no whole number of modest size, are `NotRepresentable`.
 
     Example: the stiffness k over the mass m, and what is left where m cancels.
 
-        >>> k, m = Polynomial.of("k"), Polynomial.of("m")
+        >>> k, m = LaurentPolynomial.of("k"), LaurentPolynomial.of("m")
         >>> [list(p.terms) for p in (2 * k / m, m * k / m + 1)]
         [[(('k', 1), ('m', -1))], [(('k', 1),), ()]]
     """
@@ -44,69 +44,71 @@ class Polynomial:
     terms: Mapping[Powers, Real]
 
     @staticmethod
-    def of(value: "Polynomial | Real | Fraction | float | str") -> "Polynomial":
+    def of(value: "LaurentPolynomial | Real | Fraction | float | str") -> "LaurentPolynomial":
         """Return a number, or the parameter of a name, as a polynomial."""
-        if isinstance(value, Polynomial):
+        if isinstance(value, LaurentPolynomial):
             return value
         if isinstance(value, str):
-            return Polynomial({((value, 1),): Real.of(1)})
+            return LaurentPolynomial({((value, 1),): Real.of(1)})
         return _kept({(): Real.of(value)})
 
-    def __add__(self, other: object) -> "Polynomial":
-        if not isinstance(other, (Polynomial, *Number)):
+    def __add__(self, other: object) -> "LaurentPolynomial":
+        if not isinstance(other, (LaurentPolynomial, *Number)):
             return NotImplemented
         terms = dict(self.terms)
-        for powers, c in Polynomial.of(other).terms.items():
+        for powers, c in LaurentPolynomial.of(other).terms.items():
             terms[powers] = terms[powers] + c if powers in terms else c
         return _kept(terms)
 
-    def __mul__(self, other: object) -> "Polynomial":
-        if not isinstance(other, (Polynomial, *Number)):
+    def __mul__(self, other: object) -> "LaurentPolynomial":
+        if not isinstance(other, (LaurentPolynomial, *Number)):
             return NotImplemented
         terms = dict[Powers, Real]()
         for one, a in self.terms.items():
-            for two, b in Polynomial.of(other).terms.items():
+            for two, b in LaurentPolynomial.of(other).terms.items():
                 powers = _product(one, two)
                 terms[powers] = terms[powers] + a * b if powers in terms else a * b
         return _kept(terms)
 
     __radd__, __rmul__ = __add__, __mul__
 
-    def __neg__(self) -> "Polynomial":
+    def __neg__(self) -> "LaurentPolynomial":
         return self * -1
 
-    def __sub__(self, other: object) -> "Polynomial":
-        return self + -Polynomial.of(other) if isinstance(other, (Polynomial, *Number)) else NotImplemented
+    def __sub__(self, other: object) -> "LaurentPolynomial":
+        return (
+            self + -LaurentPolynomial.of(other) if isinstance(other, (LaurentPolynomial, *Number)) else NotImplemented
+        )
 
-    def __rsub__(self, other: object) -> "Polynomial":
+    def __rsub__(self, other: object) -> "LaurentPolynomial":
         return -self + other
 
-    def __truediv__(self, other: object) -> "Polynomial":
-        if not isinstance(other, (Polynomial, *Number)):
+    def __truediv__(self, other: object) -> "LaurentPolynomial":
+        if not isinstance(other, (LaurentPolynomial, *Number)):
             return NotImplemented
-        divisor = Polynomial.of(other)
+        divisor = LaurentPolynomial.of(other)
         if not divisor.terms:
             raise ZeroDivisionError("division by zero")
         if len(divisor.terms) > 1:
             raise NotRepresentable("divides by a sum of parameters")
         ((powers, c),) = divisor.terms.items()
-        return self * Polynomial({tuple((name, -k) for name, k in powers): 1 / c})
+        return self * LaurentPolynomial({tuple((name, -k) for name, k in powers): 1 / c})
 
-    def __rtruediv__(self, other: object) -> "Polynomial":
-        return Polynomial.of(other) / self if isinstance(other, Number) else NotImplemented
+    def __rtruediv__(self, other: object) -> "LaurentPolynomial":
+        return LaurentPolynomial.of(other) / self if isinstance(other, Number) else NotImplemented
 
-    def __pow__(self, other: object) -> "Polynomial":
+    def __pow__(self, other: object) -> "LaurentPolynomial":
         exponent = Real.of(other) if isinstance(other, Number) else None
         if exponent is None or not exponent.exact or exponent.centre.denominator != 1:
             raise NotRepresentable("is no whole power")
         if abs(exponent.centre) > _MOST_POWER:
             raise NotRepresentable(f"is a power above {_MOST_POWER}")
-        power = Polynomial.of(1)
+        power = LaurentPolynomial.of(1)
         for _ in range(abs(int(exponent.centre))):
             power = power * self
         return power if exponent.centre >= 0 else 1 / power
 
-    def __rpow__(self, other: object) -> "Polynomial":
+    def __rpow__(self, other: object) -> "LaurentPolynomial":
         raise NotRepresentable("is no whole power")
 
 
@@ -117,12 +119,12 @@ def _product(one: Powers, two: Powers) -> Powers:
     return tuple(sorted((name, k) for name, k in total.items() if k))
 
 
-def _kept(terms: Mapping[Powers, Real]) -> Polynomial:
+def _kept(terms: Mapping[Powers, Real]) -> LaurentPolynomial:
     """Return the polynomial without the terms that are exactly 0."""
     kept = {powers: c for powers, c in terms.items() if c.centre or c.radius}
     if len(kept) > _MOST_TERMS:
         raise NotRepresentable(f"has more than {_MOST_TERMS} terms")
-    return Polynomial(kept)
+    return LaurentPolynomial(kept)
 
 
 _ZERO = Real.of(0)
@@ -131,14 +133,14 @@ _NOT_OF_THE_FIELD = ("sizes", "units")  # of the design and of reports alone
 
 
 @dataclass(frozen=True)
-class Piece:
+class Summand:
     """A part of a sum: where it stands in the file with what stands there, and what it is."""
 
     text: str
-    polynomial: Polynomial
+    polynomial: LaurentPolynomial
 
-    def __neg__(self) -> "Piece":
-        return Piece(self.text, -self.polynomial)
+    def __neg__(self) -> "Summand":
+        return Summand(self.text, -self.polynomial)
 
 
 class Dependence:
@@ -158,7 +160,7 @@ class Dependence:
     def __init__(self, parametric: ParametricPlant, free: Collection[str]) -> None:
         self._parametric = parametric
         self._names = _polynomials(parametric, free)
-        varying = {name for name, value in self._names.items() if value is None or isinstance(value, Polynomial)}
+        varying = {name for name, value in self._names.items() if value is None or isinstance(value, LaurentPolynomial)}
         self._of_any = dict(parametric.varying)
         self._varying = {p: e for p, e in self._of_any.items() if not e.names.isdisjoint(varying)}
 
@@ -170,7 +172,7 @@ class Dependence:
         seen = dict[tuple[str, int], str]()
         try:
             for pieces in self._entries():
-                total = sum((piece.polynomial for piece in pieces), Polynomial({}))
+                total = sum((piece.polynomial for piece in pieces), LaurentPolynomial({}))
                 for power in (power for term in total.terms for power in term if power not in seen):
                     seen[power] = next(p.text for p in pieces if any(power in term for term in p.polynomial.terms))
         except NotRepresentable as error:
@@ -178,13 +180,13 @@ class Dependence:
             raise OutsideTheory(Problem(message=message, subject=("system",))) from None
         return seen
 
-    def _entries(self) -> Iterator[list[Piece]]:
+    def _entries(self) -> Iterator[list[Summand]]:
         """Yield sums that are affine in parameters wherever all entries of A_i, b_i and B are, and the other way round.
 
         The entries are T + Σ d over the elements, d the difference between a segment of one and its first segment:
         so these are T and all d.
         """
-        entries = defaultdict[Subject, list[Piece]](list)  # by ("A", j, k), ("b", j), …
+        entries = defaultdict[Subject, list[Summand]](list)  # by ("A", j, k), ("b", j), …
         elements = dict[int, None]()
         for path in self._varying:
             if path[0] in _NOT_OF_THE_FIELD:
@@ -211,7 +213,7 @@ class Dependence:
         section = (self._parametric.nominal.nonlinearities or [])[number]
         states, row = self._parametric.nominal.states, section.of
         shapes = [(path, self._piece((*at, *path), value), unit) for path, value, unit in _units(section)]
-        found = defaultdict[Subject, list[list[Piece]]](lambda: [[] for _ in shapes[0][2].slopes])
+        found = defaultdict[Subject, list[list[Summand]]](lambda: [[] for _ in shapes[0][2].slopes])
         for state, written in section.into.items():
             j, factor = states.index(state), self._piece((*at, "into", state), written)
             for path, shape, unit in shapes:
@@ -225,17 +227,17 @@ class Dependence:
                     places["b", j] = slope * row.offset + intercept
                     for place, coefficient in places.items():
                         if coefficient.centre or coefficient.radius:
-                            found[place][segment].append(Piece(text, q * coefficient))
+                            found[place][segment].append(Summand(text, q * coefficient))
         for place, segments in found.items():
             yield place, *segments
 
-    def _piece(self, path: Subject, nominal: Real | None = None) -> Piece:
+    def _piece(self, path: Subject, nominal: Real | None = None) -> Summand:
         """Return what stands at a path; its value is `nominal` where that depends on nothing that is left open."""
         if path not in self._varying:
             assert nominal is not None
-            return Piece(self._named(path, nominal), Polynomial.of(nominal))
+            return Summand(self._named(path, nominal), LaurentPolynomial.of(nominal))
         try:
-            return Piece(self._named(path), Polynomial.of(real(self._varying[path], self._names)))
+            return Summand(self._named(path), LaurentPolynomial.of(real(self._varying[path], self._names)))
         except ExpressionError:
             message = f"{self._named(path)} is no sum of products of whole powers of the uncertain parameters"
             raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
@@ -265,9 +267,10 @@ def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str
     for name, written in parametric.parameters.items():
         names[name] = parametric.names.parameters[name]
         if name in free:
-            names[name] = Polynomial.of(name)
+            names[name] = LaurentPolynomial.of(name)
         elif isinstance(written, Expression) and any(
-            names.get(other) is None or isinstance(names[other], Polynomial) for other in written.names & set(names)
+            names.get(other) is None or isinstance(names[other], LaurentPolynomial)
+            for other in written.names & set(names)
         ):
             try:
                 names[name] = real(written, names)

@@ -15,12 +15,12 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem, total_signal
 from pwatrack.rational import fraction_of
 from pwatrack.real import Real
-from pwatrack.simulation.region import Box, Ellipsoid, Region
+from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.box import build_box
 from pwatrack.spec.courses import all_courses
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.signal_section import CourseSection
+from pwatrack.spec.signal_section import ProfileSection
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
 from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady
 from pwatrack.spec.table import Folder
@@ -91,13 +91,13 @@ def regions(section: StartRegionsSection | None, states: Sequence[str], nominal:
             center |= zip(states, start.tolist(), strict=True)
         if isinstance(asked, EllipsoidSection):
             center |= asked.ellipsoid.center
-            found[part] = Ellipsoid(center=_vector(center, states), radii=_vector(asked.ellipsoid.radii, states))
+            found[part] = EllipsoidRegion(center=_vector(center, states), radii=_vector(asked.ellipsoid.radii, states))
         else:
             low, high = zip(*(asked.get(name, [value, value]) for name, value in center.items()), strict=True)
-            found[part] = Box(low=readonly(low), high=readonly(high))
+            found[part] = BoxRegion(low=readonly(low), high=readonly(high))
     if section is not None and section.generator is not None:
         low, high = zip(*section.generator, strict=True) if section.generator else ((), ())
-        found["generator"] = Box(low=readonly(low), high=readonly(high))
+        found["generator"] = BoxRegion(low=readonly(low), high=readonly(high))
     return found
 
 
@@ -138,7 +138,7 @@ def build_conditions(
         std = _vector(section.noise.std, plant.outputs)
         noise = Noise(std=std, sample_time=section.noise.sample_time, seed=section.noise.seed)
     if section.disturbance is not None:
-        signals = [(section.disturbance.get(name, CourseSection()), (name,)) for name in plant.states]
+        signals = [(section.disturbance.get(name, ProfileSection()), (name,)) for name in plant.states]
         courses = all_courses(signals, folder, section.duration, ("simulation", "disturbance"))
         found = exosystem([total_signal(course, 0) for course in courses])
         disturbance = found if found.Q.any() else None

@@ -94,7 +94,7 @@ class TableSection(Section):
     filter: FilterSection | None = None
 
 
-class CourseSection(Section):
+class ProfileSection(Section):
     """A signal of time: the sum of everything that is given."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1})
@@ -116,12 +116,12 @@ def _as_course(value: Any) -> Any:
     return {"formula": value} if isinstance(value, str) else value
 
 
-Signal = Annotated[CourseSection, BeforeValidator(_as_course), TEXT_OR_VALUE]
+Signal = Annotated[ProfileSection, BeforeValidator(_as_course), TEXT_OR_VALUE]
 
 
 def _signal_kind(value: Any) -> str:
     """A mapping with none of the entries of a signal is one of signals by name."""
-    several = isinstance(value, dict) and value and not set(value) & set(CourseSection.model_fields)
+    several = isinstance(value, dict) and value and not set(value) & set(ProfileSection.model_fields)
     return "by name" if several else "one"
 
 
@@ -181,9 +181,9 @@ class ReferenceSection(Section):
             yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
 
 
-def _output_faults(output: CourseSection | dict[str, CourseSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
+def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
     """Yield where there is no signal for a tracked output, or one for anything else."""
-    if isinstance(output, CourseSection):
+    if isinstance(output, ProfileSection):
         if len(tracked) > 1:
             text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
             one = tracked[0]
@@ -192,7 +192,7 @@ def _output_faults(output: CourseSection | dict[str, CourseSection], tracked: tu
         return
     unknown = [*unknown_names(output, tracked)]
     for name, meant in unknown:
-        hint = f"entries of a signal are {', '.join(CourseSection.model_fields)}"
+        hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
         text = f": {shown(name)} is no tracked output ({', '.join(tracked)}){meant}"
         yield Fault(text, ("output", name), hint)
     missing = [name for name in tracked if name not in output]

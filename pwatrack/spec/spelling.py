@@ -3,35 +3,35 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pwatrack.causes import Part, Subject, Way
+from pwatrack.causes import ProblemPart, Subject, Way
 from pwatrack.errors import Place, Problem, PwatrackError
 from pwatrack.spec.values import Arguments
 
-_PATHS: Mapping[Part, Subject] = {
-    Part.PLANT: ("system",),
-    Part.CELLS: ("system", "cells"),
-    Part.B: ("system", "B"),
-    Part.C: ("system", "C"),
-    Part.TRACKED: ("system", "track"),
-    Part.REFERENCE: ("reference",),
-    Part.START: ("reference", "start"),
-    Part.DESIGN: ("design",),
-    Part.CONTROLLER: ("design", "controller"),
-    Part.OBSERVER: ("design", "observer"),
-    Part.UNCERTAIN: ("design", "uncertain"),
-    Part.GENERATOR_START: ("simulation", "initial", "generator"),
-    Part.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
-    Part.ESTIMATE: ("design", "estimate"),
-    Part.DURATION: ("simulation", "duration"),
+_PATHS: Mapping[ProblemPart, Subject] = {
+    ProblemPart.PLANT: ("system",),
+    ProblemPart.CELLS: ("system", "cells"),
+    ProblemPart.B: ("system", "B"),
+    ProblemPart.C: ("system", "C"),
+    ProblemPart.TRACKED: ("system", "track"),
+    ProblemPart.REFERENCE: ("reference",),
+    ProblemPart.START: ("reference", "start"),
+    ProblemPart.DESIGN: ("design",),
+    ProblemPart.CONTROLLER: ("design", "controller"),
+    ProblemPart.OBSERVER: ("design", "observer"),
+    ProblemPart.UNCERTAIN: ("design", "uncertain"),
+    ProblemPart.GENERATOR_START: ("simulation", "initial", "generator"),
+    ProblemPart.SAMPLE_TIME: ("simulation", "controller", "sample_time"),
+    ProblemPart.ESTIMATE: ("design", "estimate"),
+    ProblemPart.DURATION: ("simulation", "duration"),
     # of a cell
-    Part.A: ("A",),
-    Part.b: ("b",),
+    ProblemPart.A: ("A",),
+    ProblemPart.b: ("b",),
     # of a gain
-    Part.K: ("K",),
-    Part.L: ("L",),
-    Part.RATE: ("rate",),
-    Part.BOUND: ("gain",),
-    Part.COST: ("cost",),
+    ProblemPart.K: ("K",),
+    ProblemPart.L: ("L",),
+    ProblemPart.RATE: ("rate",),
+    ProblemPart.BOUND: ("gain",),
+    ProblemPart.COST: ("cost",),
 }
 _STATE_TRACKING = "{hint}; state tracking (Theorem 2) needs no form (11) and no (17), only (8) and (9)"
 _PRACTICAL = "{hint}; cells that are merged may give a bound of the error"
@@ -73,7 +73,7 @@ _IN_PYTHON: Mapping[Way, str] = {
 
 def path_of(subject: Subject) -> Subject:
     """Return the path in a file of what a refusal is about."""
-    return tuple(step for part in subject for step in (_PATHS[part] if isinstance(part, Part) else (part,)))
+    return tuple(step for part in subject for step in (_PATHS[part] if isinstance(part, ProblemPart) else (part,)))
 
 
 def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> PwatrackError:
@@ -82,7 +82,7 @@ def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> Pwatrack
     Example:
         >>> from pwatrack.errors import Undecided
         >>> from pwatrack.causes import Remedy
-        >>> problem = Problem(message="(8) is undecided", subject=(Part.CONTROLLER, Part.RATE),
+        >>> problem = Problem(message="(8) is undecided", subject=(ProblemPart.CONTROLLER, ProblemPart.RATE),
         ...     hint="the other solver may help", remedy=Remedy(Way.OTHER_SOLVER, ("cvxopt",)))
         >>> print(located(Undecided(problem), {("design",): Place("a.yaml", 7, 1)}))
         a.yaml:7:1: (8) is undecided

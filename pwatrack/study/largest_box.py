@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import OutsideTheory, Undecided
 from pwatrack.lmi.bisection import bisected
 from pwatrack.model.box import Box
@@ -30,7 +30,7 @@ class LargestBox:
     box: Box
 
 
-def largest_box(spec: Spec, controller: Controller) -> LargestBox:
+def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
 
     Args:

@@ -4,7 +4,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import OFF, Peak, Room, Starts
+from pwatrack.control.limits import OFF, Headroom, Peak, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.exact import Certificate
@@ -20,7 +20,7 @@ _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays 
 
 def room_within_limits(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
-) -> Room | None:
+) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
     Raises:
@@ -54,7 +54,7 @@ def room_within_limits(
     starts = (*Starts.within(sizes), *starts_of(spec, trajectory, x, given, sizes))
     ends = None if steady is None or given is None else (given, steady)
     ever = peak is not None and _goes_on(trajectory, generator, peak, ends, spec.scenario.duration)
-    return Room(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
+    return Headroom(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
 
 
 def _goes_on(

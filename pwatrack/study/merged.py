@@ -6,12 +6,12 @@ from dataclasses import replace
 from pwatrack.arrays import up
 from pwatrack.claims.practical import Practical, deviation_bounds, least_merges
 from pwatrack.control.applicability import Facts, exact_is_open, practical_is_open
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.model.merging import Merge, merged, widest
+from pwatrack.model.merging import Simplification, merged, widest
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Sizes
@@ -19,7 +19,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.study.sizing import reference_sizes, spec_sizes
 from pwatrack.study.tracking import check_reference, desired_trajectory, spec_generator
 
-Designed = Callable[[Spec], Controller]
+Designed = Callable[[Spec], ProvedController]
 
 
 def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
@@ -71,7 +71,7 @@ def _checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     return said, sizes
 
 
-def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> Controller | str:
+def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> ProvedController | str:
     """Return the design with the least of the cells merged, or why none is found.
 
     Where (9) holds for all cells too, the observer that runs these is tried as well, and the one with the smaller bound
@@ -85,7 +85,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     if form is None or not widest(form):
         return "no scalar nonlinearity has two corners that could become one or none"
 
-    def works(chosen: Mapping[int, Merge]) -> bool:
+    def works(chosen: Mapping[int, Simplification]) -> bool:
         try:
             _solve(merged_spec(spec, list(chosen.values())))
         except PwatrackError as error:
@@ -118,7 +118,7 @@ def not_worth(spec: Spec, practical: Practical) -> str:
     return ", ".join(said)
 
 
-def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> Spec:
+def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = False) -> Spec:
     """Return what is designed for: the same for the plant in which some elements are merged.
 
     Args:
@@ -134,7 +134,7 @@ def merged_spec(spec: Spec, ways: Sequence[Merge], *, watched: bool = False) -> 
     return replace(spec, problem=replace(spec.problem, plant=less))
 
 
-def tracked_bound(controller: Controller) -> float:
+def tracked_bound(controller: ProvedController) -> float:
     """Return below what the tracking error ends, of several entries in sizes."""
     return controller.claim(Practical).leaves_norm(controller.tracking, controller.error_sizes.tolist())
 
@@ -151,8 +151,8 @@ def _solve(spec: Spec) -> None:
 
 
 def _bounded(
-    spec: Spec, true: PWASystem, ways: Sequence[Merge], refusal: PwatrackError, designed: Designed
-) -> Controller | None:
+    spec: Spec, true: PWASystem, ways: Sequence[Simplification], refusal: PwatrackError, designed: Designed
+) -> ProvedController | None:
     """Return a design with the bounds that are proved of it, or None where one is missing."""
     try:
         controller = designed(spec)

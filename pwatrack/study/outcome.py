@@ -102,7 +102,7 @@ class _Envelope:
         return grows(self.high[:, k], self.low[:, k], size)
 
 
-class Watch:
+class RunMonitor:
     """Looks at a run block by block, to say in the end how it went.
 
     Args:

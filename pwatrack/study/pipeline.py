@@ -9,11 +9,11 @@ from pwatrack.arrays import Array
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import proved
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.limits import Room
+from pwatrack.control.limits import Headroom
 from pwatrack.control.modes import check_loads
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
@@ -25,16 +25,16 @@ from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.sampled_runs import check_sample_time
-from pwatrack.simulation.spool import Spool
+from pwatrack.simulation.spool import TraceOnDisk
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.study.limiting import room_within_limits
 from pwatrack.study.merged import may_merge, merged_spec, not_worth, practical_design
-from pwatrack.study.outcome import Watch
+from pwatrack.study.outcome import RunMonitor
 from pwatrack.study.proving import asked_of
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.sizing import spec_sizes
 from pwatrack.study.starting import generator_start, initial_values, plant_start
 from pwatrack.study.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
@@ -42,7 +42,7 @@ from pwatrack.study.tracking import check_breaks, desired_trajectory, start_fixe
 MOST_KEPT = 250_000  # samples
 
 
-def design(spec: Spec, *, growing: bool = False) -> Controller:
+def design(spec: Spec, *, growing: bool = False) -> ProvedController:
     """Find the gains and prove that the closed loop tracks: Theorem 2 or 3, or with cells merged practically.
 
     Args:
@@ -66,7 +66,7 @@ def design(spec: Spec, *, growing: bool = False) -> Controller:
         return _exact_or_practical(spec, growing)
 
 
-def _exact_or_practical(spec: Spec, growing: bool) -> Controller:
+def _exact_or_practical(spec: Spec, growing: bool) -> ProvedController:
     """Design for exact tracking, or with cells merged where that is refused."""
     try:
         return _designed(spec, growing)
@@ -75,7 +75,7 @@ def _exact_or_practical(spec: Spec, growing: bool) -> Controller:
             raise
         found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing)[0])
         remark = f"; practical tracking is asked for, and not found: {found}"
-        if isinstance(found, Controller):
+        if isinstance(found, ProvedController):
             practical = found.claim(Practical)
             little = not_worth(spec, practical)
             if spec.objectives.practical or not little:
@@ -88,14 +88,14 @@ def _exact_or_practical(spec: Spec, growing: bool) -> Controller:
         raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
-def _designed(spec: Spec, growing: bool) -> Controller:
+def _designed(spec: Spec, growing: bool) -> ProvedController:
     """Design for exact tracking."""
     controller, room = _with_gains(spec, growing)
     with spec.located():
         return proved(controller, asked_of(spec, room))
 
 
-def _with_gains(spec: Spec, growing: bool) -> tuple[Controller, Room | None]:
+def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom | None]:
     """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave."""
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
@@ -112,7 +112,7 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[Controller, Room | None]:
         )
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes)
-        return Controller(  # (18), (19)
+        return ProvedController(  # (18), (19)
             plant=plant,
             running=plant,
             design=gains,
@@ -123,7 +123,7 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[Controller, Room | None]:
         ), room
 
 
-def _room(spec: Spec, controller: Controller) -> Room | None:
+def _room(spec: Spec, controller: ProvedController) -> Headroom | None:
     return room_within_limits(spec, controller.trajectory, controller.generator, controller.sizes)
 
 
@@ -142,10 +142,12 @@ def sampling_known(spec: Spec) -> tuple[str, ...]:
     return (f"what sampling every {sampling.sample_time:g} s makes of the loop {said}",)
 
 
-def simulate(spec: Spec, controller: Controller | None = None, runs: Program | None = None) -> Result:
+def simulate(
+    spec: Spec, controller: ProvedController | None = None, runs: SampledController | None = None
+) -> SimulatedLoop:
     """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
 
-    Of a long run some samples are kept in memory and all of them in a temporary file: see `Spool`.
+    Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
 
     Args:
         controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
@@ -174,7 +176,7 @@ def simulate(spec: Spec, controller: Controller | None = None, runs: Program | N
                 controller = replace(controller, trajectory=trajectory)
                 loop = replace(loop, controller=controller)
         response, figures, watch, spool = _run(spec, loop, start)
-        return Result(
+        return SimulatedLoop(
             spec=spec,
             controller=controller,
             loop=loop,
@@ -213,14 +215,14 @@ def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     return loop.start(plant=x, observer=observer, generator=eta), steady_state
 
 
-def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, Watch, Spool | None]:
+def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, RunMonitor, TraceOnDisk | None]:
     """Return the signals, thinned where they are too many to keep; figures, what was watched, and all on disk."""
     times = {"duration": spec.scenario.duration, "sample_time": spec.scenario.sample_time}
     samples, resets = sample_count(**times), loop.resets(spec.scenario.duration)
-    watch = Watch(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain)
+    watch = RunMonitor(loop, samples, units=spec.problem.units, box=spec.objectives.uncertain)
     measuring = Measuring(samples, **spec.measured, loop=loop)
     step, kept = -(-samples // MOST_KEPT), list[Trace]()
-    spool = Spool() if step > 1 else None
+    spool = TraceOnDisk() if step > 1 else None
 
     number = 0
     for trace in trace_blocks(loop.flow, start, **times, resets=resets, most=MOST_KEPT):
@@ -236,7 +238,7 @@ def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures,
     return loop.response(Trace.coarse(kept)), measuring.figures(map(loop.response, spool)), watch, spool
 
 
-def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> SteadyState | None:
+def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> SteadyState | None:
     """Return a period of the generator's steady state, where it has one; any time is a period of a constant."""
     trajectory = controller.trajectory
     p, system = trajectory.rate.shape[1], trajectory.exosystem
@@ -257,14 +259,14 @@ def _steady_state(spec: Spec, controller: Controller, eta_hat0: Array) -> Steady
     return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
 
 
-def prove_for_box(spec: Spec, controller: Controller, box: Box) -> Robust:
+def prove_for_box(spec: Spec, controller: ProvedController, box: Box) -> Robust:
     """Prove a design for all plants of a box: see `corners` and `prove_box`, which say what they refuse."""
     asked = replace(spec, objectives=replace(spec.objectives, uncertain=box))
     with spec.located(), asking(spec.objectives.solver):
         return next(Robust.prove(controller, asked_of(asked, None)))
 
 
-def proved_for(spec: Spec, controller: Controller) -> Controller:
+def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
         return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller)))

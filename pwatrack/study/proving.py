@@ -1,12 +1,12 @@
 """What a spec asks to be proved of a controller: what claims take of it."""
 
 from pwatrack.control.controller import Asked
-from pwatrack.control.limits import Room
+from pwatrack.control.limits import Headroom
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Spec
 
 
-def asked_of(spec: Spec, room: Room | None) -> Asked:
+def asked_of(spec: Spec, room: Headroom | None) -> Asked:
     """Return what a spec asks to be proved.
 
     Args:

@@ -8,11 +8,11 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
-from pwatrack.simulation.spool import Spool
+from pwatrack.simulation.spool import TraceOnDisk
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
 from pwatrack.spec.spec import Spec
@@ -24,7 +24,7 @@ from pwatrack.study.tracking import reference_remarks, start_fixed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class SimulatedLoop:
     """A designed and simulated closed loop.
 
     Attributes:
@@ -44,14 +44,14 @@ class Result:
     """
 
     spec: Spec
-    controller: Controller
+    controller: ProvedController
     loop: ClosedLoop
     response: Response
     figures: Figures
     outcome: Outcome
     start: Array
     steady_state: SteadyState | None
-    spool: Spool | None
+    spool: TraceOnDisk | None
     w: Array | None = None
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.causes import Remedy, Way
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -18,7 +18,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.sizes import Origin, Sizes
-from pwatrack.simulation.region import Box
+from pwatrack.simulation.region import BoxRegion
 from pwatrack.simulation.steady_state import periodic_state
 from pwatrack.simulation.visits import blocks, desired_flow
 from pwatrack.spec.spec import Spec
@@ -98,7 +98,7 @@ def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
     return type(refusal)(*told, evidence=refusal.evidence)
 
 
-def reference_sizes(spec: Spec, controller: Controller) -> Array:
+def reference_sizes(spec: Spec, controller: ProvedController) -> Array:
     """Return how large the reference of each signal of the tracking error is, never more than it is, (q,).
 
     That is half of its swing in a run, and of one that rests its size; at samples, so a swing is a little more. It is 0
@@ -143,7 +143,7 @@ def _limits(spec: Spec) -> Iterator[Known]:
 def _ensemble(spec: Spec) -> Iterator[Known]:
     region = spec.scenario.regions.get("plant")
     if region is not None:
-        radii = (region.high - region.low) / 2 if isinstance(region, Box) else region.radii
+        radii = (region.high - region.low) / 2 if isinstance(region, BoxRegion) else region.radii
         for name, radius in zip(spec.problem.plant.states, radii.tolist(), strict=True):
             yield name, radius, "ensemble"
 

@@ -11,7 +11,7 @@ from pwatrack.control.limits import Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.sizes import Sizes
-from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.startup import consistent_start, from_measured
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
@@ -135,7 +135,7 @@ def _columns(region: Region | None, point: Array) -> Array:
     """Return the centre of a region and, for each entry that varies, by how much; of an ellipsoid the box around it."""
     if region is None:
         return point[:, None]
-    if isinstance(region, Box):
+    if isinstance(region, BoxRegion):
         centre, radii = (region.low + region.high) / 2, (region.high - region.low) / 2
     else:
         centre, radii = region.center, region.radii

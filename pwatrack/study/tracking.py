@@ -6,11 +6,11 @@ import numpy as np
 
 from pwatrack.causes import Subject
 from pwatrack.control.compensation import check_played_back, compensation
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.modes import check_loads
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
-from pwatrack.control.synthesis import Design
+from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.model.course import Table
@@ -155,7 +155,7 @@ def reference_remarks(spec: Spec, form: NormalForm | None) -> tuple[str, ...]:
 
 
 def check_breaks(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Design
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Gains
 ) -> None:
     """Refuse a reference whose breaks cannot be timed well enough."""
     plant, reference, tracking = spec.problem.plant, spec.problem.reference, spec.problem.tracking
@@ -181,7 +181,7 @@ def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) ->
             check_smooth(signal, r, name=name, subject=subject)
 
 
-def start_fixed(spec: Spec, controller: Controller) -> bool:
+def start_fixed(spec: Spec, controller: ProvedController) -> bool:
     """Say whether the reference itself says where the desired trajectory starts."""
     return controller.trajectory.eta0 is not None or starts_periodic(spec)
 

@@ -16,12 +16,12 @@ from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
-from pwatrack.simulation.region import Box, Region
+from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
-from pwatrack.study.outcome import Outcome, Watch
-from pwatrack.study.result import Result
+from pwatrack.study.outcome import Outcome, RunMonitor
+from pwatrack.study.result import SimulatedLoop
 from pwatrack.study.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
@@ -71,7 +71,7 @@ class EnsembleResult:
         figures: What was measured of each, as of a single run.
     """
 
-    nominal: Result
+    nominal: SimulatedLoop
     variation: Variation
     seed: int
     ensemble: Ensemble
@@ -93,7 +93,7 @@ class EnsembleResult:
 
 
 def ensemble(
-    result: Result,
+    result: SimulatedLoop,
     count: int,
     *,
     over: Over = "initial",
@@ -157,7 +157,7 @@ def _simulated(
 
 def _handed_on(
     executor: Executor,
-    result: Result,
+    result: SimulatedLoop,
     drawn: tuple[Over, int, int],
     workers: int,
     progress: Callable[[int], object] | None,
@@ -180,7 +180,7 @@ def _handed_on(
     return joined(parts)
 
 
-def _part(result: Result, over: Over, count: int, seed: int, which: range) -> Ensemble:
+def _part(result: SimulatedLoop, over: Over, count: int, seed: int, which: range) -> Ensemble:
     return _simulated(result.spec, _VARIED[over](result, count, seed), which, 1)
 
 
@@ -192,7 +192,7 @@ class _Judged:
     figures: Figures
 
 
-def other_starts(result: Result, count: int, seed: int) -> Variation:
+def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
     """Return the loop from initial states drawn from regions; parts without one start as in `result`.
 
     Raises:
@@ -229,7 +229,7 @@ def other_starts(result: Result, count: int, seed: int) -> Variation:
     )
 
 
-def other_parameters(result: Result, count: int, seed: int) -> Variation:
+def other_parameters(result: SimulatedLoop, count: int, seed: int) -> Variation:
     """Return the loop with plants whose parameters are drawn from intervals, and the controller as designed.
 
     Raises:
@@ -240,7 +240,7 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
     intervals = dict(spec.scenario.intervals) or _near(result)
     names = tuple(intervals)
     low, high = np.array(list(intervals.values())).T
-    box = Box(low=low, high=high)
+    box = BoxRegion(low=low, high=high)
     drawn = box.draw(np.random.default_rng([seed, 3]), count)
 
     def member(number: int) -> Member:
@@ -260,7 +260,7 @@ def other_parameters(result: Result, count: int, seed: int) -> Variation:
     )
 
 
-def other_noise(result: Result, count: int, seed: int) -> Variation:
+def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
     """Return the loop with other random numbers for its noise.
 
     Raises:
@@ -289,13 +289,13 @@ _OVER: Subject = ("simulation", "ensemble", "parameters")
 _NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h")  # of a plant
 
 
-def _member(result: Result, loop: ClosedLoop) -> Member:
+def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
     resets = tuple(loop.resets(result.spec.scenario.duration))
 
     spec = result.spec
 
     def judge(trace: Trace) -> _Judged:
-        watch, response = Watch(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
+        watch, response = RunMonitor(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
         figures = Figures.of(response, loop, **spec.measured)
         return _Judged(watch.outcome(figures), figures)
@@ -317,14 +317,14 @@ def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
         start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 
-def _around(result: Result) -> dict[str, Region]:
+def _around(result: SimulatedLoop) -> dict[str, Region]:
     """Return the default: within the largest size of each state of the plant in a run of where that run starts."""
     x = result.response.x
     size = np.abs(x).max(axis=0)
-    return {"plant": Box(low=x[0] - size, high=x[0] + size)}
+    return {"plant": BoxRegion(low=x[0] - size, high=x[0] + size)}
 
 
-def _near(result: Result) -> dict[str, tuple[float, float]]:
+def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
     """Return the default: 5 % around each parameter that matters to the plant."""
     spec, plant = result.spec, result.loop.plant
     values = {**spec.parameters, **(result.loop.conditions.parameters or {})}
@@ -345,12 +345,12 @@ def _near(result: Result) -> dict[str, tuple[float, float]]:
     return intervals
 
 
-def _changed(result: Result, parameters: Mapping[str, float]) -> dict[str, float]:
+def _changed(result: SimulatedLoop, parameters: Mapping[str, float]) -> dict[str, float]:
     """Return these parameters, and those that are not as designed anyway."""
     return {**(result.loop.conditions.parameters or {}), **parameters}
 
 
-def _check_generator(result: Result, entries: int) -> None:
+def _check_generator(result: SimulatedLoop, entries: int) -> None:
     subject: Subject = ("simulation", "ensemble", "initial", "generator")
     where, expected = ".".join(map(str, subject)), result.response.eta_hat.shape[1]
     if result.generator_start_fixed:

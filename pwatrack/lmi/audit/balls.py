@@ -3,7 +3,7 @@
 from fractions import Fraction
 from typing import Any
 
-from .matrices import Fault, Matrix, added, identity, inverted, product, sizes, spend, total, transposed
+from .matrices import AuditFault, Matrix, added, identity, inverted, product, sizes, spend, total, transposed
 
 Ball = tuple[Matrix, Matrix]  # centre and radius
 
@@ -41,7 +41,7 @@ def inverse(ball: Ball) -> Ball:
     Q = product(size, R)
     grown = inverted(added(identity(len(X), 1), Q, -1))
     if any(v < 0 for row in grown for v in row):
-        raise Fault("a change of state in a ball may be singular")
+        raise AuditFault("a change of state in a ball may be singular")
     return back, product(grown, product(Q, size))
 
 

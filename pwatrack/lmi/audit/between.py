@@ -9,7 +9,7 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import Ball
-from .matrices import Fault, Matrix, added, identity, product, rank, transposed
+from .matrices import AuditFault, Matrix, added, identity, product, rank, transposed
 from .reading import matrix, number
 
 
@@ -19,7 +19,7 @@ def between(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     z, mu, r, rate = [number(v) for v in proof["mode"]], *(number(proof[k]) for k in ("eigenvalue", "radius", "rate"))
     w = {int(i): number(share) for i, share in proof["between"].items()}
     if not w or min(w) < 0 or not N or {len(row) for row in N} != {n} or len(z) != len(N) or 1 not in z:
-        raise Fault("cells, rows and mode do not fit together")
+        raise AuditFault("cells, rows and mode do not fit together")
     faults = [] if rank(N) == len(N) else ["the rows N are not independent"]
     if B and any(map(any, product(N, B))):
         faults.append("N B is not 0")
@@ -36,7 +36,7 @@ def between(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     moved = [[-v for (v,) in product(transposed(N), column)], *([v for (v,) in product(X, column)] for X in changes)]
     J = transposed([*free, *moved])
     if {len(row) for row in (*J, *C)} != {n} or len(C) != n:
-        raise Fault("there are not as many equations as unknowns")
+        raise AuditFault("there are not as many equations as unknowns")
     step, off = product(C, product(M, column)), added(identity(n, 1), product(C, J), -1)
     terms = [[abs(v) for s, v in enumerate(row) if s != one] for X in (transposed(N), *changes) for row in X]
     bend = [sum((sum(row) for row in terms[j::n]), Fraction(0)) for j in range(n)]

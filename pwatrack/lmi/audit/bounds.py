@@ -5,16 +5,16 @@ from functools import cached_property
 from typing import Any
 
 from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, stacked, times, unlike
-from .matrices import Fault, Matrix, added, definite, identity, product, sizes, transposed
+from .matrices import AuditFault, Matrix, added, definite, identity, product, sizes, transposed
 from .peaks import peak_bound
-from .plant import Plant
+from .plant import AuditedPlant
 from .reading import distinct, number, packed, place
 
 
 class Loop:
     """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any."""
 
-    def __init__(self, plant: Plant, K: Matrix, L: Matrix, X: Ball | None) -> None:
+    def __init__(self, plant: AuditedPlant, K: Matrix, L: Matrix, X: Ball | None) -> None:
         self.plant, self.K, self.L, self.X = plant, K, L, X
 
     def faults(self, entry: Any) -> list[str]:
@@ -28,7 +28,7 @@ class Loop:
             Q, powers = packed(proof["Q"])
             rate = number(proof["a"])
             if not definite(Q) or rate <= 0:
-                raise Fault("Q or a is not positive")
+                raise AuditFault("Q or a is not positive")
             square, open_ = times(g, flipped(g))
             if channel[0] == "start":
                 if not definite(added(Q, square, -1)):
@@ -52,7 +52,7 @@ class Loop:
             loop, ((kind, k, _),) = part["loop"], part["signals"]
             M, row, g = self.matrices(loop), self.row(loop, kind, k), self.drive(loop, part["channel"])
             if part["channel"][0] == "start" or len(M) != 1 or any(X[1] for X in (*M, row, g)):
-                raise Fault("a peak gain is one of one matrix without radius")
+                raise AuditFault("a peak gain is one of one matrix without radius")
             if peak_bound(M[0][0], g[0], row[0], part, peak) > number(peak["size"]):
                 faults.append(f"the peak gain of {kind} {k} is above {peak['size']}")
             found[loop, *part["channel"], kind, k] = number(peak["size"])
@@ -125,7 +125,7 @@ class Loop:
             e, Delta = (rows[:n], []), (rows[n:], [])
         if kind == "input":
             if loop != "controller":
-                raise Fault("an input drives the controller's loop only")
+                raise AuditFault("an input drives the controller's loop only")
             e = column(self.plant.B, k)
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
@@ -146,7 +146,7 @@ class Loop:
         )
         if kind == "coupling":
             if loop != "observer" or plant.loads is None:
-                raise Fault("what drives e is a signal of the observer's loop, where loads are estimated")
+                raise AuditFault("what drives e is a signal of the observer's loop, where loads are estimated")
             return part(self.coupling, k)
         e: Ball = [[Fraction(int(j == k and kind == "state")) for j in range(n)]], []
         e = part(plant.tracked, k) if kind == "output" else ([K[k]], []) if kind in ("input", "drive") else e

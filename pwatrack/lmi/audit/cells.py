@@ -5,7 +5,7 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from .matrices import Fault, less, spend
+from .matrices import AuditFault, less, spend
 from .reading import number
 
 
@@ -18,7 +18,7 @@ class Cells:
         self.signs = content["signs"]
         spend(sum(map(len, self.signs)) / 10)
         if any(s not in (-1, 0, 1) for row in self.signs for s in row):
-            raise Fault("a sign is none")
+            raise AuditFault("a sign is none")
 
     def faults(self, jumps: Any) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps: `jumps(i, j, plane)` says it may."""
@@ -103,7 +103,7 @@ def normalised(plane: list[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, i
     """Return H and h over the first entry of H that is not 0, and the sign of that."""
     pivot = next((v for v in plane[:-1] if v), None)
     if pivot is None:
-        raise Fault("a hyperplane has a zero normal")
+        raise AuditFault("a hyperplane has a zero normal")
     return tuple(v / pivot for v in plane[:-1]), plane[-1] / pivot, 1 if pivot > 0 else -1
 
 

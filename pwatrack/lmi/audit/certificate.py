@@ -8,9 +8,9 @@ from .between import between
 from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
-from .matrices import Fault, counted, transposed
+from .matrices import AuditFault, counted, transposed
 from .merged import Deviations, merged
-from .plant import Plant
+from .plant import AuditedPlant
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
 from .reading import FORMAT, matrix, number, parsed
@@ -44,11 +44,11 @@ def audit(text: str) -> tuple[list[str], list[str]]:
         with counted(len(text)):
             content = parsed(text)
             if content["format"] != FORMAT:
-                raise Fault(f"the format is {_shown(content['format'])}, this program reads '{FORMAT}': {ANEW}")
+                raise AuditFault(f"the format is {_shown(content['format'])}, this program reads '{FORMAT}': {ANEW}")
             fit(content["proofs"], REFUSAL["proofs"], "proofs")
             fit(content, REFUSAL if refuses(content) else DESIGN, "the certificate")
             return judged(content)
-    except Fault as fault:
+    except AuditFault as fault:
         return [], [str(fault)]
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
@@ -63,9 +63,9 @@ def _shown(name: Any) -> str:
 def judged(content: Any) -> tuple[list[str], list[str]]:
     """Decide every claim of a certificate."""
     named = sorted({int(i) for proof in content["proofs"] for i in by_cell(proof)})
-    plant, practical = Plant(content["plant"], named), content.get("practical")
+    plant, practical = AuditedPlant(content["plant"], named), content.get("practical")
     if practical is not None and practical["observer_runs"] == "all cells":
-        plant.seen_A = Plant(practical["plant"]).A
+        plant.seen_A = AuditedPlant(practical["plant"]).A
     open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
     inexact = any(any(part["radius"].values()) for part in open_)
     centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
@@ -82,7 +82,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     for proof in content["proofs"]:
         of, which = proof["of"], kind(proof)
         if of not in NAMES or (which == "cost" and of not in ("controller", "observer")):
-            raise Fault(f"there is no {which} of '{of}'")
+            raise AuditFault(f"there is no {which} of '{of}'")
         M, B = plant.problem(of, K, L, A_eta)
         wrong = DECIDED[which](M, B, plant.placed(proof), K if of == "controller" else L and transposed(L))
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
@@ -132,7 +132,7 @@ def misplaced(content: Any) -> list[str]:
     return faults
 
 
-def claim(proof: Any, plant: Plant) -> str:
+def claim(proof: Any, plant: AuditedPlant) -> str:
     """Say what one entry claims."""
     which, names = kind(proof), [f"'{plant.name(int(i))}'" for i in by_cell(proof)]
     if which == "cost":

@@ -4,27 +4,29 @@ from typing import Any
 
 from .balls import Ball, flipped, less, plus, sides, stacked, times, unlike
 from .bounds import Loop
-from .matrices import Fault, Matrix
-from .plant import Plant
+from .matrices import AuditFault, Matrix
+from .plant import AuditedPlant
 from .reading import distinct
 
 
-class Box(Loop):
+class UncertainLoop(Loop):
     """The same loop, where another plant runs that is a mean of some corners."""
 
     def __init__(self, content: Any, corners: Any, K: Matrix, L: Matrix) -> None:
-        plant = Plant(content)
+        plant = AuditedPlant(content)
         super().__init__(plant, K, L, None)
         if plant.elements is not None:
-            raise Fault("where parameters are uncertain, all cells are listed")
+            raise AuditFault("where parameters are uncertain, all cells are listed")
         if plant.loads is not None:
-            raise Fault("uncertain parameters go without estimated loads")
+            raise AuditFault("uncertain parameters go without estimated loads")
         self.corners = [
-            Plant(content | {name: X[name] for name in ("A", "b", "B")} | {"radius": content["radius"] | X["radius"]})
+            AuditedPlant(
+                content | {name: X[name] for name in ("A", "b", "B")} | {"radius": content["radius"] | X["radius"]}
+            )
             for X in corners
         ]
         if not corners or any(len(corner.B[0][0]) != len(plant.B[0][0]) for corner in self.corners):
-            raise Fault("the matrices of the corners do not fit those of the plant")
+            raise AuditFault("the matrices of the corners do not fit those of the plant")
 
     def varying(self) -> set[int]:
         """Return the state equations in which a corner differs from the plant."""
@@ -45,7 +47,7 @@ class Box(Loop):
     def matrices(self, name: str) -> list[Ball]:
         """Return the matrices of (e, Delta) for all corners and pairs of cells."""
         if name != "joint":
-            raise Fault("the bounds of uncertain parameters are those of the joint loop")
+            raise AuditFault("the bounds of uncertain parameters are those of the joint loop")
         gain: Ball = self.K, []
         observer, pairs = self.plant.problem("observer", self.K, self.L, None)[0], list[Ball]()
         for corner in self.corners:
@@ -58,11 +60,11 @@ class Box(Loop):
 
 def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str], str]:
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
-    box = Box(plant, content["corners"], K, L)
+    box = UncertainLoop(plant, content["corners"], K, L)
     faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
     signals = [[signal[:2] for signal in entry["signals"]] for entry in content["bounds"]]
     if [entry["channel"] for entry in content["bounds"]] != [["disturbance", k] for k in sorted(box.varying())]:
-        raise Fault("the bounds of uncertain parameters are not those of the entries of w that vary, each once")
+        raise AuditFault("the bounds of uncertain parameters are not those of the entries of w that vary, each once")
     if any(one != signals[0] for one in signals):
         faults.append("a signal has no bound of some entry of w")
     faults += [f"entry {entry['channel'][1] + 1}: {f}" for entry in content["bounds"] for f in box.faults(entry)]

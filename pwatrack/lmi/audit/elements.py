@@ -8,7 +8,7 @@ from math import prod
 from typing import Any
 
 from .balls import Ball
-from .matrices import Fault, bits, rank, spend
+from .matrices import AuditFault, bits, rank, spend
 from .reading import matrix, number, place
 
 _MOST_CORNERS = 2**16  # that are decided one by one
@@ -21,9 +21,9 @@ class Function:
     def __init__(self, content: Any) -> None:
         self.breakpoints, self.slopes = ([number(v) for v in content[name]] for name in ("breakpoints", "slopes"))
         if len(self.slopes) != len(self.breakpoints) + 1 or not self.breakpoints:
-            raise Fault("a function does not fit together")
+            raise AuditFault("a function does not fit together")
         if sorted(set(self.breakpoints)) != self.breakpoints:
-            raise Fault("the breakpoints of a function do not increase")
+            raise AuditFault("the breakpoints of a function do not increase")
         self.intercepts = [number(content["value"]) - self.slopes[0] * self.breakpoints[0]]
         for k, s in enumerate(self.breakpoints):
             self.intercepts.append(self.intercepts[-1] + (self.slopes[k] - self.slopes[k + 1]) * s)
@@ -42,7 +42,7 @@ class Function:
             if low is not None and mark <= low:
                 below = k + 1
             elif (high is None or mark < high) and self.slopes[k] != self.slopes[k + 1]:
-                raise Fault("a function has a corner inside a cell")
+                raise AuditFault("a function has a corner inside a cell")
         return below
 
     def line(self, k: int, row: list[Fraction], constant: Fraction) -> list[Fraction]:
@@ -57,7 +57,7 @@ class Element:
         self.row, self.direction = ([number(v) for v in content[name]] for name in ("row", "direction"))
         self.constant, self.function = number(content["constant"]), Function(content["function"])
         if len(self.row) != n or len(self.direction) != n or not any(self.row):
-            raise Fault("an element does not fit the plant")
+            raise AuditFault("an element does not fit the plant")
 
     @property
     def ends(self) -> list[int]:
@@ -79,11 +79,11 @@ class Elements:
         self.names = [one["segments"] for one in content["elements"]]
         self.count = prod(map(len, self.names))
         if not self.each or rank([element.row for element in self.each]) < len(self.each):
-            raise Fault("the rows of the elements are not independent")
+            raise AuditFault("the rows of the elements are not independent")
         if [len(names) for names in self.names] != [len(element.function.slopes) for element in self.each]:
-            raise Fault("a segment of an element has no name")
+            raise AuditFault("a segment of an element has no name")
         if prod(len(element.ends) for element in self.each) > _MOST_CORNERS:
-            raise Fault(f"the elements have more than {_MOST_CORNERS} corners")
+            raise AuditFault(f"the elements have more than {_MOST_CORNERS} corners")
 
     @property
     def corners(self) -> list[Segments]:

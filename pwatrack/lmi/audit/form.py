@@ -6,12 +6,12 @@ from functools import partial, reduce
 from typing import Any
 
 from .balls import Ball, inverse, less, negative, part, plus, stacked, times, unlike
-from .matrices import Fault, Matrix, added, definite, inverted, product, spend, transposed
-from .plant import Plant
+from .matrices import AuditFault, Matrix, added, definite, inverted, product, spend, transposed
+from .plant import AuditedPlant
 from .reading import matrix, number, place
 
 
-def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list[Ball], Ball | None]:
+def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tuple[list[Ball], Ball | None]:
     """Return A_eta of (17), and by what loads shift x_d, after checking that the plant has the form that is claimed.
 
     With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
@@ -21,7 +21,7 @@ def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list
     internal, Z = [place(j, n) for j in generator["internal"]], matrix(generator["directions"])
     fits = len(internal) == len(generator["eta"]) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
     if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
-        raise Fault("the form (11) does not fit the plant")
+        raise AuditFault("the form (11) does not fit the plant")
     outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
     C = [joined([part(rows, len(rows[0]) - 1) for rows in cell]) for cell in zip(*outputs, strict=True)]
     BZ = times(plant.B, (Z, []))
@@ -33,20 +33,20 @@ def normal_form(plant: Plant, generator: Any, resting: Any = None) -> tuple[list
     T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
     found, backs = list[Ball](), once(inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
-        raise Fault("the last derivative of an output differs between cells, which are not listed")
+        raise AuditFault("the last derivative of an output differs between cells, which are not listed")
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
         X, R = times(times(T_i, A_i), back)
         found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
     if ("A_eta" in generator) != (plant.elements is None):
-        raise Fault("A_eta is there where all cells are listed, and only there")
+        raise AuditFault("A_eta is there where all cells are listed, and only there")
     if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
-        raise Fault("A_eta is not that of the plant")
+        raise AuditFault("A_eta is not that of the plant")
     if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
-        raise Fault("T is not that of the plant")
+        raise AuditFault("T is not that of the plant")
     return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
 
 
-def tracked_derivatives(plant: Plant, j: int, degree: int) -> list[Ball]:
+def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
     """Return in each cell the rows c_k of the derivatives of a tracked output, k < degree.
 
     B reaches none but the last of them, which alone may differ between cells.
@@ -54,13 +54,13 @@ def tracked_derivatives(plant: Plant, j: int, degree: int) -> list[Ball]:
     row = rows = part(plant.tracked, j)
     for k in range(degree - 1):
         if any(product(row[0], plant.B[0])[0]):
-            raise Fault(f"the relative degree is not {degree}")
+            raise AuditFault(f"the relative degree is not {degree}")
         if k == degree - 2:
             return once(partial(_extended, rows), plant.A)
         following = times(row, plant.A[0])
         for (A, _), (b, _) in zip(plant.A, plant.b, strict=True):
             if product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0]):
-                raise Fault("the derivatives of the output differ between cells before the input enters")
+                raise AuditFault("the derivatives of the output differ between cells before the input enters")
         row = following
         rows = stacked(rows, row)
     return [rows] * len(plant.A)
@@ -78,17 +78,17 @@ def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
     between cells are one-to-one all the same, and they are a change of state with the other coordinates.
     """
     if any(v <= 0 for v in scales):
-        raise Fault("a scale is not positive")
+        raise AuditFault("a scale is not positive")
     total = reduce(added, (X for X, _ in D))
     mean = inverted([[v / len(D) for v in row] for row in total])
     for X, _ in D:
         ratios = [[a / b for b in scales] for a in scales]
         Q = [[v * w for v, w in zip(*rows, strict=True)] for rows in zip(product(X, mean), ratios, strict=True)]
         if not definite(added(Q, transposed(Q))):
-            raise Fault("the last derivatives of the outputs are not moved the same way in all cells")
+            raise AuditFault("the last derivatives of the outputs are not moved the same way in all cells")
 
 
-def shift(plant: Plant, degrees: list[int], T: list[Ball], backs: list[Ball], H: Matrix) -> Ball | None:
+def shift(plant: AuditedPlant, degrees: list[int], T: list[Ball], backs: list[Ball], H: Matrix) -> Ball | None:
     """Return X = -T_i^-1 G, by which estimated loads shift x_d: g_0 = 0, g_k+1 = c_k E + g_k S, G = [g; -H]."""
     if plant.loads is None:
         return None
@@ -101,16 +101,16 @@ def shift(plant: Plant, degrees: list[int], T: list[Ball], backs: list[Ball], H:
             G.append(plus(times(part(T[0], len(G) - 1), E), times(G[-1], S)))
     r, n = len(G), len(E[0])
     if H and (len(H) != n - r or any(len(row) != len(S[0]) for row in H)):
-        raise Fault("what loads add to eta does not fit the plant")
+        raise AuditFault("what loads add to eta does not fit the plant")
     whole = joined(G + ([negative((H, []))] if H else [nothing] * (n - r)))
     shifts = unlike(once(lambda back: negative(times(back, whole)), backs))
     if len(shifts) > 1:
-        raise Fault("loads move a derivative that differs between cells")
+        raise AuditFault("loads move a derivative that differs between cells")
     X = shifts[0][1]
     for T_i, A_i in zip(T, plant.A, strict=True) if H else ():
         W, open_ = plus(times(T_i, plus(times(A_i, X), E)), times(whole, S))
         if open_ or any(any(row) for row in W[r:]):
-            raise Fault("a load acts on an eta that is played back")
+            raise AuditFault("a load acts on an eta that is played back")
     return X
 
 

@@ -13,7 +13,7 @@ _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the 
 _work = {"most": inf, "done": 0.0}
 
 
-class Fault(Exception):
+class AuditFault(Exception):
     """Something in the file is wrong, or does not hold."""
 
 
@@ -31,7 +31,7 @@ def spend(steps: float, bits: int = 0) -> None:
     """Count so many operations on numbers of so many bits; a small file that asks for many is refused."""
     _work["done"] += steps * (1 + (bits / _BITS) ** 2)
     if _work["done"] > _work["most"]:
-        raise Fault(f"it takes more than {_work['most']:.2g} steps, the most for a file of its size")
+        raise AuditFault(f"it takes more than {_work['most']:.2g} steps, the most for a file of its size")
 
 
 def bits(numbers: Iterable[Fraction]) -> int:
@@ -48,7 +48,7 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
     """Return X Y."""
     columns = transposed(Y)
     if any(len(row) != len(Y) for row in X):
-        raise Fault("matrices do not fit together")
+        raise AuditFault("matrices do not fit together")
     found = list[list[Fraction]]()
     for row in X:
         terms = [[a * b for a, b in zip(row, c, strict=True) if a and b] for c in columns]
@@ -86,7 +86,7 @@ def inverted(X: Matrix) -> Matrix:
     for k in range(n):
         found = next((j for j in range(k, n) if rows[j][k]), None)
         if found is None:
-            raise Fault("a change of state is singular")
+            raise AuditFault("a change of state is singular")
         rows[k], rows[found] = rows[found], rows[k]
         rows[k] = [v / rows[k][k] for v in rows[k]]
         for j in range(n):

@@ -6,14 +6,14 @@ from typing import Any
 from .balls import Ball, negative, stacked
 from .bounds import Loop
 from .elements import Element, Function
-from .matrices import Fault, Matrix, added, spend
-from .plant import Plant
+from .matrices import AuditFault, Matrix, added, spend
+from .plant import AuditedPlant
 from .reading import distinct, number, place
 
 Field = list[list[Fraction]]  # [A b] less what merged elements add
 
 
-class Merged(Element):
+class SimplifiedElement(Element):
     """direction f(row x + constant) in the true field, direction g(row x + constant) in that of the design."""
 
     def __init__(self, content: Any, n: int) -> None:
@@ -28,7 +28,7 @@ class Merged(Element):
         gaps = [abs(f.at(s) - g.at(s)) for s in (*f.breakpoints, *g.breakpoints)]
         return ["a merged element deviates by more than is said"] if max(gaps) > self.largest else []
 
-    def part(self, function: Function, plant: Plant, cell: int) -> Field:
+    def part(self, function: Function, plant: AuditedPlant, cell: int) -> Field:
         """Return what it adds to [A b] in a cell of a plant."""
         low: Fraction | None = None
         high: Fraction | None = None
@@ -50,17 +50,17 @@ class Merged(Element):
 class Deviations(Loop):
     """The loop of the design, where the true plant runs: driven by what merged elements leave out."""
 
-    def __init__(self, plant: Plant, content: Any, K: Matrix, L: Matrix, X: Ball | None) -> None:
+    def __init__(self, plant: AuditedPlant, content: Any, K: Matrix, L: Matrix, X: Ball | None) -> None:
         super().__init__(plant, K, L, X)
         n = len(plant.B[0])
-        self.true, self.watched = Plant(content["plant"]), content["observer_runs"] == "all cells"
+        self.true, self.watched = AuditedPlant(content["plant"]), content["observer_runs"] == "all cells"
         if plant.elements or self.true.elements:
-            raise Fault("where cells are merged, all of them are listed")
-        self.elements = [Merged(one, n) for one in content["merged"]]
+            raise AuditFault("where cells are merged, all of them are listed")
+        self.elements = [SimplifiedElement(one, n) for one in content["merged"]]
         true = self.true
         same = (true.B, true.C, true.tracked) == (plant.B, plant.C, plant.tracked)
         if not self.elements or not same or true.loads != plant.loads or (self.watched and plant.loads):
-            raise Fault("the true plant is not that of the design but for merged cells")
+            raise AuditFault("the true plant is not that of the design but for merged cells")
 
     def differs(self) -> bool:
         """Say whether the fields, each less what merged elements add to it, differ in cells that may meet."""
@@ -81,7 +81,7 @@ class Deviations(Loop):
                     return True
         return False
 
-    def rest(self, plant: Plant, cell: int, parts: list[tuple[Merged, Function]]) -> Field:
+    def rest(self, plant: AuditedPlant, cell: int, parts: list[tuple[SimplifiedElement, Function]]) -> Field:
         """Return [A b] of a cell less what merged elements add."""
         field = [[*row, *b] for row, b in zip(plant.A[cell][0], plant.b[cell][0], strict=True)]
         for element, function in parts:
@@ -91,7 +91,7 @@ class Deviations(Loop):
     def drive(self, loop: str, channel: Any) -> Ball:
         """Return the column by which a deviation enters a loop."""
         if channel[0] != "deviation":
-            raise Fault("a bound of what is merged is one of a deviation")
+            raise AuditFault("a bound of what is merged is one of a deviation")
         element = self.elements[place(channel[1], len(self.elements))]
         zero, more = Fraction(0), len(self.L) - len(self.plant.B[0])
         e: Ball = [[v] for v in element.direction], []
@@ -109,14 +109,14 @@ def merged(loop: Deviations, content: Any, tracked: str) -> tuple[list[str], str
     if loop.differs():
         faults.append("the true field is not that of the design and what is merged")
     if [entry["channel"] for entry in content["bounds"]] != [["deviation", k] for k in range(len(loop.elements))]:
-        raise Fault("what is merged has not its bounds")
+        raise AuditFault("what is merged has not its bounds")
     faults += [f"bound of {entry['channel']}: {fault}" for entry in content["bounds"] for fault in loop.faults(entry)]
     known = [{(kind, k): number(size) for kind, k, size in entry["signals"]} for entry in content["bounds"]]
     count, wanted = len(loop.elements), len(loop.plant.tracked[0] if tracked == "output" else loop.plant.B[0])
     told = [(kind, k) for kind, k, _ in content["ends_below"]]
     distinct(told, "a signal of ends_below")
     if not {(tracked, k) for k in range(wanted)} <= {*told}:
-        raise Fault("ends_below has not all that is tracked")
+        raise AuditFault("ends_below has not all that is tracked")
     for kind, k, size in content["ends_below"]:
         total = sum(e.largest * sizes[kind, k] for e, sizes in zip(loop.elements, known, strict=True))
         if total > number(size):

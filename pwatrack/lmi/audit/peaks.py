@@ -10,7 +10,7 @@ from fractions import Fraction
 from math import ceil, isqrt, lcm
 from typing import Any
 
-from .matrices import Fault, Matrix, added, bits, definite, inverted, product, spend, total, transposed
+from .matrices import AuditFault, Matrix, added, bits, definite, inverted, product, spend, total, transposed
 from .reading import number, packed
 
 BITS = 640  # of numbers: well beyond the 400 to which the series is known
@@ -25,20 +25,20 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
     w = product(product(c, M), M)
     MP = product(transposed(M), P)
     if not definite(added(added(MP, transposed(MP)), product(transposed(w), w)), sign=-1):
-        raise Fault("P of a peak gain is not what it should be")
+        raise AuditFault("P of a peak gain is not what it should be")
     scale = [power * 2**20 for power in powers]
     back = [1 / v for v in scale]
     M, g = scaled(M, back, scale), scaled(g, back, [Fraction(1)])
     c, P, Q = scaled(c, [Fraction(1)], scale), scaled(P, scale, scale), scaled(Q, back, back)
     unit, steps = peak["unit"], peak["steps"]
     if abs(unit) > _MOST_EXPONENT or any(not 0 <= k <= _MOST_DOUBLINGS or count < 1 for k, count in steps):
-        raise Fault("a step of a peak gain is too long or too short")
+        raise AuditFault("a step of a peak gain is too long or too short")
     if sum(count for _, count in steps) > _MOST_STEPS:
-        raise Fault("a peak gain has too many steps")
+        raise AuditFault("a peak gain has too many steps")
     flows = [exponential(scaled(M, [Fraction(2) ** unit] * len(M), [Fraction(1)] * len(M)))]
     while len(flows) <= max((k for k, _ in steps), default=0):
         flows.append(squared(flows[-1]))
-    walk = Walk(g, c[0], P, Q)
+    walk = PeakWalk(g, c[0], P, Q)
     found, value, energy = Fraction(0), walk.value, walk.energy
     for k, count in steps:
         h = Fraction(2) ** (unit + k)
@@ -52,7 +52,7 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
     return found + 2 / rate * walk.row_size * walk.size
 
 
-class Walk:
+class PeakWalk:
     """z on its way, with c z and z^T P z, and how far they may be off."""
 
     def __init__(self, g: Matrix, c: list[Fraction], P: Matrix, Q: Matrix) -> None:
@@ -105,7 +105,7 @@ def exponential(X: Matrix) -> Rounded:
     """Return e^X by its series."""
     n = len(X)
     if max(sum(map(abs, row)) for row in X) > Fraction(1, 2):
-        raise Fault("the shortest step of a peak gain is too long")
+        raise AuditFault("the shortest step of a peak gain is too long")
     A: Rounded = [[(v.numerator << BITS) // v.denominator for v in row] for row in X], 1
     term: Rounded = [[(j == k) << BITS for k in range(n)] for j in range(n)], 0
     total, off = [list(row) for row in term[0]], 0

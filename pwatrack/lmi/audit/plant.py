@@ -7,12 +7,12 @@ from typing import Any
 from .balls import Ball, flipped, plus, sides, stacked, times
 from .cells import Cells
 from .elements import Elements
-from .matrices import Fault, Matrix, rank, spend, transposed
+from .matrices import AuditFault, Matrix, rank, spend, transposed
 from .reading import ball, distinct, place
 from .shape import CELLS, by_cell, kind
 
 
-class Plant:
+class AuditedPlant:
     """x' = A_i x + b_i + B u in cell i; y = C x is measured, the tracked rows are to follow a reference.
 
     Its cells are all listed, or it is written by elements. Then A and b are about the corners of the box of slopes, in
@@ -39,30 +39,30 @@ class Plant:
         for name, count in (ports | {"tracked": len(self.tracked[0])}).items():
             distinct(content[name], f"one of the {name}")
             if len(content[name]) != count:
-                raise Fault(f"there are not as many {name} as names")
+                raise AuditFault(f"there are not as many {name} as names")
         sizes = {(len(X), len(row)) for X, _ in self.A for row in X}
         if not n or not self.A or sizes != {(n, n)} or rows != {n}:
-            raise Fault("the matrices of the plant do not fit together")
+            raise AuditFault("the matrices of the plant do not fit together")
         if any([len(row) for row in X] != [1] * n for X, _ in self.b):
-            raise Fault("the matrices of the plant do not fit together")
+            raise AuditFault("the matrices of the plant do not fit together")
 
     def listed(self, content: Any) -> tuple[list[Ball], list[Ball]]:
         """Return A_i and b_i of cells that are all listed."""
         radius, cells, (planes, signs) = content["radius"], content["cells"], (self.cells.planes, self.cells.signs)
         lists = [content[name] for name in ("A", "b", "signs")] + [radius[name] for name in ("A", "b") if radius[name]]
         if any(len(X) != len(cells) for X in lists) or any(len(row) != len(planes) for row in signs):
-            raise Fault("the matrices of the plant do not fit together")
+            raise AuditFault("the matrices of the plant do not fit together")
         if any(len(plane) != len(self.B[0]) + 1 for plane in planes):
-            raise Fault("the matrices of the plant do not fit together")
+            raise AuditFault("the matrices of the plant do not fit together")
         if len({plane[:2] for plane in self.cells.parallel}) != len(planes):
-            raise Fault("two hyperplanes are one")
+            raise AuditFault("two hyperplanes are one")
         A, b = ([ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b"))
         return A, b
 
     def corners(self, elements: Elements, named: Sequence[int], radius: Any) -> tuple[list[Ball], list[Ball]]:
         """Return what stands for A_i and b_i of cells that are not listed."""
         if radius["A"] or radius["b"]:
-            raise Fault("the numbers of elements are exact")
+            raise AuditFault("the numbers of elements are exact")
         return elements.fields([*elements.corners, *map(elements.segments, named)])
 
     def name(self, i: int) -> str:
@@ -80,13 +80,13 @@ class Plant:
         E, S = (ball(content[name], content["radius"][name]) for name in ("E", "S"))
         n, p = len(self.B[0]), len(S[0])
         if not p or len(E[0]) != n or {len(row) for row in (*E[0], *S[0])} != {p}:
-            raise Fault("the loads do not fit to the plant")
+            raise AuditFault("the loads do not fit to the plant")
         below: Ball = [[Fraction(0)] * n for _ in range(p)], []
         beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
         self.loads = E, S
         self.seconds = set(range(p)) - {place(k, p) for k in content["where"]}
         if len(content["names"]) != len(content["where"]):
-            raise Fault("there are not as many loads as names")
+            raise AuditFault("there are not as many loads as names")
         self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
         self.seen_C = sides(self.C, beside)
 
@@ -97,13 +97,13 @@ class Plant:
     def at_inputs(self) -> list[int]:
         """Return the input that each load is added to: all have to be constants there, exactly."""
         if self.loads is None:
-            raise Fault("no load is estimated")
+            raise AuditFault("no load is estimated")
         (E, open_E), (S, open_S), (B, open_B) = *self.loads, self.B
         columns = [list(column) for column in zip(*B, strict=True)]
         if open_E or open_S or open_B or any(map(any, S)) or rank(B) < len(columns):
-            raise Fault("the loads are no constants at inputs, exactly")
+            raise AuditFault("the loads are no constants at inputs, exactly")
         if any(list(column) not in columns for column in zip(*E, strict=True)):
-            raise Fault("a load enters where no input does")
+            raise AuditFault("a load enters where no input does")
         return [columns.index(list(column)) for column in zip(*E, strict=True)]
 
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:

@@ -5,7 +5,7 @@ from math import comb
 from typing import Any
 
 from .balls import Ball, enlarge, flipped, inverse, times, unlike
-from .matrices import Fault, Matrix, added, definite, identity, product, sizes, spend, transposed
+from .matrices import AuditFault, Matrix, added, definite, identity, product, sizes, spend, transposed
 from .reading import matrix, number, packed
 
 Exponents = tuple[int, ...]
@@ -17,14 +17,14 @@ def polynomial(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str
     P, powers = packed(proof["P"])
     n, d = len(T), int(degree / 2)
     if degree != 2 * d or not 0 < d <= len(P) or comb(n + d - 1, d) != len(P):
-        raise Fault("P is not of the order of the monomials of half the degree")
+        raise AuditFault("P is not of the order of the monomials of half the degree")
     if not matrices or any(len(M) != n for M, _ in matrices) or not definite(P):
         return ["P is not positive definite, or T not of the order of the matrices"]
     faults = [] if rate > 0 else ["the rate must be positive"]
     monomials, back = exponents(n, d), inverse((T, []))
     different = unlike(matrices if proof["of"] == "controller" else [flipped(M) for M in matrices])
     if len(proof["N"]) != len(different):
-        raise Fault("there is not one N for each different matrix")
+        raise AuditFault("there is not one N for each different matrix")
     for (i, M), content in zip(different, proof["N"], strict=True):
         F, R = (lifted(X, monomials) for X in times(times((T, []), M), back))
         N = packed(content)[0]

@@ -4,7 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import Ball, enlarge, unlike
-from .matrices import Fault, Matrix, added, definite, identity, positive, product, sizes, transposed
+from .matrices import AuditFault, Matrix, added, definite, identity, positive, product, sizes, transposed
 from .reading import number, packed, symmetric
 
 
@@ -66,7 +66,7 @@ def multipliers(proof: Any, n: int) -> dict[int, Matrix]:
     """Return the Z of a proof by cell: symmetric, of order n."""
     Z = {int(i): symmetric(Z_i, "Z") for i, Z_i in proof["Z"].items()}
     if any(len(Z_i) != n for Z_i in Z.values()):
-        raise Fault("Z is not of the order of the matrices")
+        raise AuditFault("Z is not of the order of the matrices")
     return Z
 
 

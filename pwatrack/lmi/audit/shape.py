@@ -6,7 +6,7 @@ question mark may be absent; {WHOLE: s} has cells by number, {TEXT: s} names.
 
 from typing import Any
 
-from .matrices import Fault
+from .matrices import AuditFault
 from .reading import number
 
 TEXT, NUMBER, WHOLE = "text on one line", "number", "whole number"
@@ -72,27 +72,27 @@ def fit(value: Any, shape: Any, place: str) -> None:
     if isinstance(shape, str):
         fits = type(value) is {TEXT: str, WHOLE: int}.get(shape, type(value))
         if not fits or (shape == TEXT and not value.isprintable()) or (shape == WHOLE and abs(value) > 10**9):
-            raise Fault(f"{place} is no {shape}")
+            raise AuditFault(f"{place} is no {shape}")
         if shape == NUMBER:
             number(value)
     elif type(value) is not type(shape):
-        raise Fault(f"{place} is {'no list' if isinstance(shape, list) else 'no object'}")
+        raise AuditFault(f"{place} is {'no list' if isinstance(shape, list) else 'no object'}")
     elif isinstance(shape, list):
         if len(shape) > 1 and len(value) != len(shape):
-            raise Fault(f"{place} has not {len(shape)} entries")
+            raise AuditFault(f"{place} has not {len(shape)} entries")
         for k, entry in enumerate(value):
             fit(entry, shape[k if len(shape) > 1 else 0], f"{place}.{k}")
     elif shape.keys() & {TEXT, WHOLE}:
         (kind,) = shape
         for key, entry in value.items():
             if kind == WHOLE and not (key.isdecimal() and key == str(int(key))):
-                raise Fault(f"{place} has a key that is no {WHOLE}, {key!r}")
+                raise AuditFault(f"{place} has a key that is no {WHOLE}, {key!r}")
             fit(entry, shape[kind], f"{place}.{key}")
     else:
         keys = {key.removesuffix("?"): one for key, one in shape.items()}
         for key in (*value, *keys):
             if key not in keys or (key not in value and key in shape):
-                raise Fault(f"'{key}' {'is missing' if key in keys else 'is no key'} in {place}")
+                raise AuditFault(f"'{key}' {'is missing' if key in keys else 'is no key'} in {place}")
         for key, entry in value.items():
             fit(entry, keys[key], f"{place}.{key}")
 
@@ -101,7 +101,7 @@ def kind(proof: Any) -> str:
     """Return which claim a proof is, by its keys: what it is decided by, and what is said of it."""
     found = [name for name, shape in PROOFS.items() if shape.keys() == proof.keys()]
     if not found:
-        raise Fault(f"no claim has the keys {', '.join(map(repr, proof))}")
+        raise AuditFault(f"no claim has the keys {', '.join(map(repr, proof))}")
     return found[0]
 
 

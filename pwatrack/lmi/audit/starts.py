@@ -5,7 +5,7 @@ from typing import Any
 
 from .balls import enlarge, flipped, times
 from .bounds import Loop
-from .matrices import Fault, added, definite, product, sizes, transposed
+from .matrices import AuditFault, added, definite, product, sizes, transposed
 from .reading import distinct, matrix, number, packed
 
 
@@ -15,10 +15,10 @@ def near(loop: Loop, entry: Any) -> list[str]:
     wanted = "drive" if name == "joint" and loop.plant.loads is not None else "input"
     square = len(loop.plant.tracked[0]) == len(loop.plant.B[0][0])
     if wanted == "drive" and loop.X is not None and (not square or any(map(any, (*loop.X[0], *loop.X[1])))):
-        raise Fault("loads do not only act at inputs, one for each tracked output")
+        raise AuditFault("loads do not only act at inputs, one for each tracked output")
     weights = [number(w) for w in entry["weights"]]
     if min(weights) <= 0 or sum(weights) > 1 or any(len(row) != len(weights) for row in G) or len(G) != len(Q):
-        raise Fault("the weights of the starts are not positive, or more than 1 together")
+        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
     widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
     around = product(widened, transposed(G))
     faults = [] if definite(Q) and definite(added(Q, around, -1)) else ["a start is not in the ellipsoid"]
@@ -31,7 +31,7 @@ def near(loop: Loop, entry: Any) -> list[str]:
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
     for kind, k, size in entry["signals"]:
         if kind != wanted:
-            raise Fault(f"limits of inputs are said of '{wanted}' here")
+            raise AuditFault(f"limits of inputs are said of '{wanted}' here")
         c = loop.row(name, kind, k)
         value, radius = times(times(c, (Q, [])), flipped(c))
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
 from pwatrack.report.plots.layout import Panels
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
@@ -33,19 +33,19 @@ _STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the
 _ROOM = 0.06  # of a scale, above and below what it shows
 
 
-def desired_label(result: Result) -> str:
+def desired_label(result: SimulatedLoop) -> str:
     """Say where the desired trajectory comes from."""
     return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
 
 
-def column(result: Result, title: str, count: int) -> tuple[Figure, list[Axes]]:
+def column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
     """Return panels below each other."""
     each = 1.7 if count <= 6 else 1.1
     return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
 
 def canvas(
-    result: Result, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
+    result: SimulatedLoop, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels in the order of their numbers in the mosaic."""
     figure = Figure(figsize=(WIDTH, height))
@@ -143,7 +143,7 @@ def span(t: Array) -> tuple[float, float]:
     return float(t[0]), float(t[-1])
 
 
-def window(result: Result) -> float:
+def window(result: SimulatedLoop) -> float:
     """Return how much of either end to show: five periods of the reference, or a tenth of the time."""
     total = float(result.response.t[-1])
     period = result.controller.trajectory.exosystem.period
@@ -155,7 +155,7 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def labelled(result: Result, name: str) -> str:
+def labelled(result: SimulatedLoop, name: str) -> str:
     """Return the name of a signal with its unit."""
     unit = result.spec.problem.units.get(name, "")
     return f"{name} ({unit})" if unit else name

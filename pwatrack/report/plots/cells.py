@@ -12,13 +12,13 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain, span
 from pwatrack.spec.expression import LinearForm
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 _MOST_ROWS = 40  # of cells in a picture
 _LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again
 
 
-def portrait(result: Result, forms: tuple[LinearForm, LinearForm]) -> Figure:
+def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Figure:
     """Draw two linear forms of the plant's state against each other, with the facets and cells that can be seen there.
 
     A hyperplane is a line in the picture if its normal is a combination of the two forms.
@@ -79,7 +79,7 @@ def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], b
     text.remove()
 
 
-def active_cells(result: Result) -> Figure:
+def active_cells(result: SimulatedLoop) -> Figure:
     """Draw which cell plant, observer and generator are in, and at which limit an input is, over time."""
     trace, parts = result.response.trace, result.loop.flow.parts
     stays = trace.stays()

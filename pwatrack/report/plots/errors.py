@@ -23,7 +23,7 @@ from pwatrack.report.plots.canvas import (
 )
 from pwatrack.report.plots.requirements import error_lines, limits
 from pwatrack.report.wording import error_unit, states_unit
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 _MOST = 8  # panels of single errors
 _BEYOND = 3.0  # times the largest error: how much of a band is shown
@@ -45,7 +45,7 @@ class _Panel:
     signal: str = ""
 
 
-def tracking_error(result: Result) -> Figure:
+def tracking_error(result: SimulatedLoop) -> Figure:
     """Draw each tracking error over time within its proved band, and their norm, logarithmic (Figure 2)."""
     controller, response, units = result.controller, result.response, result.spec.problem.units
     desired = response.tracked_d if controller.tracking == "output" else response.x_d
@@ -75,7 +75,7 @@ def tracking_error(result: Result) -> Figure:
     return figure
 
 
-def observer_error(result: Result) -> Figure:
+def observer_error(result: SimulatedLoop) -> Figure:
     """Draw each observer error over time within its proved band, and ‖x − x̂‖, logarithmic (Figure 2)."""
     plant, response, units = result.spec.problem.plant, result.response, result.spec.problem.units
     error, unit = response.observer_error, states_unit(result.spec)
@@ -100,7 +100,7 @@ def observer_error(result: Result) -> Figure:
     return figure
 
 
-def _panels(result: Result, title: str, panels: Sequence[_Panel], sizes: Array) -> tuple[Figure, list[Axes]]:
+def _panels(result: SimulatedLoop, title: str, panels: Sequence[_Panel], sizes: Array) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each error, of many those that are furthest off, and room for their norm."""
     t, count = result.response.t, min(len(panels), _MOST)
     if count < len(panels):
@@ -127,7 +127,7 @@ def _panels(result: Result, title: str, panels: Sequence[_Panel], sizes: Array) 
     return figure, drawn
 
 
-def _magnitude(axes: Axes, result: Result, size: Array, bound: Array | None, name: str) -> None:
+def _magnitude(axes: Axes, result: SimulatedLoop, size: Array, bound: Array | None, name: str) -> None:
     """Draw the size of an error on a logarithmic scale, under its proved bound."""
     t, floor = result.response.t, ROUNDING * np.abs(result.response.x).max()
     if bound is not None and (above := bound > floor).any():

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from pwatrack.report.plots.cells import active_cells, portrait
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 
-def pictures(result: Result) -> dict[str, Callable[[], Figure]]:
+def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture, by file name.
 
     tracking_error and observer_error are the paper's Figure 2, internal_states

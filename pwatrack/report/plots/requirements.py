@@ -8,16 +8,16 @@ from pwatrack.arrays import Array
 from pwatrack.report.plots.canvas import REQUIRED
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 
-def limits(result: Result, figure: str, signal: str | None = None) -> list[float]:
+def limits(result: SimulatedLoop, figure: str, signal: str | None = None) -> list[float]:
     """Return the limits of a figure of the run, or of one of its signals."""
     asked = (wish for wish in result.spec.requirements if wish.figure == figure and wish.share is None)
     return [wish.limit for wish in asked if wish.signal in (None, signal)]
 
 
-def error_lines(axes: Axes, result: Result, signs: Sequence[int], signal: str | None = None) -> list[float]:
+def error_lines(axes: Axes, result: SimulatedLoop, signs: Sequence[int], signal: str | None = None) -> list[float]:
     """Draw the largest error that is required, in the last tenth of the time and in all of it; return the values.
 
     That of the norm of all, or of one of the signals by itself.
@@ -32,7 +32,7 @@ def error_lines(axes: Axes, result: Result, signs: Sequence[int], signal: str | 
     return drawn
 
 
-def step_lines(axes: Axes, result: Result, name: str, y: Array, y_d: Array) -> list[float]:
+def step_lines(axes: Axes, result: SimulatedLoop, name: str, y: Array, y_d: Array) -> list[float]:
     """Draw when an output must have settled, within which band, and how far it may go beyond; return the values."""
     t, drawn = result.response.t, list[float]()
     move = Move(result.spec.scenario.bands.get(name))

@@ -26,13 +26,13 @@ from pwatrack.report.plots.canvas import (
     zoom,
 )
 from pwatrack.report.plots.requirements import limits, step_lines
-from pwatrack.study.result import Result
+from pwatrack.study.result import SimulatedLoop
 
 _MOST = 12  # states in a picture
 _Lines = Callable[[Axes, int], list[float]]  # draws lines into the panel of a signal, and returns their values
 
 
-def outputs(result: Result) -> Figure:
+def outputs(result: SimulatedLoop) -> Figure:
     """Draw what is tracked, then what else is measured, each with its desired value; one alone also at both ends."""
     response, plant = result.response, result.spec.problem.plant
     others = [k for k, name in enumerate(plant.outputs) if name not in plant.tracked_names]
@@ -47,7 +47,7 @@ def outputs(result: Result) -> Figure:
     return _pairs(result, "Outputs", names, actual, desired, ("output", "desired"), lines)
 
 
-def states(result: Result) -> Figure:
+def states(result: SimulatedLoop) -> Figure:
     """Draw each state beside where it should be and what the observer takes it for."""
     response, names = result.response, result.spec.problem.plant.states[:_MOST]
     more = len(result.spec.problem.plant.states) - len(names)
@@ -64,14 +64,14 @@ def states(result: Result) -> Figure:
     return figure
 
 
-def estimates(result: Result) -> Figure:
+def estimates(result: SimulatedLoop) -> Figure:
     """Draw the estimate of each unknown load beside what it is."""
     loads, response = result.controller.plant.loads, result.response
     assert loads is not None
     return _pairs(result, "Unknown loads", loads.names, response.estimates, response.loads, ("estimate", "load"))
 
 
-def control_input(result: Result) -> Figure:
+def control_input(result: SimulatedLoop) -> Figure:
     """Draw each input with its feedforward part, its limits and what is proved of it, whole and at both ends."""
     response, names = result.response, result.spec.problem.plant.inputs
     labels = ("input (19)", "its feedforward part (16)")
@@ -98,7 +98,7 @@ def control_input(result: Result) -> Figure:
     return _pairs(result, "Control input", names, response.u, response.u_ff, labels, lines)
 
 
-def internal_states(result: Result) -> Figure:
+def internal_states(result: SimulatedLoop) -> Figure:
     """Draw each internal state η with its desired trajectory from the generator (Figure 3)."""
     response, names = result.response, result.controller.trajectory.names
     figure, panels = column(result, "Internal states" if result.controller.generator else "States", len(names))
@@ -112,7 +112,7 @@ def internal_states(result: Result) -> Figure:
     return figure
 
 
-def steady_state(result: Result) -> Figure:
+def steady_state(result: SimulatedLoop) -> Figure:
     """Draw the generator's periodic steady state over two periods (Figure 4)."""
     trace = result.steady_state
     assert trace is not None
@@ -136,7 +136,7 @@ def steady_state(result: Result) -> Figure:
 
 
 def _pairs(
-    result: Result,
+    result: SimulatedLoop,
     title: str,
     names: Sequence[str],
     actual: Array,
