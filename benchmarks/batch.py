@@ -85,11 +85,11 @@ def overhead(small: Path, out: Path) -> None:
     import pwatrack.commands.run
     import pwatrack.report.plots.pictures
     import pwatrack.simulation.kernel  # noqa: F401
-    from pwatrack.batch.elsewhere import done
     from pwatrack.batch.job import Job
+    from pwatrack.batch.remote import done
     from pwatrack.batch.work import simulate
     from pwatrack.spec.load import load_spec
-    from pwatrack.study import pipeline
+    from pwatrack.workflow import pipeline
 
     own, whole = list[float](), list[float]()
     for k, spec in enumerate(sorted(small.iterdir())[:40]):

@@ -22,10 +22,10 @@ from pwatrack.arrays import Array
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import PwatrackError
 from pwatrack.model.pwa import PWASystem
+from pwatrack.simulation.mode_sequence import desired_flow
 from pwatrack.simulation.peak import feedforward_peak
-from pwatrack.simulation.visits import desired_flow
-from pwatrack.study.starting import generator_start
-from pwatrack.study.tracking import desired_trajectory
+from pwatrack.workflow.starting import generator_start
+from pwatrack.workflow.tracking import desired_trajectory
 
 _STEPS = 200_000
 _BELOW = 1e-7  # of the largest u_ff: what a step over a facet can be off by

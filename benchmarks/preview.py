@@ -33,11 +33,11 @@ from scipy.linalg import expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import EPS, Array
-from pwatrack.claims.preview import StableInversion
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import Infeasible, PwatrackError
 from pwatrack.spec.spec import Spec
-from pwatrack.study.tracking import desired_trajectory
+from pwatrack.workflow.tracking import desired_trajectory
 from tests.plants import saddle
 
 INTEGRATED = 1e-7  # what the integrator of `integrated` itself is off by, at most

@@ -48,7 +48,7 @@ from pwatrack.arrays import Array  # noqa: E402
 from pwatrack.simulation.ensemble import Member, simulate_ensemble  # noqa: E402
 from pwatrack.simulation.flow import Flow, SwitchedPart  # noqa: E402
 from pwatrack.simulation.propagate import simulate_flow  # noqa: E402
-from pwatrack.study.variation import other_starts  # noqa: E402
+from pwatrack.workflow.variation import other_starts  # noqa: E402
 from tests.grazing import near_grazing  # noqa: E402
 from tests.precise import precise  # noqa: E402
 

@@ -16,9 +16,9 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
-from pwatrack.study import pipeline, variation
-from pwatrack.study.result import SimulatedLoop as Simulated
-from pwatrack.study.variation import EnsembleResult, Over
+from pwatrack.workflow import pipeline, variation
+from pwatrack.workflow.result import SimulatedLoop as Simulated
+from pwatrack.workflow.variation import EnsembleResult, Over
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -374,7 +374,7 @@ def ensemble(
         result: What `simulate` returned.
         count: How many members; the first members of a larger ensemble are the same.
         over: What differs: the "initial" states, "parameters" of the plant, or the seed of the "noise"; within the
-            regions and intervals that the problem gives, else within those that `pwatrack.study.variation` names.
+            regions and intervals that the problem gives, else within those that `pwatrack.workflow.variation` names.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
         executor: Where members run instead of threads here, `workers` at a time.

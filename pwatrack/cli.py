@@ -85,10 +85,10 @@ def check(
 
             from pwatrack.control.applicability import applicability  # which a spec in error does not need
             from pwatrack.lmi.solve import asking
-            from pwatrack.study.merged import checked
-            from pwatrack.study.pipeline import sampling_known
-            from pwatrack.study.sizing import spec_sizes
-            from pwatrack.study.tracking import reference_remarks
+            from pwatrack.workflow.pipeline import sampling_known
+            from pwatrack.workflow.simplified import checked
+            from pwatrack.workflow.sizing import spec_sizes
+            from pwatrack.workflow.tracking import reference_remarks
 
             sizes = spec_sizes(spec)
             with asking(spec.objectives.solver):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from pwatrack.batch.board import board
 from pwatrack.batch.cluster import Cluster
-from pwatrack.batch.elsewhere import Work
 from pwatrack.batch.find import left_out
 from pwatrack.batch.github import add_summary, annotations
 from pwatrack.batch.junit import write_junit
@@ -16,6 +15,7 @@ from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import SpecOutcome, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
+from pwatrack.batch.remote import Work
 from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.sweep import Method, places, sweep
 from pwatrack.batch.sweep_files import draw_sweep, write_sweep

@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from pwatrack.batch.elsewhere import Work, done, received, send
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.job import Done, Job
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
+from pwatrack.batch.remote import Work, done, received, send
 from pwatrack.batch.work import simulate
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep

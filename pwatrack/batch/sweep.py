@@ -8,8 +8,8 @@ from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.elsewhere import packed, with_files
 from pwatrack.batch.pool import Lost
+from pwatrack.batch.remote import packed, with_files
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
@@ -104,7 +104,7 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
     from pwatrack.claims.decay import gain_figures
     from pwatrack.report.figures import figure_content, measures
     from pwatrack.spec.load import load_spec
-    from pwatrack.study import pipeline
+    from pwatrack.workflow import pipeline
 
     figures: dict[str, Any] = {}
     code, said, proof = int(ExitCode.DONE), "", NONE

@@ -11,7 +11,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.preview import StableInversion
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest

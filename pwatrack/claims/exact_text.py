@@ -10,8 +10,8 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Channel, Form, ProvedPeak, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
-from pwatrack.lmi.chords import PeakGain
 from pwatrack.lmi.ellipsoid import InvariantEllipsoid
+from pwatrack.lmi.peak_gain import PeakGain
 
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 

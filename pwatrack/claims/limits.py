@@ -27,7 +27,7 @@ from pwatrack.claims.exact_text import (
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
-from pwatrack.control.limits import Headroom, Peak, Starts
+from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.starts import StartEllipsoid, held
 

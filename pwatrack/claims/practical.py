@@ -1,6 +1,6 @@
 """Practical tracking: where cells are merged, errors end below a bound that is proved for every signal.
 
-Let f = f̃ + Σ E_k w_k with |w_k| ≤ w̄_k at every x (see `model.merging`), and let (8), (9) and (17) hold for f̃. Generator
+Let f = f̃ + Σ E_k w_k with |w_k| ≤ w̄_k at every x (`model.simplification`), and let (8), (9), (17) hold for f̃. Generator
 and feedforward run f̃, the plant is f. With e = x − x_d and Δ = x̂ − x, and an observer that runs f̃ too,
 
     (e, Δ)' = M (e, Δ) + Σ (E_k, −E_k) w_k,      M ∈ conv{M_ij},  M_ij = [Ã_i + B K, B K; 0, Ã_j + L C],
@@ -8,7 +8,7 @@ and feedforward run f̃, the plant is f. With e = x − x_d and Δ = x̂ − x, 
 for f̃(x) − f̃(x_d) = Â e and f̃(x̂) − f̃(x) = Ã Δ with Â and Ã in conv{Ã_i}. It is linear in its start and in all w_k
 together: what the start leaves goes to 0, and each w_k by itself is bounded as any disturbance is, by an ellipsoid (see
 `lmi.ellipsoid`) for each signal. An ellipsoid for several w_k with weights that sum to 1 gives nothing less than that
-sum: p_k Q is one for w_k alone. Where the loop has one matrix its peak gain is enclosed instead (see `lmi.chords`).
+sum: p_k Q is one for w_k alone. Where the loop has one matrix its peak gain is enclosed instead (see `lmi.peak_gain`).
 
 Where (9) holds for the cells of f the observer may run these: then Δ goes to 0 whatever w does, and in the end
 e' = (Â + B K) e + Σ E_k w_k.
@@ -31,12 +31,12 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
-from pwatrack.lmi.chords import PeakGain, peak_gain
 from pwatrack.lmi.exact_polynomial import AnyProof
-from pwatrack.model.merging import Simplification, merges, widest
+from pwatrack.lmi.peak_gain import PeakGain, peak_gain
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.simplification import Simplification, merges, widest
 from pwatrack.model.sizes import Sizes
 
 _SHOWN = 8  # signals beside what is tracked
@@ -75,7 +75,7 @@ class Practical(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        """Yield nothing: what is merged is chosen where exact tracking is refused, see `study.merged`."""
+        """Yield nothing: what is merged is chosen where exact tracking is refused, see `workflow.simplified`."""
         yield from ()
 
     @classmethod

@@ -9,8 +9,8 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.decay import Decay
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.preview import StableInversion
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
 

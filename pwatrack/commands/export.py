@@ -26,7 +26,7 @@ from pwatrack.report.required import required
 from pwatrack.report.run_folder import json_text, read_index
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.study import pipeline
+from pwatrack.workflow import pipeline
 
 _STEPS = 1000  # of a test vector
 

@@ -30,11 +30,11 @@ from pwatrack.report.terminal import compiling, console
 from pwatrack.report.uncertain import largest_text
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.study import pipeline
-from pwatrack.study.how_far import HowFar, how_far
-from pwatrack.study.largest_box import LargestBox, largest_box
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.variation import EnsembleResult, Over, ensemble
+from pwatrack.workflow import pipeline
+from pwatrack.workflow.how_far import HowFar, how_far
+from pwatrack.workflow.largest_box import LargestBox, largest_box
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.variation import EnsembleResult, Over, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]
 

@@ -14,11 +14,11 @@ from pwatrack.control.synthesis import Gains
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.report.certificate import output_form
 from pwatrack.spec.spec import Spec
-from pwatrack.study.limiting import room_within_limits
-from pwatrack.study.merged import merged_spec
-from pwatrack.study.proving import asked_of
-from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.tracking import desired_trajectory
+from pwatrack.workflow.headroom import room_within_limits
+from pwatrack.workflow.proving import asked_of
+from pwatrack.workflow.simplified import merged_spec
+from pwatrack.workflow.sizing import spec_sizes
+from pwatrack.workflow.tracking import desired_trajectory
 
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 

@@ -25,7 +25,7 @@ from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.sizing import spec_sizes
 
 CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
 _ALONE = (  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went

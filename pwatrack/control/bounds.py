@@ -12,7 +12,7 @@ K (e + Δ) = u − u_ff, Δ.
 
 From a start with one entry of (e, Δ) at 1 and the others at 0 an ellipsoid that holds it bounds every signal for good.
 
-Where all cells have one matrix, the exact peak gain is enclosed too (see `lmi.chords`).
+Where all cells have one matrix, the exact peak gain is enclosed too (see `lmi.peak_gain`).
 
 Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
 0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
@@ -40,10 +40,10 @@ from scipy.linalg import block_diag, eigh
 from pwatrack.arrays import OVER_SUMS, Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, above, beside
 from pwatrack.control.compensation import coupling
-from pwatrack.lmi.chords import PeakGain, peak_gains
 from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.peak_gain import PeakGain, peak_gains
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity

@@ -17,7 +17,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.limits import Headroom
+from pwatrack.control.headroom import Headroom
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words

@@ -41,7 +41,7 @@ class TrajectoryGenerator:
 
     @property
     def played_back(self) -> bool:
-        """Whether (15) has unstable modes: its bounded solution is worked out beforehand, see `simulation.preview`."""
+        """Whether (15) has unstable modes: its bounded solution is worked out beforehand, by stable inversion."""
         return isinstance(self.certificate, Dichotomy)
 
     @property

@@ -13,8 +13,8 @@ from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
 from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
+from pwatrack.control.input_constraint import InputConstraint
 from pwatrack.control.task import Task, reaches
-from pwatrack.control.within import InputConstraint
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.exact import Certificate
 from pwatrack.lmi.exact_polynomial import Found

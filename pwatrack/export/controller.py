@@ -11,7 +11,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import prefix
 from pwatrack.export.stored import read, runs
-from pwatrack.simulation.routine import memory, routine
+from pwatrack.simulation.controller_arrays import memory, routine
 
 _RAN = 0  # status before any step, and after one that was no fault: see `kernel.tick`
 

@@ -15,7 +15,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import InvalidSpec
-from pwatrack.simulation.routine import memory, routine
+from pwatrack.simulation.controller_arrays import memory, routine
 
 
 def plant_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:

@@ -17,7 +17,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.step import Step, step
 from pwatrack.export.stored import runs
-from pwatrack.simulation.routine import memory, routine
+from pwatrack.simulation.controller_arrays import memory, routine
 
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from pwatrack.arrays import EPS, Array, readonly
 from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.errors import OutsideTheory, Problem
-from pwatrack.model.course import Course, Profile
+from pwatrack.model.profile import Course, Profile
 from pwatrack.model.signal import Signal
 
 

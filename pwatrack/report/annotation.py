@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rich.cells import cell_len
 
-from pwatrack.carried import content
 from pwatrack.errors import Place, PwatrackError
+from pwatrack.remote_files import content
 from pwatrack.report.codes import code_of
 
 _PROPERTY = {"%": "%25", "\r": "%0D", "\n": "%0A", ":": "%3A", ",": "%2C"}

@@ -19,8 +19,8 @@ from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.spec.spec import Spec
-from pwatrack.study.merged import merged_spec
-from pwatrack.study.sizing import spec_form
+from pwatrack.workflow.simplified import merged_spec
+from pwatrack.workflow.sizing import spec_form
 
 
 def design_certificate(spec: Spec, controller: ProvedController) -> dict[str, Any]:

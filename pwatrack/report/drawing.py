@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pwatrack.interruption import as_ended
 
 if TYPE_CHECKING:
-    from pwatrack.study.result import SimulatedLoop
+    from pwatrack.workflow.result import SimulatedLoop
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first

@@ -10,8 +10,8 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.variation import EnsembleResult
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.variation import EnsembleResult
 
 
 def measures(result: SimulatedLoop) -> dict[str, Any]:

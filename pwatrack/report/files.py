@@ -44,12 +44,12 @@ from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.how_far import HowFar
-from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.tracking import reference_remarks
-from pwatrack.study.variation import EnsembleResult
 from pwatrack.version import versions
+from pwatrack.workflow.how_far import HowFar
+from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.tracking import reference_remarks
+from pwatrack.workflow.variation import EnsembleResult
 
 _ROWS = 10_000  # that are turned to text at a time
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from pwatrack.study.how_far import HowFar, Proved
+from pwatrack.workflow.how_far import HowFar, Proved
 
 
 def texts(found: HowFar) -> list[str]:

@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pwatrack.carried import attempt, carried, content
 from pwatrack.errors import PwatrackError
+from pwatrack.remote_files import attempt, carried, content
 from pwatrack.report.run_folder import SPEC, RunFolder
 from pwatrack.spec.load import load_spec, referenced_names, spec_bytes
 from pwatrack.spec.spec import Spec

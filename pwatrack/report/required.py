@@ -12,8 +12,8 @@ from pwatrack.report.figures import measures
 from pwatrack.report.wording import error_unit
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.variation import EnsembleResult
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.variation import EnsembleResult
 
 Figures = Mapping[str, Any]
 

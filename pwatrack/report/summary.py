@@ -21,10 +21,10 @@ from pwatrack.report.uncertain import largest_text, run_rows
 from pwatrack.report.wording import error_unit, states_unit
 from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.spec.spec import Spec
-from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.tracking import reference_remarks
-from pwatrack.study.variation import EnsembleResult
+from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.tracking import reference_remarks
+from pwatrack.workflow.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked
 

@@ -11,9 +11,9 @@ from pwatrack.control.bounds import Form
 from pwatrack.control.words import sized
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
-from pwatrack.study.bands import covered
-from pwatrack.study.largest_box import LargestBox
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.bands import covered
+from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.result import SimulatedLoop
 
 
 def since(result: SimulatedLoop) -> tuple[int, float]:

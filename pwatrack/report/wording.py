@@ -2,7 +2,7 @@
 
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 
 def error_unit(result: SimulatedLoop) -> str:
@@ -22,7 +22,7 @@ def size_texts(sizes: Sizes, most: int) -> list[str]:
 
     Example:
         >>> from pwatrack import load_spec
-        >>> from pwatrack.study.sizing import spec_sizes
+        >>> from pwatrack.workflow.sizing import spec_sizes
         >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")), 20)[1]
         'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001449 1/s'
     """

@@ -17,9 +17,9 @@ from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
+from pwatrack.simulation.mode_sequence import STEPS, blocks
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import tenths
-from pwatrack.simulation.visits import STEPS, blocks
 
 _FURTHER = 10  # times the duration, to see whether what grows goes on to grow
 _MORE = 1.01  # times what was before: the peaks of an oscillation that settles rise by less

@@ -12,7 +12,7 @@ from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.visits import stays
+from pwatrack.simulation.mode_sequence import stays
 
 BoolArray = NDArray[np.bool_]
 _LOOKS = 64  # times at which the largest residual of a stay is looked for

@@ -6,12 +6,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array
-from pwatrack.control.limits import Peak
+from pwatrack.control.headroom import Peak
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.enclosure import Segments, enclosed
-from pwatrack.simulation.visits import STEPS, blocks, desired_flow
+from pwatrack.simulation.mode_sequence import STEPS, blocks, desired_flow
 
 
 def feedforward_peak(
@@ -35,7 +35,7 @@ def feedforward_peak(
 
         >>> from pwatrack import load_spec
         >>> from pwatrack.simulation.startup import steady_start
-        >>> from pwatrack.study.tracking import desired_trajectory
+        >>> from pwatrack.workflow.tracking import desired_trajectory
         >>> spec = load_spec("specs/two_mass_backlash.yaml")
         >>> trajectory, generator = desired_trajectory(spec, False)
         >>> start = steady_start(trajectory, generator)

@@ -15,8 +15,8 @@ from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
+from pwatrack.simulation.controller_arrays import NONE, memory, routine
 from pwatrack.simulation.flow import Flow
-from pwatrack.simulation.routine import NONE, memory, routine
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 

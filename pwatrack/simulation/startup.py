@@ -11,8 +11,8 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.closed_loop import ClosedLoop
+from pwatrack.simulation.mode_sequence import desired_flow
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
-from pwatrack.simulation.visits import desired_flow
 
 _GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
 

@@ -11,14 +11,14 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from pwatrack.carried import content
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
 from pwatrack.model.pwa import PWASystem
+from pwatrack.remote_files import content
 from pwatrack.spec.axis import Axis, axes_of
-from pwatrack.spec.courses import build_reference
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.plant_section import build_plant
+from pwatrack.spec.profiles import build_reference
 from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_scenario
 from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile, validation_problems
 from pwatrack.spec.section import Context

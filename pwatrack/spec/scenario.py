@@ -17,9 +17,9 @@ from pwatrack.rational import fraction_of
 from pwatrack.real import Real
 from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.box import build_box
-from pwatrack.spec.courses import all_courses
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.profiles import all_courses
 from pwatrack.spec.signal_section import ProfileSection
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
 from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady

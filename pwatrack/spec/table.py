@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.carried import content
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.model.course import Table
 from pwatrack.model.lowpass import low_passed
+from pwatrack.model.profile import Table
 from pwatrack.model.signal import LARGEST
+from pwatrack.remote_files import content
 from pwatrack.spec.signal_section import TableSection
 from pwatrack.spec.wording import guess
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, stacked, times, unlike
 from .matrices import AuditFault, Matrix, added, definite, identity, product, sizes, transposed
-from .peaks import peak_bound
+from .peak_gain import peak_bound
 from .plant import AuditedPlant
 from .reading import distinct, number, packed, place
 

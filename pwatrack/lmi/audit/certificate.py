@@ -4,18 +4,18 @@ import os
 import stat
 from typing import Any
 
-from .between import between
 from .bounds import Loop
 from .corners import uncertain
 from .form import normal_form
 from .matrices import AuditFault, counted, transposed
-from .merged import Deviations, merged
 from .plant import AuditedPlant
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
 from .reading import FORMAT, matrix, number, parsed
 from .shape import CELLS, DESIGN, REFUSAL, by_cell, fit, kind, refuses
+from .simplified import Deviations, merged
 from .starts import near
+from .uncontrollable import between
 
 NAMES = {
     "plant": "(7) plant",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
 from pwatrack.report.plots.layout import Panels
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}

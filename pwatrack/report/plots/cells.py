@@ -12,7 +12,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain, span
 from pwatrack.spec.expression import LinearForm
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 _MOST_ROWS = 40  # of cells in a picture
 _LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again

@@ -23,7 +23,7 @@ from pwatrack.report.plots.canvas import (
 )
 from pwatrack.report.plots.requirements import error_lines, limits
 from pwatrack.report.wording import error_unit, states_unit
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 _MOST = 8  # panels of single errors
 _BEYOND = 3.0  # times the largest error: how much of a band is shown

@@ -8,7 +8,7 @@ from pwatrack.arrays import Array
 from pwatrack.report.plots.canvas import REQUIRED
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 
 def limits(result: SimulatedLoop, figure: str, signal: str | None = None) -> list[float]:

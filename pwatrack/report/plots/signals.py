@@ -26,7 +26,7 @@ from pwatrack.report.plots.canvas import (
     zoom,
 )
 from pwatrack.report.plots.requirements import limits, step_lines
-from pwatrack.study.result import SimulatedLoop
+from pwatrack.workflow.result import SimulatedLoop
 
 _MOST = 12  # states in a picture
 _Lines = Callable[[Axes, int], list[float]]  # draws lines into the panel of a signal, and returns their values

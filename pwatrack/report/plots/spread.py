@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from pwatrack.control.pareto import Front
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, span
 from pwatrack.report.wording import error_unit
-from pwatrack.study.variation import EnsembleResult
+from pwatrack.workflow.variation import EnsembleResult
 
 
 def fan(many: EnsembleResult) -> Figure:

@@ -4,7 +4,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import OFF, Headroom, Peak, Starts
+from pwatrack.control.headroom import OFF, Headroom, Peak, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.exact import Certificate
@@ -12,7 +12,7 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.peak import feedforward_peak, w_alone
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
-from pwatrack.study.starting import generator_start, plant_start, starts_of
+from pwatrack.workflow.starting import generator_start, plant_start, starts_of
 
 _STILL = 1e-12  # of the terms of w': what is less is rounding
 _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does
@@ -29,8 +29,8 @@ def room_within_limits(
 
     Example:
         >>> from pwatrack import load_spec
-        >>> from pwatrack.study.sizing import spec_sizes
-        >>> from pwatrack.study.tracking import desired_trajectory
+        >>> from pwatrack.workflow.sizing import spec_sizes
+        >>> from pwatrack.workflow.tracking import desired_trajectory
         >>> spec = load_spec("specs/two_mass_machine.yaml")
         >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
         >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()

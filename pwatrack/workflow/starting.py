@@ -7,7 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.causes import Subject
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.control.limits import Starts
+from pwatrack.control.headroom import Starts
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.sizes import Sizes

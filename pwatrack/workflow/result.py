@@ -12,15 +12,15 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
-from pwatrack.simulation.spool import TraceOnDisk
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, Unresolved
+from pwatrack.simulation.trace_on_disk import TraceOnDisk
 from pwatrack.spec.spec import Spec
-from pwatrack.study.along import so_far
-from pwatrack.study.bands import bands
-from pwatrack.study.outcome import Outcome
-from pwatrack.study.starting import start_remarks
-from pwatrack.study.tracking import reference_remarks, start_fixed
+from pwatrack.workflow.along import so_far
+from pwatrack.workflow.bands import bands
+from pwatrack.workflow.outcome import Outcome
+from pwatrack.workflow.starting import start_remarks
+from pwatrack.workflow.tracking import reference_remarks, start_fixed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class SimulatedLoop:
             or None if it has none.
         spool: All samples and events of a run of which `response` has not all.
         w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
-            enclosed: see `study.along`, (10, n). None where that took too long.
+            enclosed: see `workflow.along`, (10, n). None where that took too long.
     """
 
     spec: Spec

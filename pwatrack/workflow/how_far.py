@@ -26,7 +26,7 @@ from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.expression import Expression
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.sizing import spec_sizes
 
 _STEPS = tuple(0.02 * 3.0**k for k in range(8))  # relative distances from the present value that are tried: up to 44
 _FROM_ZERO = tuple(1e-4 * 8.0**k for k in range(8))  # the same of a parameter that is 0, in its unit: up to 210

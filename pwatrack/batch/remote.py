@@ -10,8 +10,8 @@ from typing import Any
 from pwatrack.batch.job import Done, Ended, Job
 from pwatrack.batch.record import inputs
 from pwatrack.batch.work import refused
-from pwatrack.carried import Found, attempt, carried
 from pwatrack.errors import InvalidSpec
+from pwatrack.remote_files import Found, attempt, carried
 from pwatrack.report.run_folder import Left, left_elsewhere, read_index
 from pwatrack.spec.load import file_content, referenced_files
 from pwatrack.spec.table import Folder, table_content

@@ -1,7 +1,7 @@
 """What a spec asks to be proved of a controller: what claims take of it."""
 
 from pwatrack.control.controller import Asked
-from pwatrack.control.limits import Headroom
+from pwatrack.control.headroom import Headroom
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Spec
 

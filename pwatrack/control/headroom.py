@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.within import InputConstraint
+from pwatrack.control.input_constraint import InputConstraint
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least

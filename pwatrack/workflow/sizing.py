@@ -12,15 +12,15 @@ from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError
-from pwatrack.model.merging import widest
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
 from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.simplification import widest
 from pwatrack.model.sizes import Origin, Sizes
+from pwatrack.simulation.mode_sequence import blocks, desired_flow
 from pwatrack.simulation.region import BoxRegion
 from pwatrack.simulation.steady_state import periodic_state
-from pwatrack.simulation.visits import blocks, desired_flow
 from pwatrack.spec.spec import Spec
 
 _SPAN = 20.0  # time constants in a run, for a plant that has no speed of its own: what decays so is over long before

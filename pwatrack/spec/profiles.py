@@ -11,7 +11,7 @@ import scipy
 from pwatrack.arrays import readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.model.course import Course, Formula, Profile, polyline
+from pwatrack.model.profile import Course, Formula, Profile, polyline
 from pwatrack.model.reference import InputReference, OutputReference, Reference, SetPoint, StateReference
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.spec.signal_section import (

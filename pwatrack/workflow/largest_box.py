@@ -8,7 +8,7 @@ from pwatrack.lmi.bisection import bisected
 from pwatrack.model.box import Box
 from pwatrack.real import Real
 from pwatrack.spec.spec import Spec
-from pwatrack.study.pipeline import prove_for_box
+from pwatrack.workflow.pipeline import prove_for_box
 
 _NEAR = 1 / 99  # of the factor: where the search ends
 _DOUBLED = tuple(2.0**k for k in range(7))  # factors that are tried first

@@ -11,7 +11,7 @@ from pwatrack.claims.registry import proved
 from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.limits import Headroom
+from pwatrack.control.headroom import Headroom
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController
 from pwatrack.control.proof import prove_design
@@ -25,19 +25,19 @@ from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.sampled_runs import check_sample_time
-from pwatrack.simulation.spool import TraceOnDisk
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace
+from pwatrack.simulation.trace_on_disk import TraceOnDisk
 from pwatrack.spec.spec import Measured, Spec, Steady
-from pwatrack.study.limiting import room_within_limits
-from pwatrack.study.merged import may_merge, merged_spec, not_worth, practical_design
-from pwatrack.study.outcome import RunMonitor
-from pwatrack.study.proving import asked_of
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.starting import generator_start, initial_values, plant_start
-from pwatrack.study.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
+from pwatrack.workflow.headroom import room_within_limits
+from pwatrack.workflow.outcome import RunMonitor
+from pwatrack.workflow.proving import asked_of
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
+from pwatrack.workflow.sizing import spec_sizes
+from pwatrack.workflow.starting import generator_start, initial_values, plant_start
+from pwatrack.workflow.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
 
 MOST_KEPT = 250_000  # samples
 

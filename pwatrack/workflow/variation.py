@@ -20,9 +20,9 @@ from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
-from pwatrack.study.outcome import Outcome, RunMonitor
-from pwatrack.study.result import SimulatedLoop
-from pwatrack.study.tracking import start_given_twice
+from pwatrack.workflow.outcome import Outcome, RunMonitor
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.tracking import start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
 

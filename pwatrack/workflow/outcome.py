@@ -19,8 +19,8 @@ from pwatrack.model.box import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.study.along import Along
-from pwatrack.study.bands import covered
+from pwatrack.workflow.along import Along
+from pwatrack.workflow.bands import covered
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 

@@ -11,13 +11,13 @@ from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.model.merging import Simplification, merged, widest
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.simplification import Simplification, merged, widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import reference_sizes, spec_sizes
-from pwatrack.study.tracking import check_reference, desired_trajectory, spec_generator
+from pwatrack.workflow.sizing import reference_sizes, spec_sizes
+from pwatrack.workflow.tracking import check_reference, desired_trajectory, spec_generator
 
 Designed = Callable[[Spec], ProvedController]
 

@@ -13,8 +13,8 @@ from pwatrack.control.realisable import input_trajectory, set_point, state_traje
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
-from pwatrack.model.course import Table
 from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.profile import Table
 from pwatrack.model.reference import (
     InputReference,
     OutputReference,
@@ -27,9 +27,9 @@ from pwatrack.model.reference import (
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
-from pwatrack.simulation.preview import played_back
+from pwatrack.simulation.stable_inversion import played_back
 from pwatrack.spec.spec import Spec
-from pwatrack.study.sizing import advised, spec_form
+from pwatrack.workflow.sizing import advised, spec_form
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
