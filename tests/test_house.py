@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -9,7 +10,7 @@ from statistics import median
 
 import pytest
 
-from pwatrack.causes import Part, Remedy, Way
+from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.errors import Problem
 from pwatrack.spec.schema import known_keys
 from pwatrack.spec.spelling import path_of, spelled
@@ -94,21 +95,34 @@ def test_no_test_measures_time() -> None:
     assert not found
 
 
-def test_the_tree_of_architecture_is_true() -> None:
-    tree = (HOUSE.parent / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("Why things are")[0]
-    listed, room, inner = {"__main__.py", "lmi/audit/__main__.py"}, "", ""
-    for line in tree.splitlines():
-        if found := re.match(r"    (\w+)/ ", line):
-            room = found[1] + "/"
-        elif found := re.match(r"        (\w+)/ ", line):
-            inner = room + found[1] + "/"
-        elif found := re.match(r"          (\w+\.py) ", line):
-            listed.add(inner + found[1])
-        elif found := re.match(r"    ((?:\w+\.py )+)", line):
-            listed |= set(found[1].split())
-        elif found := re.match(r"        (\w+\.py) ", line):
-            listed.add(room + found[1])
-    assert listed == {name(module) for module in MODULES if module.name != "__init__.py"}
+def test_the_rooms_of_architecture_are_those_of_the_import_contract_in_its_order() -> None:
+    told = (HOUSE.parent / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("## The rooms")[2]
+    listed = re.findall(
+        r"`(\w+)(?:\.py|/)`", "".join(re.findall(r"(?m)^\| (`[^|]*)\|", told.partition("## A claim")[0]))
+    )
+    contract = tomllib.loads((HOUSE.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers = [re.findall(r"\.(\w+)", layer) for layer in contract["contracts"][0]["layers"]]
+    place = {room: k for k, layer in enumerate(layers) for room in layer}
+    assert place.keys() - {"cli_export", "starter"} <= set(listed)
+    places = [place[room] for room in listed if room in place]
+    assert places == sorted(places)
+
+
+def test_files_that_architecture_and_contributing_name_are_there() -> None:
+    for page in ("ARCHITECTURE.md", "CONTRIBUTING.md"):
+        named = re.findall(
+            r"[`\s]((?:\w+/)*\w+\.(?:py|md|toml)|(?:\w+/)+)(?=[`\s])", (HOUSE.parent / page).read_text("utf-8")
+        )
+        assert len(named) > 3
+        rooms = [HOUSE, HOUSE.parent, *(path for path in HOUSE.iterdir() if path.is_dir()), HOUSE / "lmi" / "audit"]
+        assert not [one for one in named if not any((room / one).exists() for room in rooms)]
+
+
+def test_the_first_line_of_a_module_says_what_it_is() -> None:
+    for module in MODULES:
+        if module.name != "__init__.py":
+            first = (ast.get_docstring(ast.parse(module.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+            assert len(first.split()) >= 3, name(module)
 
 
 def test_no_modules_import_each_other() -> None:
@@ -142,7 +156,7 @@ def texts(module: Path) -> Iterator[tuple[int, str]]:
 
 @pytest.mark.parametrize("room", BELOW)
 def test_rooms_below_know_no_words_of_files_or_command_line(room: str) -> None:
-    """They say `Part` and `Way`; `spec/spelling.py` has the words."""
+    """They say `ProblemPart` and `Way`; `spec/spelling.py` has the words."""
     keys = "|".join(map(re.escape, known_keys()))
     words = re.compile(rf"--[a-z]|YAML|(?:^|['{{])(?:{keys}): |[ (](?:{keys}): ?[\d\[{{…]")
     for module in (HOUSE / room).glob("*.py"):
@@ -159,8 +173,8 @@ def test_rooms_below_know_no_paths_of_files(room: str) -> None:
                 assert not any(isinstance(part, str) for part in path), f"{name(module)}:{node.value.lineno}"
 
 
-@pytest.mark.parametrize("part", Part)
-def test_every_part_has_a_path_in_a_file(part: Part) -> None:
+@pytest.mark.parametrize("part", ProblemPart)
+def test_every_part_has_a_path_in_a_file(part: ProblemPart) -> None:
     assert all(step in known_keys() for step in path_of((part,)))
 
 
@@ -170,3 +184,15 @@ def test_every_way_has_words(way: Way) -> None:
     hint = spelled(Problem(message="wrong", hint="change it", remedy=Remedy(way, figures))).hint
     assert hint != "change it"
     assert "{hint}" not in hint
+
+
+def test_a_name_of_a_class_stands_once() -> None:
+    found = [
+        (node.name, name(module))
+        for module in MODULES
+        for node in ast.parse(module.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+    names = [one for one, _ in found]
+    twice = {one: where for one, where in found if names.count(one) > 1}
+    assert not twice
