@@ -211,11 +211,16 @@ class Loops:
             self.inners["joint"] = _blocks(self.M, self.inners, drive.floats)
 
     def bounds(self, channel: Channel) -> Bounds:
-        """Bound e and u by the joint loop, or in two steps; Δ by the observer's own loop."""
+        """Bound e and u by the joint loop, or in two steps; Δ by the observer's own loop.
+
+        A start of e alone leaves Δ at 0: the controller's loop is all then.
+        """
         if not self.few_cells:
             return Bounds(channel=channel, sizes={}, parts=())
         found: Sized = {}, ()
-        if self.few_pairs:
+        if channel[0] == "start" and channel[1] < self.n:
+            found = self.sizes("controller", channel, self.tracked + self.inputs)
+        elif self.few_pairs:
             found = self.sizes("joint", channel, self.tracked + self.inputs)
         if not found[0]:
             found = self.in_two_steps(channel)

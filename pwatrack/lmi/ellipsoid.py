@@ -35,7 +35,7 @@ from pwatrack.rational import Rational, is_positive_definite, scalar
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
 _KEPT = 0.97  # of a proved rate: with the rest an ellipsoid is strictly inside
-_NEAR = 0.01  # what the cost may be off: Q is that far inside
+_NEAR = 0.002  # what the cost may be off: Q is that far inside
 _SLACK = 1e-9  # of the mean weight, beside forms that do not see all of z: what is minimised is then definite
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
