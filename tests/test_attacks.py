@@ -74,8 +74,8 @@ def chain(cells: int) -> str:
 
 MARKS = [k / 10 for k in range(200)]
 MANY = {
-    "strips": (chain(300), 300, 299),
-    "springs": (many_springs(12), 2**12, 12 * 2**11),
+    "strips": (chain(150), 150, 149),
+    "springs": (many_springs(10), 2**10, 10 * 2**9),
     "breakpoints": (
         STATES
         + LINEAR
