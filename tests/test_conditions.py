@@ -134,7 +134,7 @@ EXTRAS = {
 def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
     extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
 ) -> None:
-    result = simulate(loaded(paper_spec, tmp_path, extra, 1.0), paper.controller)
+    result = simulate(loaded(paper_spec, tmp_path, extra, 0.5), paper.controller)
     expected = by_hand(result)
     np.testing.assert_allclose(result.response.trace.z[:, : expected.shape[1]], expected, atol=1e-8)
     machine = Machine(result)
@@ -164,10 +164,10 @@ def test_a_sampled_controller_is_the_program_written_by_hand(
 ) -> None:
     step, waiting, last = 0.02, [np.zeros(1)] * late, np.zeros(1)
     extra += f"  controller: {{sample_time: {step}, method: {method}, delay: {late}}}\n"
-    result = simulate(loaded(paper_spec, tmp_path, extra, 1.0), paper.controller)
+    result = simulate(loaded(paper_spec, tmp_path, extra, 0.5), paper.controller)
     machine = Machine(result)
     x, x_hat, eta_hat = np.split(result.response.trace.z[0, : sum(machine.sizes)], np.cumsum(machine.sizes)[:-1])
-    for tick in range(50):
+    for tick in range(25):
         t = tick * step
         row = result.response.t.tolist().index(pytest.approx(t, abs=1e-12))
         np.testing.assert_allclose(result.response.x[row], x, atol=1e-8)
