@@ -327,7 +327,7 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, "3", '{"files": 3}', "\udcff"])
+@pytest.mark.parametrize("content", ["{", "[" * 100_000, '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -381,28 +381,24 @@ def test_a_name_with_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, n
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", ["[m]", "[/m]"])
-def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, unit: str) -> None:
-    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("y: m}", f'y: "{unit}"}}'))
+def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path) -> None:
+    units = (("u: N", 'u: "[N]"'), ("y: m}", 'y: "[/m]"}'))
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", *units)
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
-    assert unit in run.stdout
+    assert "[N]" in run.stdout
+    assert "[/m]" in run.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("name: Two", r"name: $\nope$ Two"),
+def test_names_that_matplotlib_would_read_as_formulas_are_drawn_as_they_are(specs: Path, tmp_path: Path) -> None:
+    """And one with a sign that its font does not have."""
+    names = (
+        ("name: Two", r"name: $\nope$ 二 Two"),
         ("name: gap", r"name: $\nope$"),
         ("y: m}", r"y: $\nope$}"),
-        ("name: Two", "name: 二 Two"),
-    ],
-)
-def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
-    specs: Path, tmp_path: Path, old: str, new: str
-) -> None:
-    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", (old, new))
+    )
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", *names)
     run = subprocess.run(
         [sys.executable, "-m", "pwatrack", "simulate", path, "--out", tmp_path / "out"],
         capture_output=True,
@@ -412,7 +408,7 @@ def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_a_terminal_that_cannot_print_greek_loses_no_result(spec: Path, tmp_path: Path, encoding: str) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "pwatrack", "design", spec, "--out", tmp_path / "out"],
@@ -556,7 +552,7 @@ def in_group(number: int) -> bool:
 @pytest.mark.slow
 def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 2000"))
+    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 800"))
     assert call("design", specs / "two_mass_paper_gains.yaml", "--out", out).exit_code == 0
     before = contents(out)
     command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "plant.yaml"), "--out", str(out)]

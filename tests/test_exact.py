@@ -83,7 +83,7 @@ PLACES = (*PLANT, "signs", "K", "L", "A_eta", "T", "internal", "rate", "margin",
 
 @pytest.mark.slow
 @given(seeds, st.sampled_from(PLACES))
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_what_was_tampered_with_is_refused_or_still_true(run: Path, seed: int, where: str) -> None:
     """A change is accepted only if the changed claim holds, by eigenvalues far from 0."""
     random = np.random.default_rng(seed)
@@ -549,7 +549,7 @@ ODD: tuple[Any, ...] = (
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_any_value_in_any_place_of_any_file_is_judged_in_words(
     two: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:

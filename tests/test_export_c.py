@@ -393,9 +393,9 @@ def test_the_controller_of_a_run_that_failed_is_exported_where_that_is_meant(tmp
     assert said == f" * FAILED: {in_comment(line)}"
     assert f"its run failed: {line}" in verify(out)
     again = tmp_path / "again"
-    for target in (out, out / CONTROLLER, *((run, run / CONTROLLER) if stored else ())):
-        for language in ("c", "st", "mat", "fmu"):
-            assert f"its run failed: {line}" in refused(call("export", language, target, "--out", again), 6)
+    folder = run if stored else out
+    for language, target in {"c": out, "st": out / CONTROLLER, "mat": folder, "fmu": folder / CONTROLLER}.items():
+        assert f"its run failed: {line}" in refused(call("export", language, target, "--out", again), 6)
     assert not again.exists()
     assert call("export", "st", out, "--out", again, "--failed").exit_code == 0
     assert "FAILED: final_error: " in (again / "cart.st").read_text(encoding="utf-8")

@@ -92,7 +92,7 @@ def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec,
 @pytest.mark.slow
 def test_all_that_is_tracked_ends_below_something(gear: tuple[Spec, Path]) -> None:
     """Without the load, what is printed is that of nothing."""
-    content = json.loads((gear[1] / "certificate.json").read_text())
+    content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
     ends = content["practical"]["ends_below"]
     assert audit(json.dumps(content))[1] == []
     for told in ([], [signal for signal in ends if signal[0] != "output"], [*ends, ends[0]]):
@@ -150,7 +150,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
         path.write_text(text.replace("plant: [0.3, 0, 0.2, 0]", "plant: [0.1, 0, 0.1, 0]"), encoding="utf-8")
         return path
 
-    asked = design(load_spec(written("practical")))
+    asked = design(load_spec(written("output" if worth else "practical")))
     assert asked.claims_of(Practical)
     bound = asked.claim(Practical).final["output", 0]
     assert bound > 0.1  # the gap
@@ -160,7 +160,6 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
     assert (f"{up(bound)}, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
-        assert design(load_spec(written("output"))).claims_of(Practical)
         return
     with pytest.raises(Infeasible) as refusal:
         design(load_spec(written("output")))
@@ -339,7 +338,7 @@ def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
     content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
     assert audit(json.dumps(content))[1] == []
     tried = 0
-    for path in list(paths(content["practical"]))[::3]:
+    for path in list(paths(content["practical"]))[::4]:
         if (path[0] == "plant" and path[1] not in ("A", "b")) or path[-1] == "a" or "Q" in path:
             continue  # another ellipsoid may be a proof too
         tampered = copy.deepcopy(content)
@@ -349,7 +348,7 @@ def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
         at[path[-1]] = "0.7" if Fraction(at[path[-1]]) == 0 else "0"
         assert audit(json.dumps(tampered))[1], path
         tried += 1
-    assert tried > 25
+    assert tried > 20
 
 
 @pytest.mark.slow

@@ -255,10 +255,10 @@ def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
     loop = random_loop(seed)
     random = np.random.default_rng(seed)
     x, x_hat, eta = random.normal(size=4), np.zeros(4), random.normal(size=2)
-    trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=1.5, sample_time=0.05)
+    trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=0.75, sample_time=0.05)
     truth = solve_ivp(
         lambda t, s: right_hand_side(loop, t, s),
-        (0, 1.5),
+        (0, 0.75),
         np.concatenate([x, x_hat, eta]),
         method="DOP853",
         rtol=1e-11,

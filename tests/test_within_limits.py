@@ -2,6 +2,7 @@
 
 import json
 import re
+from io import StringIO
 from itertools import product
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 
@@ -29,6 +31,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.study.limiting import room_within_limits
@@ -448,12 +451,15 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
     text = STAGE.replace("  units:", sizes).replace("slope: 50", "slope: 2")
     text = text.replace("reference:", f"design: {{controller: {asked}}}\nreference:")
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
-    controller = design(load_spec(path))
+    spec = load_spec(path)
+    controller = design(spec)
     found = controller.claim(Limited)
     assert found.room.left is not None
     assert found.promises[0].scale(found.room.left) >= 1
     assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.room.left[0]
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    printed = StringIO()
+    print_design(Console(width=200, file=printed), spec, controller)
+    said = " ".join(printed.getvalue().split())
     assert " within the limits" in said.partition("(9)")[0]
     if asked == "{rate: 0.5}":
         assert controller.design.controller.rate >= 0.5
