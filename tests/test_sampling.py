@@ -63,7 +63,7 @@ def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Meth
 
 @pytest.mark.slow
 @given(st.integers(0, 400), methods, st.integers(0, 2))
-@settings(max_examples=3)  # `make sampling` runs 120
+@settings(max_examples=2)  # `make sampling` runs 120
 def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, method: Method, delay: int) -> None:
     loop, x0 = random_loop(seed)
     too_long = Sampling(sample_time=1e3, method=method, delay=delay)
