@@ -54,7 +54,6 @@ def differ(loop: ClosedLoop, ticks: int, x0: Array) -> int:
     return wrong
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sampling", SAMPLED)
 def test_the_simulation_is_the_page_in_every_bit(sampling: Sampling) -> None:
     controller = designed()
@@ -113,7 +112,6 @@ class Running:
         return int(status)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_single_floats_and_a_reference_from_outside_follow_the_page(real: Any) -> None:
     controller = designed()
@@ -124,7 +122,6 @@ def test_single_floats_and_a_reference_from_outside_follow_the_page(real: Any) -
             assert running.step(random.normal(size=1) * 0.2, random.normal(size=3) * given) == 0
 
 
-@pytest.mark.slow
 def test_what_is_not_finite_changes_nothing() -> None:
     controller = designed()
     running = Running(program(controller, Conditions(sampling=SAMPLED[0]), given=True), np.float64)
@@ -145,7 +142,6 @@ def turning(end: int | None = None) -> Program:
     return replace(found, follows=replace(found.follows, end=end))
 
 
-@pytest.mark.slow
 def test_a_reference_that_goes_on_for_long_stays_in_place() -> None:
     """Copies of w that are stepped on by 2¹⁰ and 2²⁰ ticks at a time keep the roundings from adding up."""
     running = Running(turning(), np.float64)
@@ -162,7 +158,6 @@ def test_a_reference_that_goes_on_for_long_stays_in_place() -> None:
     np.testing.assert_allclose(w, expected, rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_after_its_end_a_reference_stays_and_says_so() -> None:
     running = Running(turning(end=2), np.float64)
     assert [running.step([0.0]) for _ in range(5)] == [0, 0, 0, 1, 1]

@@ -56,7 +56,6 @@ def test_no_signal_of_a_run_leaves_its_band(specs: Path, path: str) -> None:
     assert max(shares.values()) <= 1 + 1e-9
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("extra", [PUSHED, NOISY, PUSHED + NOISY])
 def test_a_band_counts_what_acts_and_goes_to_the_bound_of_that(specs: Path, tmp_path: Path, extra: str) -> None:
     result = changed(specs, tmp_path, extra, simulated(specs / "two_mass_backlash.yaml").controller)
@@ -69,7 +68,6 @@ def test_a_band_counts_what_acts_and_goes_to_the_bound_of_that(specs: Path, tmp_
         assert result.bands["output", 0][-1] > most
 
 
-@pytest.mark.slow
 def test_a_limit_that_no_input_comes_to_changes_no_band_and_one_that_it_comes_to_ends_all(
     specs: Path, tmp_path: Path
 ) -> None:

@@ -68,7 +68,6 @@ def test_random_plants_without_a_gain_are_proved_to_have_none(tmp_path: Path, se
     assert audit(json.dumps(refusal_certificate(spec, evidence)))[1] == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 41, 56])
 def test_where_a_gain_is_proved_no_mean_is_stuck(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "plant.yaml"

@@ -246,7 +246,6 @@ def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: P
     assert (index["parameters"]["k2"], index["parameters"]["k3"], index["solver"]) == (0.3, 0.3, "cvxopt")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["structured", "clarabel", "cvxopt"])
 def test_the_solver_that_is_named_is_the_one_that_answers(specs: Path, tmp_path: Path, solver: str) -> None:
     run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path)
@@ -326,7 +325,6 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
     assert (out / "sub").is_dir()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("content", ["{", "[" * 100_000, '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
@@ -361,7 +359,6 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     assert contents(out) == before
 
 
-@pytest.mark.slow
 def test_a_folder_that_stands_in_the_way_of_a_file_changes_no_other_file(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
@@ -380,7 +377,6 @@ def test_a_name_with_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, n
     assert f"{name}: zero dynamics" in run.stdout
 
 
-@pytest.mark.slow
 def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path) -> None:
     units = (("u: N", 'u: "[N]"'), ("y: m}", 'y: "[/m]"}'))
     path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", *units)

@@ -249,7 +249,6 @@ def test_a_limited_input_stays_at_its_limit_and_events_say_when(
     }
 
 
-@pytest.mark.slow
 def test_two_inputs_are_limited_each_by_its_own_limits(specs: Path) -> None:
     spec = load_spec(specs / "gallery/two_driven_carts.yaml")
     assert len(spec.problem.plant.inputs) == 2

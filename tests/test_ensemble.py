@@ -119,7 +119,6 @@ def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
     assert ran[0].t.tobytes() == trace.t.tobytes()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("backwards", [False, True])
 def test_neither_workers_nor_order_change_a_bit(short: Result, backwards: bool) -> None:
     members = members_of(short, 12)
@@ -162,7 +161,6 @@ def test_a_seed_gives_the_same_members_again_and_another_seed_others(short: Resu
     assert more.error[:3].tobytes() == first.ensemble.error.tobytes()
 
 
-@pytest.mark.slow
 def test_without_a_region_states_start_within_their_size_in_the_nominal_run(short: Result) -> None:
     many = ensemble(short, 40)
     x = short.response.x
@@ -173,7 +171,6 @@ def test_without_a_region_states_start_within_their_size_in_the_nominal_run(shor
     assert (starts(many)[:, 4:8] == 0).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("over", ["parameters", "noise"])
 def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
     """The machine's program, limits and disturbance are the same in all members."""

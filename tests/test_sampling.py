@@ -170,7 +170,6 @@ def scalar_growth(a: tuple[float, float], k: float, l_: float, h: float, start: 
     return grown
 
 
-@pytest.mark.slow
 def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offered(tmp_path: Path) -> None:
     """0.73 s was offered, as stable in all cells: at 0.73, 0.72, 0.6 and 0.5 s the loop runs away."""
     path = tmp_path / "bent.yaml"
