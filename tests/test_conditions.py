@@ -49,17 +49,24 @@ class Machine:
         self.limits = self.conditions.limits
         self.K, self.L = self.controller.design.K, self.controller.design.L
         self.sizes = [4, 4, len(result.controller.trajectory.names)]
+        self.last = -1.0, np.zeros(0)
+
+    def w(self, t: float) -> Array:
+        """The state of the exosystem, which is asked for twice at each time."""
+        if self.last[0] != t:
+            self.last = t, self.controller.trajectory.exosystem.states(np.array([t]))[0]
+        return self.last[1]
 
     def desired(self, t: float, eta_hat: Array) -> tuple[Array, Array, int]:
         trajectory = self.controller.trajectory
-        s = np.concatenate([eta_hat, trajectory.exosystem.states(np.array([t]))[0], [1.0]])
+        s = np.concatenate([eta_hat, self.w(t), [1.0]])
         x_d = trajectory.x_d[0] @ s
         cell = cell_of(self.model, x_d)
         return x_d, trajectory.u_ff[cell] @ s, cell
 
     def generator(self, t: float, eta_hat: Array, cell: int) -> Array:
         trajectory = self.controller.trajectory
-        s = np.concatenate([eta_hat, trajectory.exosystem.states(np.array([t]))[0], [1.0]])
+        s = np.concatenate([eta_hat, self.w(t), [1.0]])
         rate: Array = trajectory.rate[cell] @ s
         return rate
 
