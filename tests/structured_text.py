@@ -2,9 +2,12 @@
 
 Nothing is turned into another type, `AND` and `OR` work out both sides, an index must be inside its array, the bounds
 of a loop must be whole numbers as written, a constant is not assigned to, and names differ by more than their case.
-The grammar takes time that grows with the square of a table, so these are read by themselves unless `whole_text`.
+The grammar takes a millisecond for each character, and time that grows with the square of a table: so tables are read
+by themselves, and what is in many blocks is parsed once. With `whole_text` the grammar takes it all at once; that both
+are the same is tested.
 """
 
+import gc
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -30,11 +33,59 @@ COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 
 @cache
 def parsed(text: str) -> tree.FunctionBlock:
-    found = parse_source_code(text)
+    gc.disable()  # its many objects are looked through again and again while they are made
+    try:
+        found = parse_source_code(text)
+    finally:
+        gc.enable()
     assert found.exception is None, found.exception
     (block,) = found.transform().items
     assert isinstance(block, tree.FunctionBlock)
     return block
+
+
+SECTION = re.compile(r"^(VAR.*)\n((?: .*\n)*)END_VAR\n", re.MULTILINE)
+SIMPLE = re.compile(r"(?:^(?! *FOR )[^:;\n]+ := [^;\n]+;\n(?: *\n)*)+", re.MULTILINE)
+INNERMOST = re.compile(r"\b(IF|FOR)\b(?:(?!\b(?:IF|FOR)\b).)*?END_\1;", re.DOTALL)
+PART = "__"  # legal names are others: `__ := 7` stands for the statements of part 7
+
+known: dict[tuple[str, str], Any] = {}
+parts: dict[str, int] = {}
+of_part: list[Sequence[Any]] = []
+
+
+def learned(lines: Sequence[str], head: str = "", end: str = "") -> list[Any]:
+    """Return what statements are parsed to, or lines of a section, each with its section: each parsed once."""
+    new = [line for line in dict.fromkeys(lines) if (head, line) not in known]
+    if new:
+        block = parsed("\n".join(["FUNCTION_BLOCK f", head, *new, end, "END_FUNCTION_BLOCK"]))
+        found = [(item, section) for section in block.declarations for item in section.items]
+        known.update(zip([(head, line) for line in new], found if head else block.body.statements, strict=True))
+    return [known[head, line] for line in lines]
+
+
+def lines_of(text: str) -> list[str]:
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def part(found: re.Match[str]) -> str:
+    """Return a statement that stands for simple ones, or for one `IF` or `FOR`."""
+    text = found[0]
+    if text not in parts:
+        parts[text] = len(parts)
+        of_part.append(learned([" ".join(text.split())] if found.lastindex else lines_of(text)))
+    return f"{PART} := {parts[text]};\n"
+
+
+def in_parts(text: str) -> tuple[tree.FunctionBlock, list[tuple[Any, Any]]]:
+    """Return a block with parts for statements, and its declarations, each with its section."""
+    declared = [one for head, inside in SECTION.findall(text) for one in learned(lines_of(inside), head, "END_VAR")]
+    text = SECTION.sub("", text)
+    learned([line for found in SIMPLE.finditer(text) for line in lines_of(found[0])])
+    text = SIMPLE.sub(part, text)
+    while INNERMOST.search(text):
+        text = INNERMOST.sub(part, text)
+    return parsed(text), declared
 
 
 class Block:
@@ -44,26 +95,29 @@ class Block:
         types: Of each variable, or of its entries.
         inputs, outputs: Their names, in order.
         memory: All variables; an array by the indices of its entries.
+        body: Its statements, in Python.
     """
 
     def __init__(self, text: str, *, whole_text: bool = False) -> None:
         (self.float,) = set(re.findall(r"L?REAL", re.sub(COMMENT, "", text)))
         self._tables = {} if whole_text else {name: numbers.split(",") for name, _, numbers in TABLE.findall(text)}
         text = text if whole_text else re.sub(COMMENT, "", TABLE.sub(r"\1 : \2;", text))
-        block = parsed(text.replace("LREAL", "REAL"))
+        text = text.replace("LREAL", "REAL")
+        block, declared = (parsed(text), None) if whole_text else in_parts(text)
+        if declared is None:
+            declared = [(item, section) for section in block.declarations for item in section.items]
         self.types: dict[str, str] = {}
         self.constants: set[str] = set()
         self.inputs: list[str] = []
         self.outputs: list[str] = []
         self.memory: dict[str, Any] = {}
-        for part in block.declarations:
-            for item in part.items:
-                self._declare(item, part)
+        for item, section in declared:
+            self._declare(item, section)
         assert len({name.upper() for name in self.types}) == len(self.types)
-        body = indent("\n".join(self._statements(block.body.statements)), "    ")
+        self.body = indent("\n".join(self._statements(block.body.statements)), "    ")
         changed = ", ".join(name for name in self.types if name not in self.constants)
         made: dict[str, Any] = {"real": FLOATS[self.float], "whole": whole}
-        exec(f"def run({', '.join(self.types)}):\n{body}\n    return dict({same(changed)})", made)
+        exec(f"def run({', '.join(self.types)}):\n{self.body}\n    return dict({same(changed)})", made)
         self._run = made["run"]
 
     def __call__(self, **inputs: Any) -> dict[str, Any]:
@@ -75,7 +129,7 @@ class Block:
             self.memory |= self._run(**self.memory)
         return {name: [*value.values()] if isinstance(value, dict) else value for name, value in self.memory.items()}
 
-    def _declare(self, item: Any, part: Any) -> None:
+    def _declare(self, item: Any, section: Any) -> None:
         (variable,) = item.variables
         name, shape = str(variable.variable.name), list[int]()
         assert NAME.fullmatch(name), name
@@ -90,12 +144,12 @@ class Block:
         assert len(values) == size
         assert name not in self.types
         self.types[name] = kind
-        if isinstance(part, tree.InputDeclarations):
+        if isinstance(section, tree.InputDeclarations):
             self.inputs.append(name)
-        if isinstance(part, tree.OutputDeclarations):
+        if isinstance(section, tree.OutputDeclarations):
             self.outputs.append(name)
-        if getattr(part, "attrs", None) is not None:
-            assert part.attrs == tree.VariableAttributes.constant
+        if getattr(section, "attrs", None) is not None:
+            assert section.attrs == tree.VariableAttributes.constant
             self.constants.add(name)
         make: Any = {**FLOATS, "BOOL": bool}.get(kind, int)
         entries = [make(value) for value in values]
@@ -105,7 +159,9 @@ class Block:
 
     def _statements(self, statements: Sequence[Any]) -> Iterator[str]:
         for node in statements:
-            if isinstance(node, tree.AssignmentStatement):
+            if isinstance(node, tree.AssignmentStatement) and str(node.variables[0].name) == PART:
+                yield from self._statements(of_part[int(node.expression.value)])
+            elif isinstance(node, tree.AssignmentStatement):
                 yield self._assignment(node)
             elif isinstance(node, tree.ForStatement):
                 first, last, name = int(node.from_.value), int(node.to.value), str(node.control.name)

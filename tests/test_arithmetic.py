@@ -1,6 +1,7 @@
 """The sampled loop of the simulation is `docs/arithmetic.md`, bit for bit; `tests.plain` is that page read aloud."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.control.controller import Controller
 from pwatrack.control.program import Follows, Program, program
 from pwatrack.model.conditions import Conditions, Quanta, Sampling
 from pwatrack.simulation import kernel
@@ -23,6 +25,11 @@ SAMPLED = [
     Sampling(sample_time=0.005, delay=1),
     Sampling(sample_time=0.003, delay=3),
 ]
+
+
+@cache
+def designed() -> Controller:
+    return design(load_spec("specs/two_mass_machine.yaml"))
 
 
 def bits(values: Any) -> bytes:
@@ -47,10 +54,9 @@ def differ(loop: ClosedLoop, ticks: int, x0: Array) -> int:
     return wrong
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sampling", SAMPLED)
 def test_the_simulation_is_the_page_in_every_bit(sampling: Sampling) -> None:
-    controller = design(load_spec("specs/two_mass_machine.yaml"))
+    controller = designed()
     machine = Conditions(
         sampling=sampling,
         limits=np.array([[-6.0, 7.0]]),
@@ -106,10 +112,9 @@ class Running:
         return int(status)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_single_floats_and_a_reference_from_outside_follow_the_page(real: Any) -> None:
-    controller = design(load_spec("specs/two_mass_machine.yaml"))
+    controller = designed()
     conditions, random = Conditions(sampling=SAMPLED[2], limits=np.array([[-6.0, 7.0]])), np.random.default_rng(3)
     for given in (False, True):
         running = Running(program(controller, conditions, given=given), real)
@@ -117,9 +122,8 @@ def test_single_floats_and_a_reference_from_outside_follow_the_page(real: Any) -
             assert running.step(random.normal(size=1) * 0.2, random.normal(size=3) * given) == 0
 
 
-@pytest.mark.slow
 def test_what_is_not_finite_changes_nothing() -> None:
-    controller = design(load_spec("specs/two_mass_machine.yaml"))
+    controller = designed()
     running = Running(program(controller, Conditions(sampling=SAMPLED[0]), given=True), np.float64)
     running.step([0.1], [0.1, 0.2, 0.3])
     before = running.memory.copy(), running.counts.copy()
@@ -132,13 +136,12 @@ def test_what_is_not_finite_changes_nothing() -> None:
 
 
 def turning(end: int | None = None) -> Program:
-    controller = design(load_spec("specs/two_mass_machine.yaml"))
+    controller = designed()
     found = program(controller, Conditions(sampling=SAMPLED[0]))
     assert found.follows is not None
     return replace(found, follows=replace(found.follows, end=end))
 
 
-@pytest.mark.slow
 def test_a_reference_that_goes_on_for_long_stays_in_place() -> None:
     """Copies of w that are stepped on by 2¹⁰ and 2²⁰ ticks at a time keep the roundings from adding up."""
     running = Running(turning(), np.float64)
@@ -155,7 +158,6 @@ def test_a_reference_that_goes_on_for_long_stays_in_place() -> None:
     np.testing.assert_allclose(w, expected, rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_after_its_end_a_reference_stays_and_says_so() -> None:
     running = Running(turning(end=2), np.float64)
     assert [running.step([0.0]) for _ in range(5)] == [0, 0, 0, 1, 1]

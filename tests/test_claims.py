@@ -112,10 +112,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
     for name in (
-        "two_mass_backlash",
         "two_mass_goals",
-        "two_mass_machine",
-        "gallery/dc_motor_brushes",
         "gallery/two_mass_stiff_springs",
         "gallery/robust_positioning",
         "gallery/three_tanks_pumps",

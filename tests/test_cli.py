@@ -246,7 +246,6 @@ def test_the_command_line_replaces_parameters_and_solver(spec: Path, tmp_path: P
     assert (index["parameters"]["k2"], index["parameters"]["k3"], index["solver"]) == (0.3, 0.3, "cvxopt")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["structured", "clarabel", "cvxopt"])
 def test_the_solver_that_is_named_is_the_one_that_answers(specs: Path, tmp_path: Path, solver: str) -> None:
     run = call("design", specs / "two_mass_backlash.yaml", "--solver", solver, "--out", tmp_path)
@@ -326,8 +325,7 @@ def test_an_index_that_is_no_index_of_ours_removes_nothing(spec: Path, tmp_path:
     assert (out / "sub").is_dir()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, "3", '{"files": 3}', "\udcff"])
+@pytest.mark.parametrize("content", ["{", "[" * 100_000, '{"files": 3}', "\udcff"])
 def test_an_earlier_index_that_cannot_be_read_is_replaced(spec: Path, tmp_path: Path, content: str) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -361,7 +359,6 @@ def test_a_fault_while_writing_leaves_no_temporary_file_and_the_earlier_results(
     assert contents(out) == before
 
 
-@pytest.mark.slow
 def test_a_folder_that_stands_in_the_way_of_a_file_changes_no_other_file(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("design", spec, "--out", out).exit_code == 0
@@ -380,29 +377,24 @@ def test_a_name_with_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, n
     assert f"{name}: zero dynamics" in run.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("unit", ["[m]", "[/m]"])
-def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path, unit: str) -> None:
-    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("y: m}", f'y: "{unit}"}}'))
+def test_a_unit_in_brackets_is_printed_as_it_is(specs: Path, tmp_path: Path) -> None:
+    units = (("u: N", 'u: "[N]"'), ("y: m}", 'y: "[/m]"}'))
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", *units)
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
-    assert unit in run.stdout
+    assert "[N]" in run.stdout
+    assert "[/m]" in run.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("name: Two", r"name: $\nope$ Two"),
+def test_names_that_matplotlib_would_read_as_formulas_are_drawn_as_they_are(specs: Path, tmp_path: Path) -> None:
+    """And one with a sign that its font does not have."""
+    names = (
+        ("name: Two", r"name: $\nope$ 二 Two"),
         ("name: gap", r"name: $\nope$"),
         ("y: m}", r"y: $\nope$}"),
-        ("name: Two", "name: 二 Two"),
-    ],
-)
-def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
-    specs: Path, tmp_path: Path, old: str, new: str
-) -> None:
-    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", (old, new))
+    )
+    path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", *names)
     run = subprocess.run(
         [sys.executable, "-m", "pwatrack", "simulate", path, "--out", tmp_path / "out"],
         capture_output=True,
@@ -412,7 +404,7 @@ def test_a_name_that_matplotlib_would_read_as_a_formula_is_drawn_as_it_is(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_a_terminal_that_cannot_print_greek_loses_no_result(spec: Path, tmp_path: Path, encoding: str) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "pwatrack", "design", spec, "--out", tmp_path / "out"],
@@ -556,7 +548,7 @@ def in_group(number: int) -> bool:
 @pytest.mark.slow
 def test_an_interrupted_run_ends_with_130_and_changes_nothing(specs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 2000"))
+    shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml", ("duration: 2", "duration: 800"))
     assert call("design", specs / "two_mass_paper_gains.yaml", "--out", out).exit_code == 0
     before = contents(out)
     command = [sys.executable, "-m", "pwatrack", "simulate", str(tmp_path / "plant.yaml"), "--out", str(out)]

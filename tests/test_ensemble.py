@@ -104,7 +104,7 @@ def test_fewer_points_are_the_first_of_more(seed: int, fewer: int) -> None:
 
 @pytest.mark.slow
 def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
-    members = members_of(short, 8)
+    members = members_of(short, 4)
     N = len(members[0].z0)
     ran = [run_all([replace(m, error=row[None]) for m in members], duration=4.0) for row in np.eye(N)]
     for number, member in enumerate(members):
@@ -119,10 +119,9 @@ def test_members_equal_single_runs_bit_for_bit(short: Result) -> None:
     assert ran[0].t.tobytes() == trace.t.tobytes()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("backwards", [False, True])
 def test_neither_workers_nor_order_change_a_bit(short: Result, backwards: bool) -> None:
-    members = members_of(short, 24)
+    members = members_of(short, 12)
     one = run_all(members, duration=4.0, workers=1)
     order = slice(None, None, -1 if backwards else 1)
     for workers in (2, 5):
@@ -162,9 +161,8 @@ def test_a_seed_gives_the_same_members_again_and_another_seed_others(short: Resu
     assert more.error[:3].tobytes() == first.ensemble.error.tobytes()
 
 
-@pytest.mark.slow
 def test_without_a_region_states_start_within_their_size_in_the_nominal_run(short: Result) -> None:
-    many = ensemble(short, 60)
+    many = ensemble(short, 40)
     x = short.response.x
     away = np.abs(starts(many)[:, :4] - x[0]).max(axis=0) / np.abs(x).max(axis=0)
     assert not many.variation.given
@@ -173,7 +171,6 @@ def test_without_a_region_states_start_within_their_size_in_the_nominal_run(shor
     assert (starts(many)[:, 4:8] == 0).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("over", ["parameters", "noise"])
 def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
     """The machine's program, limits and disturbance are the same in all members."""
@@ -191,7 +188,7 @@ def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, sp
             changed = ("seed: 1", f"seed: {drawn['noise_seed']}")
         other = tmp_path / "member.yaml"
         other.write_text(path.read_text(encoding="utf-8").replace(*changed), encoding="utf-8")
-        alone = simulate(load_spec(other))
+        alone = simulate(load_spec(other), many.nominal.controller)
         error = np.linalg.norm(alone.response.tracking_error, axis=1)
         assert np.allclose(many.ensemble.error[k], error, rtol=0, atol=1e-14)
         assert many.ensemble.mode_changes[k] == len(alone.response.trace.events)
@@ -203,7 +200,7 @@ def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, sp
 @pytest.mark.slow
 def test_without_intervals_the_parameters_of_the_plant_vary_by_a_twentieth(short: Result) -> None:
     """Those of the reference do not: no member has another one."""
-    many = ensemble(short, 120, over="parameters")
+    many = ensemble(short, 60, over="parameters")
     declared = dict(short.spec.parameters)
     assert not many.variation.given
     assert set(many.variation.values) == set(declared) - {"Ad", "omega"}

@@ -34,7 +34,7 @@ def bent_plant(seed: int) -> PWASystem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_random_plants_with_a_kinked_last_derivative_are_followed(seed: int) -> None:
     plant = bent_plant(seed)
     assert normal_form(plant).piecewise == tuple(r > 1 for r in KINDS[seed % len(KINDS)][0])
@@ -85,7 +85,7 @@ def test_the_closed_loop_agrees_with_a_tight_integrator(seed: int) -> None:
         t_eval=[1.0, 2.0, 3.0],
         rtol=1e-10,
         atol=1e-12,
-        max_step=2e-3,
+        max_step=5e-3,
     )
     n = len(loop.plant.B)
     for k, state in zip((1, 2, 3), solution.y.T, strict=True):

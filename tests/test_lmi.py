@@ -294,9 +294,8 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
     assert norm(theirs) <= norm(last) * (1 + 1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("n", "m", "cells"), [(3, 1, 2), (4, 1, 3), (5, 1, 2), (8, 2, 8), (12, 3, 16)])
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     monkeypatch: pytest.MonkeyPatch, seed: int, n: int, m: int, cells: int
 ) -> None:

@@ -69,7 +69,7 @@ def cart(folder: Path, **changes: str) -> Path:
 @pytest.fixture(scope="module")
 def gear(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, Path]:
     path, out = specs / GEAR, tmp_path_factory.mktemp("gear")
-    run(path, out, [], None, simulated=True)
+    run(path, out, [], None, simulated=True, plots="none")
     return load_spec(path), out
 
 
@@ -92,7 +92,7 @@ def test_the_gear_of_a_backlash_of_5_mrad_ends_below_14_8_mrad(gear: tuple[Spec,
 @pytest.mark.slow
 def test_all_that_is_tracked_ends_below_something(gear: tuple[Spec, Path]) -> None:
     """Without the load, what is printed is that of nothing."""
-    content = json.loads((gear[1] / "certificate.json").read_text())
+    content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
     ends = content["practical"]["ends_below"]
     assert audit(json.dumps(content))[1] == []
     for told in ([], [signal for signal in ends if signal[0] != "output"], [*ends, ends[0]]):
@@ -116,7 +116,7 @@ def test_the_bound_is_above_the_peak_gain_and_close_to_it(gear: tuple[Spec, Path
 @pytest.mark.slow
 def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path) -> None:
     path, out = cart(tmp_path), tmp_path / "out"
-    run(path, out, [], None, simulated=True)
+    run(path, out, [], None, simulated=True, plots="none")
     index = json.loads((out / "run.json").read_text())
     assert index["verdict"] == "practical"
     assert "(8) is infeasible" in index["practical"]["exact_tracking"][0] or "(17)" in str(index["practical"])
@@ -150,7 +150,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
         path.write_text(text.replace("plant: [0.3, 0, 0.2, 0]", "plant: [0.1, 0, 0.1, 0]"), encoding="utf-8")
         return path
 
-    asked = design(load_spec(written("practical")))
+    asked = design(load_spec(written("output" if worth else "practical")))
     assert asked.claims_of(Practical)
     bound = asked.claim(Practical).final["output", 0]
     assert bound > 0.1  # the gap
@@ -160,7 +160,6 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
     assert (f"{up(bound)}, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
-        assert design(load_spec(written("output"))).claims_of(Practical)
         return
     with pytest.raises(Infeasible) as refusal:
         design(load_spec(written("output")))
@@ -195,7 +194,6 @@ def test_what_merging_cannot_help_stays_refused(specs: Path) -> None:
             design(load_spec(specs / "refused" / f"{name}.yaml"))
 
 
-@pytest.mark.slow
 def test_only_the_slack_is_merged_and_the_stops_stay(tmp_path: Path) -> None:
     shape = "breakpoints: [-0.6, -gap, gap, 0.6], slopes: [24, 20, 0, 20, 24]"
     other = "- {name: rail, kind: dead_zone, of: z2, lower: -2, upper: 2, slope: 0.1, into: {v2: -1}}"
@@ -263,7 +261,7 @@ def test_no_gain_of_the_observer_enlarges_rounding() -> None:
     plant, form = plant_with_gaps(97)
     controller = practical_controller(plant, form, watched=True)
     assert np.abs(controller.design.L).max() > 1e5
-    seen = worst_found(controller, 97, tries=10, steps=10)
+    seen = worst_found(controller, 97, tries=5, steps=10)
     assert max(seen.final, seen.part) < 1 + 1e-9
 
 
@@ -339,7 +337,7 @@ def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
     content = by_ellipsoids(json.loads((gear[1] / "certificate.json").read_text()))
     assert audit(json.dumps(content))[1] == []
     tried = 0
-    for path in list(paths(content["practical"]))[::3]:
+    for path in list(paths(content["practical"]))[::6]:
         if (path[0] == "plant" and path[1] not in ("A", "b")) or path[-1] == "a" or "Q" in path:
             continue  # another ellipsoid may be a proof too
         tampered = copy.deepcopy(content)
@@ -349,7 +347,7 @@ def test_a_tampered_split_or_bound_is_found(gear: tuple[Spec, Path]) -> None:
         at[path[-1]] = "0.7" if Fraction(at[path[-1]]) == 0 else "0"
         assert audit(json.dumps(tampered))[1], path
         tried += 1
-    assert tried > 25
+    assert tried > 12
 
 
 @pytest.mark.slow
@@ -417,7 +415,6 @@ simulation: {{duration: 40, sample_time: 0.02}}
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "u", "start", "worth"),
     [

@@ -229,7 +229,6 @@ def blown(folder: Path, loads: str, acts: str, *replaced: tuple[str, str]) -> Sp
 @pytest.mark.parametrize(
     ("loads", "acts"),
     [
-        ("{wind: {into: {w: 1}}}", "{w: 0.3}"),
         ("{wind: {into: {w: 1}}, push: {into: {v: 1}}}", "{w: 0.3, v: 0.2}"),
         ("{hum: {into: {w: 1}, frequency: 3}}", '{w: "0.2*sin(3*t)"}'),
     ],

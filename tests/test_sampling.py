@@ -40,7 +40,7 @@ def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array
 
 @pytest.mark.slow
 @given(st.integers(0, 60), methods, st.integers(0, 3), st.floats(0.01, 0.5))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Method, delay: int, h: float) -> None:
     """A plant with one cell, at rest: the loop is linear, and z(k + 1) = M z(k)."""
     plant = random_plant(seed, n=3, k=0, r=2)
@@ -63,7 +63,7 @@ def test_the_map_of_a_sample_is_what_the_simulation_does(seed: int, method: Meth
 
 @pytest.mark.slow
 @given(st.integers(0, 400), methods, st.integers(0, 2))
-@settings(max_examples=4)  # `make sampling` runs 120
+@settings(max_examples=2)  # `make sampling` runs 120
 def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, method: Method, delay: int) -> None:
     loop, x0 = random_loop(seed)
     too_long = Sampling(sample_time=1e3, method=method, delay=delay)
@@ -79,7 +79,7 @@ def test_at_the_time_that_is_offered_random_designs_do_not_run_away(seed: int, m
     error = errors(loop, x0, sampling, 4000)
     assert error[3500:].max() <= 1.05 * error[:3500].max()  # it may take long to get to its steady oscillation
     check_sample_time(loop.controller, Conditions(sampling=sampling))
-    assert max(maps.worst(h)[1] for h in longest * np.linspace(1.0, 1.15, 50)) >= 1
+    assert max(maps.worst(h)[1] for h in longest * np.linspace(1.0, 1.15, 16)) >= 1
 
 
 SLOW = "controller: {sample_time: 0.5, method: euler}"
@@ -170,7 +170,6 @@ def scalar_growth(a: tuple[float, float], k: float, l_: float, h: float, start: 
     return grown
 
 
-@pytest.mark.slow
 def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offered(tmp_path: Path) -> None:
     """0.73 s was offered, as stable in all cells: at 0.73, 0.72, 0.6 and 0.5 s the loop runs away."""
     path = tmp_path / "bent.yaml"

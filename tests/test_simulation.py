@@ -19,7 +19,7 @@ from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
-from pwatrack.model.normal_form import normal_form
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
@@ -234,9 +234,9 @@ def y_d_of_random_loop(t: float, order: int) -> float:
     return float(wave) + (0.1 if order == 0 else 0.0)
 
 
-def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
+def right_hand_side(loop: ClosedLoop, form: NormalForm, t: float, state: Array) -> Array:
     """(1), (15), (16), (18), (19) written out with max and located cells, as an oracle for the flow."""
-    controller, plant, form = loop.controller, loop.controller.plant, normal_form(loop.controller.plant)
+    controller, plant = loop.controller, loop.controller.plant
     n = plant.A.shape[1]
     x, x_hat, eta = state[:n], state[n : 2 * n], state[2 * n :]
     xi = np.array([y_d_of_random_loop(t, k) for k in range(form.r + 1)])
@@ -253,11 +253,11 @@ def right_hand_side(loop: ClosedLoop, t: float, state: Array) -> Array:
 @pytest.mark.parametrize("seed", [1])
 def test_random_closed_loops_agree_with_a_tight_integrator(seed: int) -> None:
     loop = random_loop(seed)
-    random = np.random.default_rng(seed)
+    form, random = normal_form(loop.controller.plant), np.random.default_rng(seed)
     x, x_hat, eta = random.normal(size=4), np.zeros(4), random.normal(size=2)
     trace = simulate_flow(loop.flow, loop.start(plant=x, observer=x_hat, generator=eta), duration=1.5, sample_time=0.05)
     truth = solve_ivp(
-        lambda t, s: right_hand_side(loop, t, s),
+        lambda t, s: right_hand_side(loop, form, t, s),
         (0, 1.5),
         np.concatenate([x, x_hat, eta]),
         method="DOP853",

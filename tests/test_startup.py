@@ -104,9 +104,8 @@ def test_a_generator_in_steady_state_repeats_from_the_start(specs: Path, tmp_pat
     np.testing.assert_allclose(steady.response.eta_hat[0], steady.steady_state.z[0, :2], rtol=1e-9)
 
 
-@pytest.mark.slow
 @given(st.floats(-0.3, 0.3).filter(lambda y: abs(y) > 0.12))  # beyond the gap
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_a_generator_starts_in_its_equilibrium_and_stays_until_the_reference_moves(
     tmp_path_factory: pytest.TempPathFactory, y: float
 ) -> None:
