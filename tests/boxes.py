@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import OutsideTheory, PwatrackError, Undecided
 
 _SECONDS, _STEP = 4.0, 0.04  # of a simulation: the slowest loops here settle in a second, the fastest in a tenth of one
@@ -241,7 +241,7 @@ def _outside(spec: Any, box: Mapping[str, tuple[float, ...]], drawn: Any, rng: n
     return float(worst)
 
 
-def _real(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
+def _real(controller: ProvedController, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
     """Return the largest real part of an eigenvalue of (e, Δ)' = M (e, Δ), A by differences at random states."""
     K, L = controller.design.K, controller.design.L
     assert controller.claims_of(Robust)
@@ -259,7 +259,7 @@ def _slope(f: Callable[[Array], Array], x: Array, step: float = 1e-7) -> Array:
     return np.asarray((f(x + step * np.eye(len(x))) - f(x - step * np.eye(len(x)))).T / (2 * step))
 
 
-def _part(controller: Controller, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
+def _part(controller: ProvedController, nominal: Plant, plants: Sequence[Plant], rng: np.random.Generator) -> float:
     """Return the largest part of its bound that a signal comes to from error 0, with plants that change at random."""
     K, L, robust, n = controller.design.K, controller.design.L, controller.claim(Robust), len(nominal.B)
     assert robust is not None

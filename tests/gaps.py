@@ -7,13 +7,13 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.practical import Practical, deviation_bounds
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.trajectory import output_trajectory
-from pwatrack.model.merging import merged, merges
 from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm, dead_zone
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
+from pwatrack.model.simplification import merged, merges
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.spec.expression import formula
 from tests.plants import random_plant
@@ -40,7 +40,7 @@ def plant_with_gaps(seed: int) -> tuple[PWASystem, ScalarForm]:
     return merged(smooth, form, {}), form
 
 
-def practical_controller(plant: PWASystem, form: ScalarForm, *, watched: bool = False) -> Controller:
+def practical_controller(plant: PWASystem, form: ScalarForm, *, watched: bool = False) -> ProvedController:
     """The design for all gaps merged, with its bounds."""
     chosen = {k: merges(form, k)[0] for k in range(len(form.elements))}
     less = merged(plant, form, chosen)
@@ -75,7 +75,7 @@ class Seen:
     part: float
 
 
-def simulated(controller: Controller, y_d: str, x0: Array, *, fastest: float) -> Seen:
+def simulated(controller: ProvedController, y_d: str, x0: Array, *, fastest: float) -> Seen:
     """Run the true plant."""
     assert controller.generator is not None
     assert controller.claims_of(Practical)
@@ -96,7 +96,7 @@ def simulated(controller: Controller, y_d: str, x0: Array, *, fastest: float) ->
     )
 
 
-def worst_found(controller: Controller, seed: int, *, tries: int, steps: int) -> Seen:
+def worst_found(controller: ProvedController, seed: int, *, tries: int, steps: int) -> Seen:
     """Optimise amplitude, frequency and offset of the reference, and the start: at random, then about the best."""
     random = np.random.default_rng(9000 + seed)
     rate, n = controller.guarantees.rate, controller.plant.A.shape[1]

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.control.program import Program
+from pwatrack.control.program import SampledController
 
 
 class Plain:
     """A program that runs."""
 
-    def __init__(self, program: Program, x_hat: Any, eta_hat: Any, real: Any = float) -> None:
+    def __init__(self, program: SampledController, x_hat: Any, eta_hat: Any, real: Any = float) -> None:
         def floats(values: Any) -> Any:
             return [floats(v) for v in values] if np.ndim(values) else real(values)
 

@@ -13,7 +13,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import SignalBounds, loops_of
 from pwatrack.claims.robust import Robust, prove_box
 from pwatrack.control.bounds import Bounds, Form
-from pwatrack.control.controller import Claim, Controller
+from pwatrack.control.controller import Claim, ProvedController
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given
 from pwatrack.control.proof import prove_design
@@ -31,7 +31,7 @@ from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.expression import formula
 from tests.plants import random_plant
 
-Made = TypeVar("Made", bound=Controller)
+Made = TypeVar("Made", bound=ProvedController)
 
 FLOOR = 1e-12  # of the largest state: rounding of a simulation
 
@@ -42,7 +42,7 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
     goals = [DEFAULT if X is None else Given(gain=X) for X in (K, L)]
     gains = synthesize(plant, controller=goals[0], observer=goals[1])
     proofs = prove_design(plant, gains, generator)
-    controller = Controller(
+    controller = ProvedController(
         plant=plant,
         running=plant,
         design=gains,
@@ -75,7 +75,7 @@ def followed(plant: PWASystem, seed: int, duration: float | None = None) -> tupl
     gains, sizes = synthesize(form.plant), Sizes.of(form.plant)
     proofs = prove_design(form.plant, gains, generator)
     loop = closed_loop(
-        Controller(
+        ProvedController(
             plant=form.plant,
             running=form.plant,
             design=gains,
@@ -205,7 +205,7 @@ def judge(loop: ClosedLoop, response: Response) -> Verdict:
     )
 
 
-def joint_system(controller: Controller, bounds: Bounds) -> tuple[Array, Array, dict[Form, Array]]:
+def joint_system(controller: ProvedController, bounds: Bounds) -> tuple[Array, Array, dict[Form, Array]]:
     """M_ij of (e, Δ) for all pairs of cells, g of a channel or z(0), and the row of each signal that is bounded."""
     plant, K, L = controller.plant, controller.design.K, controller.design.L
     n = len(plant.B)

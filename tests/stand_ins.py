@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from pwatrack.batch.job import Ended, Fault, Job
+from pwatrack.batch.job import Ended, Job, JobFault
 from pwatrack.batch.work import refused
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.run_folder import read_index, run_folder
@@ -54,7 +54,7 @@ def written(job: Job) -> Ended:
     record(job.out, {"verdict": "proved", "exit": ended.exit, "figures": {"norm_K": 1.5}})
     with (job.out.parent / "count").open("a") as file:
         file.write("x")
-    faults = (Fault(message="no", hint="yes"),) if ended.exit else ()
+    faults = (JobFault(message="no", hint="yes"),) if ended.exit else ()
     index = read_index(job.out) or {}
     return Ended(exit=ended.exit, messages="said", faults=faults, index=index)
 

@@ -9,13 +9,13 @@ import pytest
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
-from pwatrack.control.program import Follows, Program, program
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import Follows, SampledController, program
 from pwatrack.model.conditions import Conditions, Quanta, Sampling
 from pwatrack.simulation import kernel
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.controller_arrays import memory, routine
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.simulation.routine import memory, routine
 from tests.plain import Plain
 from tests.promises import random_loop
 
@@ -28,7 +28,7 @@ SAMPLED = [
 
 
 @cache
-def designed() -> Controller:
+def designed() -> ProvedController:
     return design(load_spec("specs/two_mass_machine.yaml"))
 
 
@@ -93,7 +93,7 @@ def test_random_designs_are_the_page_in_every_bit(seed: int) -> None:
 class Running:
     """The compiled program by itself."""
 
-    def __init__(self, found: Program, real: Any) -> None:
+    def __init__(self, found: SampledController, real: Any) -> None:
         self.routine, self.found, self.real = routine(found, real), found, real
         zeros = np.zeros(found.sizes["N"]), np.zeros(found.sizes["p"])
         self.plain = Plain(found, *zeros, real=real)
@@ -135,7 +135,7 @@ def test_what_is_not_finite_changes_nothing() -> None:
             np.testing.assert_array_equal(running.counts[0], before[1][0])
 
 
-def turning(end: int | None = None) -> Program:
+def turning(end: int | None = None) -> SampledController:
     controller = designed()
     found = program(controller, Conditions(sampling=SAMPLED[0]))
     assert found.follows is not None

@@ -468,7 +468,7 @@ def test_problems_designs_and_runs_can_be_pickled_and_are_the_same_elsewhere(tmp
 
 
 def test_a_long_run_takes_its_samples_along_when_it_is_pickled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pwatrack.study.pipeline.MOST_KEPT", 100)
+    monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", 100)
     asked = problem(plant(**STOP), reference="0.1*sin(t)", simulation={"duration": 5, "sample_time": 0.01})
     run = simulate(asked)
     again = pickle.loads(pickle.dumps(run))

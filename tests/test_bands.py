@@ -9,7 +9,7 @@ import pytest
 from pwatrack import Result, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.report.plots.pictures import pictures
 
 PUSHED = "  disturbance: {v1: {constant: 0.05, sine: {amplitude: 0.2, frequency: 3}}}\n"
@@ -21,7 +21,7 @@ def simulated(path: Path) -> Result:
     return simulate(load_spec(path))
 
 
-def changed(specs: Path, tmp_path: Path, extra: str, controller: Controller | None = None) -> Result:
+def changed(specs: Path, tmp_path: Path, extra: str, controller: ProvedController | None = None) -> Result:
     text = (specs / "two_mass_backlash.yaml").read_text(encoding="utf-8")
     path = tmp_path / "changed.yaml"
     path.write_text(text.rstrip() + "\n" + extra, encoding="utf-8")

@@ -14,7 +14,7 @@ from pwatrack.batch.command import batch
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.job import Ended
 from pwatrack.batch.junit import write_junit
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.run import Options, run_batch
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
@@ -43,7 +43,7 @@ def expecting(code: int) -> str:
     return f"name: x\nexpect: {{exit: {code}}}\n"
 
 
-def ends(outcomes: list[Outcome]) -> list[tuple[str, int | None, bool, int]]:
+def ends(outcomes: list[SpecOutcome]) -> list[tuple[str, int | None, bool, int]]:
     return [(o.spec.stem, o.exit, o.passed, o.code) for o in outcomes]
 
 
@@ -323,13 +323,13 @@ ODD: dict[str, dict[str, object]] = {
 
 @pytest.mark.parametrize("index", ODD.values(), ids=ODD)
 def test_an_index_of_another_kind_gives_no_figures(index: dict[str, object]) -> None:
-    outcome = Outcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
+    outcome = SpecOutcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
     assert (outcome.figures, outcome.notes) == ({}, ())
 
 
 def test_remarks_and_outcomes_are_noted() -> None:
     index = {"exit": 0, "simulation": {"outcome": "off", "said": "off: by 3"}, "remarks": ["a cell is left out"]}
-    outcome = Outcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
+    outcome = SpecOutcome.of(Path("a.yaml"), Path("a"), Ended(exit=0, index=index), seconds=1.0)
     assert outcome.notes == ("off: by 3", "a cell is left out")
 
 

@@ -19,9 +19,9 @@ from pwatrack.report.files import write_result
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.report.uncertain import run_rows
-from pwatrack.study.merged import checked as known
-from pwatrack.study.pipeline import design
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.pipeline import design
+from pwatrack.workflow.simplified import checked as known
+from pwatrack.workflow.sizing import spec_sizes
 from tests.test_outcome import ROD, RUNAWAY, cart
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)

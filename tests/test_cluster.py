@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from pwatrack import ensemble, load_spec, simulate
 from pwatrack.batch.cluster import Cluster
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import Lost, Pool
 from pwatrack.batch.run import Options, Watcher, run_batch
 from pwatrack.batch.sweep import places, sweep
@@ -88,7 +88,7 @@ class Killing(Watcher):
     def __init__(self, worker: "subprocess.Popen[bytes]", after: int) -> None:
         self.worker, self.after, self.count = worker, after, 0
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: SpecOutcome) -> None:
         self.progress(self.count + (outcome.how == "run"), 0)
 
     def progress(self, done: int, _: int) -> None:
@@ -125,7 +125,7 @@ def contents(out: Path) -> dict[str, Any]:
     return found
 
 
-def said(outcomes: list[Outcome], out: Path) -> list[Any]:
+def said(outcomes: list[SpecOutcome], out: Path) -> list[Any]:
     return [
         (o.spec, o.exit, o.expected, o.figures, o.notes, o.messages.replace(str(out), ""), o.faults) for o in outcomes
     ]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pwatrack.compilation import while_compiling
-from pwatrack.study import pipeline
+from pwatrack.workflow import pipeline
 from tests.test_cli import call
 from tests.test_kept_spec import SINE, cart
 

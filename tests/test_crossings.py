@@ -16,10 +16,10 @@ import yaml
 
 import pwatrack
 from pwatrack import Result, design, load_spec, simulate
-from pwatrack.claims.limits import Limited
+from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.preview import PlayedBack
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.commands.verify import verify
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report.files import write_result
@@ -76,9 +76,9 @@ def test_two_extensions_together_are_right_or_refused(
     assert result.outcome.kind in ("tracks", "within its bound", "off"), result.outcome.text
     controller = result.controller
     assert bool(controller.claims_of(Robust)) == ("box" in added)
-    assert bool(controller.claims_of(Limited)) == ("limits" in added)
+    assert bool(controller.claims_of(NoSaturation)) == ("limits" in added)
     assert bool(controller.claims_of(Practical)) == (name == "gallery/gear_with_backlash")
-    assert bool(controller.claims_of(PlayedBack)) == (name == "gallery/cart_and_pole_swaying")
+    assert bool(controller.claims_of(StableInversion)) == (name == "gallery/cart_and_pole_swaying")
     hold(result)
     if "limits" in added or not {"noise", "sampling"} & {*added}:  # else its certificate is that of one extension
         assert verify(write_result(result, tmp_path / "run", plots="none"))
@@ -100,7 +100,7 @@ def hold(result: Result) -> None:
         if k < errors[kind].shape[1]:
             seen = np.abs(errors[kind][:, k])
             assert (seen <= band + 1e-9 * size * (1 if kind != "input" else np.abs(result.controller.K).max())).all()
-    for limited in result.controller.claims_of(Limited):
+    for limited in result.controller.claims_of(NoSaturation):
         left = limited.room.left
         if left is not None and any(p.starts.kind == "run" and p.scale(left) >= 1 for p in limited.promises):
             low, high = limited.room.limits[0]

@@ -18,8 +18,8 @@ from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.simulation.ensemble import Ensemble, Member, simulate_ensemble
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import Propagator, simulate_flow
-from pwatrack.simulation.region import Box, Ellipsoid, Region
-from pwatrack.study.variation import EnsembleResult, Over, other_starts
+from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
+from pwatrack.workflow.variation import EnsembleResult, Over, other_starts
 from tests.plants import reset
 from tests.scenarios import in_scenario
 from tests.test_cli import call, refused, shortened
@@ -41,9 +41,9 @@ def short(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 def members_of(result: Result, count: int) -> list[Member]:
     regions: dict[str, Region] = {
-        "plant": Box(low=np.array([-0.3, -1, 0, 0]), high=np.array([0.3, 1, 0.1, 0])),
-        "observer": Ellipsoid(center=np.zeros(4), radii=np.array([0.1, 0.2, 0.0, 0.3])),
-        "generator": Box(low=np.array([0.0, -0.1]), high=np.array([0.3, 0.1])),
+        "plant": BoxRegion(low=np.array([-0.3, -1, 0, 0]), high=np.array([0.3, 1, 0.1, 0])),
+        "observer": EllipsoidRegion(center=np.zeros(4), radii=np.array([0.1, 0.2, 0.0, 0.3])),
+        "generator": BoxRegion(low=np.array([0.0, -0.1]), high=np.array([0.3, 0.1])),
     }
     variation = other_starts(replace(result, spec=in_scenario(result.spec, regions=regions)), count, seed=7)
     return [variation.member(number) for number in range(count)]
@@ -56,7 +56,7 @@ def run_all(members: list[Member], *, duration: float, workers: int | None = Non
 @given(bounds=st.lists(st.tuples(places, places), min_size=1, max_size=5), seed=seeds)
 def test_a_box_holds_what_is_drawn_from_it(bounds: list[tuple[float, float]], seed: int) -> None:
     low, high = (np.array(side) for side in zip(*map(sorted, bounds), strict=True))
-    points = Box(low=low, high=high).draw(np.random.default_rng(seed), 50)
+    points = BoxRegion(low=low, high=high).draw(np.random.default_rng(seed), 50)
     assert points.shape == (50, len(bounds))
     assert ((low <= points) & (points <= high)).all()
 
@@ -67,7 +67,7 @@ def test_a_box_holds_what_is_drawn_from_it(bounds: list[tuple[float, float]], se
 )
 def test_an_ellipsoid_holds_what_is_drawn_from_it(entries: list[tuple[float, float]], seed: int) -> None:
     center, radii = (np.array(side) for side in zip(*entries, strict=True))
-    points = Ellipsoid(center=center, radii=radii).draw(np.random.default_rng(seed), 50)
+    points = EllipsoidRegion(center=center, radii=radii).draw(np.random.default_rng(seed), 50)
     varied = radii > 0
     away = (points - center)[:, varied] / radii[varied]
     rounding = (1e-15 * (np.abs(center) + radii)[varied] / radii[varied]).sum()
@@ -80,8 +80,8 @@ def test_an_ellipsoid_holds_what_is_drawn_from_it(entries: list[tuple[float, flo
 def test_boxes_and_ellipsoids_are_filled_evenly(seed: int, n: int) -> None:
     """The share of points in a half as large a copy is 2⁻ⁿ, and no direction is preferred."""
     count = 4000
-    box = Box(low=-np.ones(n), high=np.ones(n)).draw(np.random.default_rng(seed), count)
-    ball = Ellipsoid(center=np.zeros(n), radii=np.ones(n)).draw(np.random.default_rng(seed), count)
+    box = BoxRegion(low=-np.ones(n), high=np.ones(n)).draw(np.random.default_rng(seed), count)
+    ball = EllipsoidRegion(center=np.zeros(n), radii=np.ones(n)).draw(np.random.default_rng(seed), count)
     for inside, points in (
         (np.abs(box).max(axis=1) <= 0.5, box),
         (np.linalg.norm(ball, axis=1) <= 0.5, ball),
@@ -95,8 +95,8 @@ def test_boxes_and_ellipsoids_are_filled_evenly(seed: int, n: int) -> None:
 @settings(max_examples=20)
 def test_fewer_points_are_the_first_of_more(seed: int, fewer: int) -> None:
     for region in (
-        Box(low=np.zeros(3), high=np.ones(3)),
-        Ellipsoid(center=np.zeros(3), radii=np.array([1.0, 0.0, 2.0])),
+        BoxRegion(low=np.zeros(3), high=np.ones(3)),
+        EllipsoidRegion(center=np.zeros(3), radii=np.array([1.0, 0.0, 2.0])),
     ):
         few, many = (region.draw(np.random.default_rng(seed), count) for count in (fewer, 20))
         assert few.tobytes() == many[:fewer].tobytes()

@@ -25,7 +25,7 @@ from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.audit.cells import strictly_feasible
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
-from pwatrack.lmi.audit.plant import Plant
+from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.proofs import check
 from pwatrack.lmi.audit.reading import matrix, number
 from pwatrack.lmi.exact import prove_exactly
@@ -92,7 +92,7 @@ def test_what_was_tampered_with_is_refused_or_still_true(run: Path, seed: int, w
     assert bool(said) or bool(faults)
     if not faults:
         assert where not in ("A", "b", "C", "H", "A_eta", "T", "internal")  # without which nothing fits
-        plant = Plant(content["plant"])
+        plant = AuditedPlant(content["plant"])
         K, L = matrix(content["K"]), matrix(content["L"])
         A_eta, _ = normal_form(plant, content["generator"])
         for proof in content["proofs"]:
@@ -615,7 +615,7 @@ def test_parallel_hyperplanes_are_decided_as_all_rows_together_are(two: Path, da
     rows = [[f * v for v in plane] for plane, f in planes.items()]
     signs = data.draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=len(rows), max_size=len(rows)))
     content |= {"H": [[str(v) for v in row[:2]] for row in rows], "h": [str(row[2]) for row in rows]}
-    plant = Plant(content | {"signs": [signs, [0] * len(rows)]})
+    plant = AuditedPlant(content | {"signs": [signs, [0] * len(rows)]})
     wanted = [[Fraction(s * v) for v in row] for s, row in zip(signs, rows, strict=True) if s]
     assert plant.cells.interior(plant.cells.signs[0]) == strictly_feasible(wanted)
     on = data.draw(st.integers(0, len(rows) - 1))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.run import Options, Watcher, run_batch
 from pwatrack.cli import app
 from pwatrack.report.run_folder import INDEX, read_index
@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "specs"
 
 
-def run(folder: Path, out: Path, watcher: Watcher | None = None) -> list[Outcome]:
+def run(folder: Path, out: Path, watcher: Watcher | None = None) -> list[SpecOutcome]:
     options = Options(again="changed", jobs=2)
     return run_batch(folder, out, options, work=bulky, preload=["tests.stand_ins"], watcher=watcher)
 
@@ -70,7 +70,7 @@ def whole(out: Path) -> set[str]:
     return found
 
 
-def check_gone_on(folder: Path, out: Path, first: list[Outcome], reason: str, least: int) -> None:
+def check_gone_on(folder: Path, out: Path, first: list[SpecOutcome], reason: str, least: int) -> None:
     """Check what a batch left that met a wall, and that the next one goes on from there.
 
     A run whose record met the wall is done again: of at least ``least`` runs it was written before.
@@ -100,7 +100,7 @@ class ReadOnly(Watcher):
     def __init__(self, disk: Path) -> None:
         self.disk, self.count = disk, 0
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: SpecOutcome) -> None:
         self.count += outcome.passed
         if self.count == 3 and outcome.passed:
             remounted(self.disk, "ro")

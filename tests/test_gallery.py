@@ -3,12 +3,13 @@
 Where a spec requires a final error, `make batch` holds the run against it: what requires none is run here.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pwatrack import PwatrackError, load_spec, simulate
+from pwatrack import PwatrackError, design, load_spec, simulate
 from pwatrack.claims.practical import Practical
 from pwatrack.spec.load import expected_exit
 from tests.conftest import SPECS
@@ -29,6 +30,21 @@ def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
         return
     small = 1e-4 if result.loop.conditions.nominal else 0.1
     assert result.final_error <= small * max(desired.max(), np.abs(result.response.x_d).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", WORKING, ids=lambda path: path.stem)
+def test_another_solver_proves_the_same(path: Path) -> None:
+    """A second opinion: PICOS with Clarabel finds gains of the same size for the same goals, with the same rates."""
+    spec = load_spec(path)
+    ours, theirs = (
+        design(replace(spec, objectives=replace(spec.objectives, solver=solver)))
+        for solver in ("structured", "clarabel")
+    )
+    assert [proof.role for proof in theirs.proofs] == [proof.role for proof in ours.proofs]
+    assert [proof.rate for proof in theirs.proofs] == pytest.approx([proof.rate for proof in ours.proofs], rel=0.02)
+    for one, other in ((ours.K, theirs.K), (ours.L, theirs.L)):
+        np.testing.assert_allclose(other, one, atol=0.1 * np.abs(one).max())
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)

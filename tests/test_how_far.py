@@ -20,15 +20,15 @@ from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.polynomial import Polynomial
+from pwatrack.lmi.polynomial import PolynomialLyapunov
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
-from pwatrack.study.how_far import HowFar, how_far
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.how_far import HowFar, how_far
+from pwatrack.workflow.sizing import spec_sizes
 
 HIDDEN = """\
 name: hidden
@@ -152,14 +152,14 @@ def test_each_value_is_one_with_which_it_is_designed(specs: Path, stiff: tuple[S
     for p in wanted:
         spec = load_spec(path, {"k3": "k2", p.parameter: p.value})
         form = trajectory_generator(normal_form(spec.problem.plant))
-        degree = form.certificate.degree if isinstance(form.certificate, Polynomial) else 2
+        degree = form.certificate.degree if isinstance(form.certificate, PolynomialLyapunov) else 2
         assert degree == p.degree
         beyond = p.value * (1 + 2e-4 * np.sign(p.now - p.value))
         nearer = load_spec(path, {"k3": "k2", p.parameter: beyond})
         try:
             found = trajectory_generator(normal_form(nearer.problem.plant)).certificate
             assert p.degree == 2
-            assert isinstance(found, Polynomial)
+            assert isinstance(found, PolynomialLyapunov)
         except Infeasible:
             assert p.degree == 10
 

@@ -28,7 +28,7 @@ from pwatrack.lmi.multipliers import refutes
 from pwatrack.lmi.picos_model import ClarabelSolver
 from pwatrack.lmi.presolve import Coordinates, corners, distinct
 from pwatrack.lmi.program import (
-    Program,
+    SemidefiniteProgram,
     Solution,
     largest_margin,
     least_condition,
@@ -112,7 +112,7 @@ def test_the_clarabel_plugin_maximises_too() -> None:
     assert float(problem.value) == pytest.approx(2.0, abs=1e-6)
 
 
-BUILDERS: dict[str, Callable[[Array, Array], Program]] = {
+BUILDERS: dict[str, Callable[[Array, Array], SemidefiniteProgram]] = {
     "largest_margin": lambda A, B: largest_margin(state_feedback(A, B)),
     "largest_margin, bounded": lambda A, B: largest_margin(state_feedback(A, B), 5.0),
     "least_violation": lambda A, B: least_violation([state_feedback(A, B)]),
@@ -127,13 +127,13 @@ BUILDERS: dict[str, Callable[[Array, Array], Program]] = {
 }
 
 
-def ours(program: Program, *, gap: float = 1e-7, against: float | None = None) -> Solution:
+def ours(program: SemidefiniteProgram, *, gap: float = 1e-7, against: float | None = None) -> Solution:
     found = primal_dual.solve(program, gap=gap, against=against)
     assert found is not None
     return found
 
 
-def cvxopt(program: Program) -> Solution | None:
+def cvxopt(program: SemidefiniteProgram) -> Solution | None:
     return picos_model.solve(program, "cvxopt")
 
 
@@ -192,7 +192,7 @@ def test_both_forms_of_the_linear_map_are_the_left_hand_sides(
         of_P(state_feedback(A, B), -1.0, random.normal(size=(k, n))),
     )
     V = random.normal(size=(k, n)) if weighed else None
-    linear = kind(Program(constraints=inequalities, price=0.0 if weighed else 1.0, weight=V))
+    linear = kind(SemidefiniteProgram(constraints=inequalities, price=0.0 if weighed else 1.0, weight=V))
     v = random.normal(size=linear.size)
     z = np.concatenate(
         [symmetric_part(random.normal(size=X.shape)).ravel() for X in linear.blocks.stacks(linear.constant)]
@@ -302,7 +302,7 @@ def test_each_further_program_of_a_sequence_takes_at_most_eight_iterations(
     """Margins at one rate after the other, and closer bounds of the norm, as a design solves them."""
     counts = list[int]()
 
-    def counted(program: Program, *args: Any, **options: Any) -> Solution | None:
+    def counted(program: SemidefiniteProgram, *args: Any, **options: Any) -> Solution | None:
         found = solve(program, *args, **options)
         if options.get("after") is not None:
             assert found is not None
@@ -329,7 +329,7 @@ def test_a_marginal_plant_is_called_undecided_after_at_most_52_programs(
     """The least damping with which there is a gain, and a millionth more."""
     counts, method = list[int](), primal_dual.solve
 
-    def counted(program: Program, **options: Any) -> Solution | None:
+    def counted(program: SemidefiniteProgram, **options: Any) -> Solution | None:
         found = method(program, **options)
         counts.append(0 if found is None or found.iterations is None else found.iterations)
         return found
@@ -444,17 +444,17 @@ def test_the_least_violation_has_the_trace_that_is_asked_in_both_solvers(seed: i
 def test_a_program_that_does_not_fit_together_is_refused() -> None:
     two, three = lyapunov(-np.eye(2)[None]), lyapunov(-np.eye(3)[None])
     with pytest.raises(ValueError, match="the same P and Y"):
-        Program(constraints=(two, three), price=0.0)
+        SemidefiniteProgram(constraints=(two, three), price=0.0)
     with pytest.raises(ValueError, match="the same P and Y"):
-        Program(constraints=(), price=0.0)
+        SemidefiniteProgram(constraints=(), price=0.0)
     with pytest.raises(ValueError, match="one objective"):
-        Program(constraints=(two,), price=0.0, cost=np.eye(2), weight=np.eye(2))
+        SemidefiniteProgram(constraints=(two,), price=0.0, cost=np.eye(2), weight=np.eye(2))
     with pytest.raises(ValueError, match="stands in no constraint"):
-        Program(constraints=(two,), price=1.0)
+        SemidefiniteProgram(constraints=(two,), price=1.0)
     with pytest.raises(ValueError, match="V has 3 columns, P has 2"):
-        Program(constraints=(two,), price=0.0, weight=np.eye(3))
+        SemidefiniteProgram(constraints=(two,), price=0.0, weight=np.eye(3))
     with pytest.raises(ValueError, match="W is 3 × 3, P is 2 × 2"):
-        Program(constraints=(two,), price=0.0, cost=np.eye(3))
+        SemidefiniteProgram(constraints=(two,), price=0.0, cost=np.eye(3))
 
 
 def test_a_nan_in_the_data_is_not_called_solved() -> None:
@@ -556,7 +556,7 @@ def test_the_primal_dual_method_finds_the_least_cost(n: int) -> None:
 
 
 def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    def liar(program: Program, *_: object, **__: object) -> Solution:
+    def liar(program: SemidefiniteProgram, *_: object, **__: object) -> Solution:
         lies = tuple(np.broadcast_to(np.eye(c.constant.shape[1]), c.constant.shape) for c in program.constraints)
         return Solution(program=program, P=np.eye(2), Y=np.zeros((1, 2)), t=0.0, multipliers=lies)
 

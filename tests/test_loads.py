@@ -31,7 +31,7 @@ from pwatrack.report.files import write_result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.spec.expression import formula
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.sizing import spec_sizes
 from tests.conftest import SPECS
 from tests.plants import random_plant
 from tests.promises import run, track, worst

@@ -12,9 +12,9 @@ from scipy.interpolate import BSpline
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.model.course import Table
 from pwatrack.model.lowpass import low_passed
-from pwatrack.study.tracking import reference_remarks
+from pwatrack.model.profile import Table
+from pwatrack.workflow.tracking import reference_remarks
 from tests.test_cli import call, index_of
 
 T = np.arange(0.0, 6.0, 0.01)

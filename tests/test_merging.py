@@ -10,7 +10,6 @@ import pytest
 from pwatrack import load_spec
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
-from pwatrack.model.merging import merged, merges
 from pwatrack.model.nonlinearity import (
     Nonlinearity,
     PiecewiseLinear,
@@ -21,6 +20,7 @@ from pwatrack.model.nonlinearity import (
 )
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.simplification import merged, merges
 from pwatrack.real import Real
 from tests.plants import random_plant
 

@@ -14,7 +14,7 @@ from pwatrack.arrays import Array
 from pwatrack.batch.run import run_batch
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.study.outcome import grows
+from pwatrack.workflow.outcome import grows
 from tests.test_cli import call, index_of
 
 T = np.linspace(0.0, 1.0, 1001)
@@ -262,7 +262,7 @@ def test_a_run_above_its_own_bound_ends_with_6_also_where_the_sample_is_not_kept
         raised = read.tracking_error + 1e-3 * (np.abs(read.t - 15.02) < 1e-9)[:, None]
         return replace(read, tracking_error=raised)
 
-    monkeypatch.setattr("pwatrack.study.pipeline.MOST_KEPT", kept)
+    monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", kept)
     assert simulate(load_spec(cart(tmp_path))).outcome.kind == "tracks"
     monkeypatch.setattr(ClosedLoop, "response", spoiled)
     outcome = simulate(load_spec(cart(tmp_path))).outcome
@@ -304,5 +304,5 @@ def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
 def test_the_outcome_does_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = cart(tmp_path, RUNAWAY["other parameters"])
     whole = simulate(load_spec(path)).outcome
-    monkeypatch.setattr("pwatrack.study.pipeline.MOST_KEPT", 37)
+    monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", 37)
     assert simulate(load_spec(path)).outcome == whole

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.page import write_page
 from tests.test_reports import OUTCOMES
 
@@ -83,8 +83,10 @@ def page(tmp_path: Path) -> Path:
     for name in ("outputs.png", "tracking_error.png"):
         Image.new("RGB", (1125, 780), "white").save(folder / name)
     more = [
-        Outcome(spec=Path("specs/pictured.yaml"), folder=folder, exit=0, figures={"norm_K": 10.0}, seconds=9.5),
-        Outcome(spec=Path("specs/hand_written.yaml"), folder=folder, exit=0, figures={"norm_K": 9.0}, seconds=10.25),
+        SpecOutcome(spec=Path("specs/pictured.yaml"), folder=folder, exit=0, figures={"norm_K": 10.0}, seconds=9.5),
+        SpecOutcome(
+            spec=Path("specs/hand_written.yaml"), folder=folder, exit=0, figures={"norm_K": 9.0}, seconds=10.25
+        ),
     ]
     write_page([*OUTCOMES, *more], tmp_path / "page.html")
     return tmp_path / "page.html"

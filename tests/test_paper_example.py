@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from pwatrack import Result, Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
 from pwatrack.control.goal import DEFAULT, Given
@@ -31,7 +31,7 @@ STATES = [  # t, y − y_d, ‖x − x̂‖, η̂_1: as printed, so half a unit 
 WINDOWS = [(0, 5, "0.3246"), (5, 10, "0.0755"), (10, 20, "2.61e-3"), (20, 30, "5.4e-4"), (30, 40, "5.3e-5")]
 
 
-def generator_of(controller: Controller) -> TrajectoryGenerator:
+def generator_of(controller: ProvedController) -> TrajectoryGenerator:
     assert controller.generator is not None
     return controller.generator
 

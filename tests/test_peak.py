@@ -12,7 +12,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed
-from pwatrack.lmi.chords import peak_gains
+from pwatrack.lmi.peak_gain import peak_gains
 from pwatrack.report.files import write_result
 
 STAGE = """

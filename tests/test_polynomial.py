@@ -14,10 +14,10 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.balls import Ball
-from pwatrack.lmi.audit.matrices import Fault
+from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.polynomials import polynomial as audit_polynomial
 from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
-from pwatrack.lmi.polynomial import Monomials, Polynomial, best_polynomial, degrees
+from pwatrack.lmi.polynomial import Monomials, PolynomialLyapunov, best_polynomial, degrees
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import CONTROLLER, GENERATOR
 from pwatrack.rational import floats
@@ -108,7 +108,7 @@ def test_a_rounded_polynomial_is_proved_for_no_other_plant() -> None:
     found = best_polynomial(A, 4, near(A))
     assert found is not None
     worse = zero_dynamics(1.168)
-    moved = Polynomial(A=worse, degree=4, T=found.T, P=found.P, N=found.N, rate=found.rate)
+    moved = PolynomialLyapunov(A=worse, degree=4, T=found.T, P=found.P, N=found.N, rate=found.rate)
     assert prove_polynomial(GENERATOR, [BallMatrix.of(A_i).transpose() for A_i in worse], moved) is None
     assert prove_polynomial(GENERATOR, [BallMatrix.of(A_i).transpose() for A_i in worse], found) is None
 
@@ -204,7 +204,7 @@ def audited(proof: dict[str, Any], A: Array) -> bool:
     matrices: list[Ball] = [([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], []) for A_i in A]
     try:
         return not audit_polynomial(matrices, [], proof, None)
-    except Fault:
+    except AuditFault:
         return False
 
 
@@ -227,7 +227,7 @@ def test_a_proof_that_does_not_fit_is_a_fault(change: dict[str, Any], words: str
     proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
     assert proof is not None
     matrices: list[Ball] = [([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], []) for A_i in A]
-    with pytest.raises(Fault, match=words):
+    with pytest.raises(AuditFault, match=words):
         audit_polynomial(matrices, [], content_of(proof) | change, None)
 
 

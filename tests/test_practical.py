@@ -22,8 +22,8 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.bounds import Form
 from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.model.merging import Merge, merges
 from pwatrack.model.scalar_form import scalar_form
+from pwatrack.model.simplification import Simplification, merges
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.summary import print_design
@@ -224,7 +224,7 @@ def test_the_choice_is_the_least_that_works(tmp_path: Path) -> None:
         assert set(found) == set(elements)
     assert all(asked)
     assert least_merges(form, Sizes.of(plant), lambda _: False) is None
-    both: dict[int, Merge] = {k: merges(form, k)[0] for k in range(2)}
+    both: dict[int, Simplification] = {k: merges(form, k)[0] for k in range(2)}
     assert all(merge.largest > 0 for merge in both.values())
 
 

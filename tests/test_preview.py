@@ -18,8 +18,8 @@ from pwatrack.arrays import Array, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.decay import sentences
-from pwatrack.claims.preview import PlayedBack
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control import generator as generator_module
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
@@ -40,10 +40,10 @@ from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.summary import print_design
 from pwatrack.report.uncertain import box_figures
 from pwatrack.simulation import preview as preview_module
-from pwatrack.simulation.preview import bounded_solution, played_back
+from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
-from pwatrack.study.how_far import how_far
-from pwatrack.study.tracking import desired_trajectory
+from pwatrack.workflow.how_far import how_far
+from pwatrack.workflow.tracking import desired_trajectory
 from tests.conftest import SPECS
 from tests.plants import saddle
 
@@ -396,7 +396,7 @@ def test_the_auditor_reads_the_proof(tmp_path: Any) -> None:
 def test_a_generator_that_runs_is_left_to_run() -> None:
     controller = design(load_spec(SPECS / "two_mass_backlash.yaml"))
     assert controller.trajectory.preview is None
-    assert controller.claims_of(PlayedBack) == ()
+    assert controller.claims_of(StableInversion) == ()
 
 
 @pytest.mark.slow
@@ -407,7 +407,7 @@ def test_what_is_played_back_leaves_no_more_than_is_said(tmp_path: Path, seed: i
     path.write_text(spec_text(seed), encoding="utf-8")
     spec = load_spec(path)
     controller = design(spec)
-    assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.claim(PlayedBack).error < 1e-3
+    assert 0 < left_by_pieces(controller, spec.scenario.duration) < controller.claim(StableInversion).error < 1e-3
 
 
 PRESSED = """\
@@ -433,7 +433,7 @@ def test_no_short_stay_beyond_a_facet_is_missed(tmp_path: Path, seed: int) -> No
     path.write_text(PRESSED if seed < 0 else grazing_text(seed), encoding="utf-8")
     spec = load_spec(path)
     controller = design(spec)
-    preview, told = controller.trajectory.preview, controller.claim(PlayedBack).error
+    preview, told = controller.trajectory.preview, controller.claim(StableInversion).error
     assert preview is not None
     assert (preview.residual <= 1e-10 * preview.terms).all()
     assert integrated(controller, min(spec.scenario.duration, 7.0)) <= told + INTEGRATED
@@ -464,7 +464,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     path = tmp_path / "plant.yaml"
     path.write_text(PRESSED.replace("duration: 7", "duration: 200"), encoding="utf-8")
     result = simulate(load_spec(path))
-    r, left = result.response, result.controller.claim(PlayedBack).by_signal
+    r, left = result.response, result.controller.claim(StableInversion).by_signal
     assert result.outcome.kind == "tracks"  # and not above its own bound
     seen: dict[Form, Array] = {("output", 0): r.tracking_error[:, 0], ("input", 0): (r.u - r.u_ff)[:, 0]}
     for signal, values in seen.items():
@@ -497,7 +497,7 @@ def test_what_is_played_back_adds_to_the_bounds_of_a_box(tmp_path: Path, monkeyp
     assert found["seen"] <= found["bound"]
     assert (np.abs(r.tracking_error[:, 0]) <= result.bands["output", 0]).all()
     assert (
-        f"beside what is played back: |y − y_d| ≤ {up(controller.claim(PlayedBack).by_signal['output', 0])}, "
+        f"beside what is played back: |y − y_d| ≤ {up(controller.claim(StableInversion).by_signal['output', 0])}, "
         in " ".join(text for _, text in controller.claim(Robust).rows(result.spec.words, controller))
     )
 
@@ -561,7 +561,7 @@ def test_a_stay_of_no_length_has_the_slope_of_the_field(tmp_path: Path, later: f
     assert preview is not None
     assert 0 < np.diff(preview.times).min() < 1.1 * later
     assert (preview.residual / preview.terms).max() < 1e-11
-    assert controller.claim(PlayedBack).error < 1e-8
+    assert controller.claim(StableInversion).error < 1e-8
 
 
 def test_how_long_before_a_move_it_begins_is_said() -> None:
@@ -571,7 +571,7 @@ def test_how_long_before_a_move_it_begins_is_said() -> None:
     assert trajectory.preview is not None
     assert trajectory.preview.lead is None
     for lead, said in ((None, ""), (0.0, "as the reference moves"), (0.8125, "0.812 s before the reference moves")):
-        told = replace(controller.claim(PlayedBack), preview=replace(trajectory.preview, lead=lead))
+        told = replace(controller.claim(StableInversion), preview=replace(trajectory.preview, lead=lead))
         ahead = list(told.texts(spec.words))[1].partition("known beforehand")[2]
         assert ahead == (said and f"; η leaves its rest {said}")
 

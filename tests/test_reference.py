@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pwatrack.errors import OutsideTheory
-from pwatrack.model.course import Profile, Table, polyline
+from pwatrack.model.profile import Profile, Table, polyline
 from pwatrack.model.reference import check_bounded, check_smooth, exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.spec.expression import ExpressionError, formula

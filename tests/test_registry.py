@@ -13,7 +13,7 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS, STATEMENT, data, rows
 from pwatrack.commands.told import told_design
 from pwatrack.control.bounds import Form
-from pwatrack.control.controller import Asked, Claim, Controller
+from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.lmi.audit.shape import DESIGN, REFUSAL
 from pwatrack.lmi.solve import answers
 from pwatrack.report.certificate import design_certificate
@@ -70,14 +70,14 @@ class Unknown(Claim):
     """Something that acts on all signals but the inputs, nobody knows how much."""
 
     @classmethod
-    def prove(cls, controller: Controller, asked: Asked) -> Iterator[Claim]:
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator[Claim]:
         yield cls()
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: Controller, asked: Asked) -> Iterator[Claim]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Claim]:
         yield cls()
 
-    def data(self, controller: Controller) -> dict[str, Any]:
+    def data(self, controller: ProvedController) -> dict[str, Any]:
         return {}
 
     def leaves(self, form: Form) -> float | None:

@@ -14,15 +14,15 @@ from typer.testing import CliRunner
 
 from pwatrack.batch.command import WRITERS
 from pwatrack.batch.github import add_summary, annotations
-from pwatrack.batch.job import Fault
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.job import JobFault
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.page import write_page
 from pwatrack.cli import app
 from pwatrack.errors import Place
 
 ODD = os.fsdecode(b"specs/a,b: \xff\x1b[31m|<b>%\n.yaml")
 OUTCOMES = [
-    Outcome(
+    SpecOutcome(
         spec=Path("specs/good.yaml"),
         folder=Path("runs/good"),
         exit=0,
@@ -32,20 +32,20 @@ OUTCOMES = [
         notes=("a | remark",),
         seconds=1.25,
     ),
-    Outcome(
+    SpecOutcome(
         spec=Path(ODD),
         folder=Path("runs/odd"),
         exit=2,
         messages="error: \x1b[2J no\nsecond",
         faults=(
-            Fault(message="line one\nline two ::error::", hint="mend it", place=Place(ODD, 3, 7)),
-            Fault(message="no place"),
+            JobFault(message="line one\nline two ::error::", hint="mend it", place=Place(ODD, 3, 7)),
+            JobFault(message="no place"),
         ),
     ),
-    Outcome(spec=Path("killed.yaml"), folder=Path("runs/killed"), exit=-9, reason="killed by signal 9"),
-    Outcome(spec=Path("slow.yaml"), folder=Path("runs/slow"), exit=None, reason="given up after 2 s"),
-    Outcome(spec=Path("same.yaml"), folder=Path("runs/same"), exit=0, how="cached"),
-    Outcome(spec=Path("skipped.yaml"), folder=Path("runs/skipped"), exit=None, reason="skipped", how="skipped"),
+    SpecOutcome(spec=Path("killed.yaml"), folder=Path("runs/killed"), exit=-9, reason="killed by signal 9"),
+    SpecOutcome(spec=Path("slow.yaml"), folder=Path("runs/slow"), exit=None, reason="given up after 2 s"),
+    SpecOutcome(spec=Path("same.yaml"), folder=Path("runs/same"), exit=0, how="cached"),
+    SpecOutcome(spec=Path("skipped.yaml"), folder=Path("runs/skipped"), exit=None, reason="skipped", how="skipped"),
 ]
 
 
@@ -165,7 +165,7 @@ def test_the_page_shows_pictures_of_runs_small(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     Image.new("RGB", (1200, 800), "white").save(folder / "outputs.png")
     (folder / "tracking_error.png").write_text("no picture")
-    WRITERS[".html"]([Outcome(spec=Path("a.yaml"), folder=folder, exit=0)], tmp_path / "reports" / "report.html")
+    WRITERS[".html"]([SpecOutcome(spec=Path("a.yaml"), folder=folder, exit=0)], tmp_path / "reports" / "report.html")
     text = (tmp_path / "reports" / "report.html").read_text(encoding="utf-8")
     page = Page()
     page.feed(text)

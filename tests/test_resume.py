@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pwatrack.batch.job import Ended
-from pwatrack.batch.outcomes import Outcome
+from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.run import Options, run_batch
 from pwatrack.report.run_folder import INDEX, read_index
 from tests.runs import record
@@ -183,4 +183,4 @@ def test_without_a_place_for_records_all_is_run_again(tmp_path: Path) -> None:
 
 
 def test_a_run_without_a_key_is_not_remembered() -> None:
-    assert Outcome.of(Path("a.yaml"), Path("a"), Ended(exit=0), seconds=1.0, cached=True).result == "cached"
+    assert SpecOutcome.of(Path("a.yaml"), Path("a"), Ended(exit=0), seconds=1.0, cached=True).result == "cached"

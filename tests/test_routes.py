@@ -11,8 +11,8 @@ from pwatrack import OutsideTheory, PwatrackError, design, load_spec
 from pwatrack.claims.practical import Practical
 from pwatrack.cli import app
 from pwatrack.control.applicability import ROUTES, Applicability, Needs, No, applicability
-from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.tracking import check_reference
+from pwatrack.workflow.sizing import spec_sizes
+from pwatrack.workflow.tracking import check_reference
 from tests.conftest import SPECS
 
 TAKEN = {

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from pwatrack import Result, Spec, design, simulate
 from pwatrack.arrays import Array
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.synthesis import synthesize
 from pwatrack.control.trajectory import output_trajectory
@@ -29,9 +29,9 @@ from pwatrack.report.files import write_result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks
-from pwatrack.simulation.spool import Spool
 from pwatrack.simulation.steady_state import period_map_derivative, periodic_state
 from pwatrack.simulation.trace import Unresolved
+from pwatrack.simulation.trace_on_disk import TraceOnDisk
 from pwatrack.spec.expression import formula
 from pwatrack.spec.spec import InitialStates
 from tests.grazing import near_grazing
@@ -113,14 +113,14 @@ def test_blocks_of_a_trace_are_the_trace(most: int, sample_time: float) -> None:
 def test_a_long_run_is_written_in_full_and_kept_in_part(
     paper: Result, paper_spec: Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pwatrack.study.pipeline.MOST_KEPT", 700)
+    monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", 700)
     result = simulate(paper_spec, paper.controller)
     assert len(result.response.t) == 667  # every ninth of 6001
     np.testing.assert_array_equal(result.response.x, paper.response.x[::9])
     all_of_it, in_part = (figure_content(asdict(one.figures)) for one in (paper, result))
     for name, figure in all_of_it.items():
         assert in_part[name] == pytest.approx(figure, rel=1e-12), name
-    monkeypatch.delattr("pwatrack.study.pipeline.trace_blocks")  # writing does not simulate
+    monkeypatch.delattr("pwatrack.workflow.pipeline.trace_blocks")  # writing does not simulate
     for one, other in ((paper, "whole"), (result, "part")):
         write_result(one, tmp_path / other, plots="none")
     assert (tmp_path / "whole/events.csv").read_bytes() == (tmp_path / "part/events.csv").read_bytes()
@@ -130,7 +130,7 @@ def test_a_long_run_is_written_in_full_and_kept_in_part(
 
 def test_blocks_on_disk_come_back_to_the_bit_however_they_are_read() -> None:
     arguments: dict[str, Any] = {"duration": 3.0, "sample_time": 0.01, "most": 64}
-    blocks, spool = list(trace_blocks(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments)), Spool()
+    blocks, spool = list(trace_blocks(abs_oscillator(), np.array([0.3, 1.0, 1.0]), **arguments)), TraceOnDisk()
     for block in blocks:
         spool.add(block)
     for written, *read in zip(blocks, spool, spool, strict=True):  # two at a time
@@ -143,7 +143,7 @@ def test_a_disk_that_is_full_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     trace = simulate_flow(abs_oscillator(), np.array([0.3, 1.0, 1.0]), duration=1.0, sample_time=0.001)
-    spool, limits = Spool(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    spool, limits = TraceOnDisk(), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
     try:
         with pytest.raises(InvalidSpec, match=f"cannot keep the samples of the run in {tmp_path}: File too large"):
@@ -212,7 +212,7 @@ def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
     generator = trajectory_generator(normal_form(plant))
     trajectory = output_trajectory(generator, exosystem([Signal.of(formula(y_d, {}))]))
     return closed_loop(
-        Controller(
+        ProvedController(
             plant=plant,
             running=plant,
             design=synthesize(plant),

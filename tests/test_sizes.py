@@ -13,13 +13,13 @@ from scipy.linalg import solve_continuous_are
 from pwatrack import Spec, design, load_spec
 from pwatrack.control.applicability import applicability
 from pwatrack.control.goal import AtLeast, Fastest
-from pwatrack.control.synthesis import Design, gain, synthesize
+from pwatrack.control.synthesis import Gains, gain, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.plant import print_plant
-from pwatrack.study.sizing import spec_sizes
+from pwatrack.workflow.sizing import spec_sizes
 from tests.conftest import SPECS
 from tests.units import Units, apart, in_units
 
@@ -67,7 +67,7 @@ def cart(
     return load_spec(path)
 
 
-def designed(spec: Spec) -> tuple[Design, Sizes]:
+def designed(spec: Spec) -> tuple[Gains, Sizes]:
     sizes, goals = spec_sizes(spec), spec.objectives
     plant = spec.problem.plant
     try:

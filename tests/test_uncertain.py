@@ -27,7 +27,7 @@ from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
 from pwatrack.report.uncertain import box_figures, run_rows
 from pwatrack.spec.box import corners
-from pwatrack.study.bands import covered
+from pwatrack.workflow.bands import covered
 from tests.boxes import judge
 from tests.promises import with_claim
 

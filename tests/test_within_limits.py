@@ -16,14 +16,14 @@ from scipy.linalg import expm, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.claims.limits import Limited, Promise, promises
+from pwatrack.claims.limits import NoSaturation, StartGuarantee, promises
 from pwatrack.commands.verify import verify
-from pwatrack.control.controller import Controller
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import AtLeast, Fastest
-from pwatrack.control.limits import Peak, Room, Starts
+from pwatrack.control.headroom import Headroom, Peak, Starts
+from pwatrack.control.input_constraint import InputConstraint
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
-from pwatrack.control.within import Within
 from pwatrack.errors import CheckFailed
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.exact import Certificate
@@ -34,9 +34,9 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.study.limiting import room_within_limits
-from pwatrack.study.sizing import spec_sizes
-from pwatrack.study.tracking import desired_trajectory
+from pwatrack.workflow.headroom import room_within_limits
+from pwatrack.workflow.sizing import spec_sizes
+from pwatrack.workflow.tracking import desired_trajectory
 from tests.conftest import SPECS
 from tests.plants import random_plant
 from tests.promises import track
@@ -88,7 +88,7 @@ def written(folder: Path, text: str, **entries: str) -> Path:
     return path
 
 
-def limited(spec: Spec) -> tuple[Room, Peak]:
+def limited(spec: Spec) -> tuple[Headroom, Peak]:
     found = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
     assert found is not None
     assert found.peak is not None
@@ -132,7 +132,7 @@ def test_a_headroom_that_is_rounding_is_none(tmp_path: Path) -> None:
         assert peak.beyond(limits) == []
     spec = load_spec(written(tmp_path, STAGE, REFERENCE="{constant: 0}", LIMITS="[0, 100]"))
     made = design(spec)
-    said = [text for _, text in made.claim(Limited).rows(spec.words, made)]
+    said = [text for _, text in made.claim(NoSaturation).rows(spec.words, made)]
     assert len(said) == 1
     assert said[0].endswith("which takes the whole limit: nothing is left for what is off")
 
@@ -186,8 +186,8 @@ def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_
     start = "initial: {generator: [1.5]}"
     path = written(tmp_path, FILTER, REFERENCE="0.3*sin(2*t)", LIMITS="[-1, 1]", MORE=start)
     controller = design(load_spec(path))
-    assert controller.claims_of(Limited)
-    assert controller.claim(Limited).room.left is None
+    assert controller.claims_of(NoSaturation)
+    assert controller.claim(NoSaturation).room.left is None
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
     assert "more than that, from where the generator starts; once that start is forgotten -0.674" in said
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
@@ -234,7 +234,7 @@ simulation: {duration: 5, sample_time: 0.01, INITIAL, actuator: {limits: {u: [-0
 def test_one_state_is_promised_what_it_does_by_hand(tmp_path: Path) -> None:
     """u_ff = -0.03, so 0.57 is left; |K e| is 0.75 at the start of a size, and e decays."""
     initial = "initial: {plant: [0.55], observer: [0.55]}"
-    found = design(load_spec(written(tmp_path, MASS, INITIAL=initial))).claim(Limited)
+    found = design(load_spec(written(tmp_path, MASS, INITIAL=initial))).claim(NoSaturation)
     left = found.room.left
     assert left == pytest.approx(0.57, rel=1e-5)
     assert left is not None
@@ -244,7 +244,7 @@ def test_one_state_is_promised_what_it_does_by_hand(tmp_path: Path) -> None:
     assert scales["sizes"] == pytest.approx(0.57 / 1.5, rel=1e-3)  # both are largest at the start
 
 
-def moved(controller: Controller, promise: Promise, seed: int) -> float:
+def moved(controller: ProvedController, promise: StartGuarantee, seed: int) -> float:
     """The largest |u - u_ff| / what is promised of it, of e and Δ from corners of the starts under switching."""
     plant, K, L = controller.plant, controller.design.K, controller.design.L
     random, n, worst, mode = np.random.default_rng(seed), len(plant.B), 0.0, 0
@@ -294,7 +294,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
     """The loop itself, with limits that cut off: nothing is cut off."""
     spec = load_spec(specs / "two_mass_machine.yaml")
     controller = design(in_scenario(spec, conditions=Conditions(limits=np.array([[-8.0, 8.0]]))))
-    limited = controller.claim(Limited)
+    limited = controller.claim(NoSaturation)
     assert limited.room.left is not None
     exact = limited.promises[0]
     scale = exact.scale(limited.room.left)
@@ -358,10 +358,10 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
         assert members.delta @ np.array([1, *corner]) == pytest.approx([0, -x[1]])
 
 
-def tank(a: float, b: float, s: float, most: float) -> tuple[Task, Within]:
+def tank(a: float, b: float, s: float, most: float) -> tuple[Task, InputConstraint]:
     sizes = Sizes(state=np.array([s]), input=np.array([1.0]), output=np.ones(1), speed=1.0)
     task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=sizes)
-    return task, Within(starts=np.array([[s]]), left=np.array([most]))
+    return task, InputConstraint(starts=np.array([[s]]), left=np.array([most]))
 
 
 @pytest.mark.slow
@@ -420,7 +420,7 @@ def test_gains_within_limits_keep_them_and_no_regulator_of_heavier_inputs_is_muc
         K = -B.T @ solve_continuous_are(A, B, Q, weight * np.eye(1)) / weight
         if largest(A + B @ K, K, s) <= most:
             tried.append((cost(K), -float(np.linalg.eigvals(A + B @ K).real.max())))
-    within = Within(starts=np.diag(s), left=np.array([most]))
+    within = InputConstraint(starts=np.diag(s), left=np.array([most]))
     K, proof = gain(task, AtLeast(), within)
     assert isinstance(proof, Certificate)
     if within.share(task, K, proof) < 1:
@@ -450,7 +450,7 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
     spec = load_spec(path)
     controller = design(spec)
-    found = controller.claim(Limited)
+    found = controller.claim(NoSaturation)
     assert found.room.left is not None
     assert found.promises[0].scale(found.room.left) >= 1
     assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.room.left[0]
@@ -483,14 +483,14 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     for chosen in (plain, units):
         other.write_text(in_units(path, chosen), encoding="utf-8")
         found.append(design(load_spec(other)))
-    assert found[0].claims_of(Limited)
-    assert found[0].claim(Limited).promises
+    assert found[0].claims_of(NoSaturation)
+    assert found[0].claim(NoSaturation).promises
     assert found[1].design.K.shape == found[0].design.K.shape
     assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-6
     scales = [
-        {p.starts.kind: p.scale(left) for p in c.claim(Limited).promises}
+        {p.starts.kind: p.scale(left) for p in c.claim(NoSaturation).promises}
         for c in found
-        if (left := c.claim(Limited).room.left) is not None
+        if (left := c.claim(NoSaturation).room.left) is not None
     ]
     assert "exact" in scales[1]  # those with loads need units that are fractions
     assert {kind: scales[0][kind] for kind in scales[1]} == pytest.approx(scales[1], rel=2e-3)
@@ -506,9 +506,9 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
         path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=more)
         controller = design(load_spec(path))
         gains.append(controller.design.K)
-        found = controller.claim(Limited)
+        found = controller.claim(NoSaturation)
         assert found.room.left is not None
-        kinds = {p.starts.kind: p.scale(found.room.left) for p in controller.claim(Limited).promises}
+        kinds = {p.starts.kind: p.scale(found.room.left) for p in controller.claim(NoSaturation).promises}
         assert kinds["members" if more == starts else "exact"] >= 1
         assert ("ensemble" in kinds) == (more == starts)
     assert np.abs(gains[0][0, 0]) < np.abs(gains[1][0, 0])
@@ -533,9 +533,9 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
     spec = load_spec(path)
     controller = design(spec)
-    found = controller.claim(Limited)
+    found = controller.claim(NoSaturation)
     assert found.room.left is not None
-    promise = next(p for p in controller.claim(Limited).promises if p.starts.kind == "sizes")
+    promise = next(p for p in controller.claim(NoSaturation).promises if p.starts.kind == "sizes")
     assert promise.loads == (0.5,)
     scale = promise.scale(found.room.left)
     assert scale > 0.02
@@ -566,7 +566,7 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
 def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right_estimates(tmp_path: Path) -> None:
     text = STAGE.replace("reference:", "design: {estimate: {hum: {into: {v: 1/m}, frequency: 3}}}\nreference:")
     controller = design(load_spec(written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-50, 50]")))
-    assert [p.starts.kind for p in controller.claim(Limited).promises] == ["exact"]
+    assert [p.starts.kind for p in controller.claim(NoSaturation).promises] == ["exact"]
 
 
 FAST = """

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pwatrack.control.synthesis import Design
+from pwatrack.control.synthesis import Gains
 from pwatrack.model.sizes import Sizes
 
 POWERS = [f"1e{k}" for k in range(-9, 10)]
@@ -151,7 +151,7 @@ def course(given: Any, unit: str, time: str) -> Any:
     return result
 
 
-def apart(one: Design, other: Design, sizes: Sizes, units: Units) -> float:
+def apart(one: Gains, other: Gains, sizes: Sizes, units: Units) -> float:
     """Return by how much the gains of a design differ from those of the same in other units, both in sizes."""
     names = list(sizes.by_name)
     old = np.array([units.value(name) for name in names])
