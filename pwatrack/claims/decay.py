@@ -85,7 +85,7 @@ class Decay(Claim):
         if not practical:
             theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
             yield from ((theorem, sentence) for sentence in sentences(words, controller))
-        yield from _promise_rows(controller, practical=bool(practical))
+        yield from _guarantee_rows(controller, practical=bool(practical))
 
 
 def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:
@@ -169,12 +169,12 @@ def _generator_rows(words: Words, controller: ProvedController, generator: Traje
             yield "Assumption 2", f"holds for no shift; {reason}"
 
 
-def _promise_rows(controller: ProvedController, *, practical: bool) -> Iterator[Row]:
+def _guarantee_rows(controller: ProvedController, *, practical: bool) -> Iterator[Row]:
     """Yield how fast errors go to 0, and by how much the gains may change."""
     promised = controller.guarantees
     if practical:
         ends = "from every start errors go to these bounds at least as fast as"
-        yield "promise", f"{ends} e^(−{down(promised.rate)} t), for any switching"
+        yield "guarantee", f"{ends} e^(−{down(promised.rate)} t), for any switching"
         return
     errors = ", ".join(f"{name} − {name}_d" for name in controller.plant.tracked_names)
     error = f"{errors} and x − x_d go" if controller.tracking == "output" else "x − x_d goes"
@@ -182,9 +182,9 @@ def _promise_rows(controller: ProvedController, *, practical: bool) -> Iterator[
     text = f"from every start {error} to {ends} at least as fast as e^(−{down(promised.rate)} t), for any switching"
     if promised.generator:
         own = down(max(p.rate for p in promised.generator))
-        text += f"; x_d is the generator's, which forgets its own start as e^(−{own} t)"
+        text += f"; x_d is the generator's, whose initial transient decays as e^(−{own} t)"
     rate, of_K, of_L = promised.robust
-    yield "promise", text
+    yield "guarantee", text
     if any(part.degree > 2 for part in (*promised.controller, *promised.observer)):
         yield "", "by how much K and L may change is not proved: a polynomial stands for a common P"
         return

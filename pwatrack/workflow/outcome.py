@@ -309,7 +309,7 @@ class RunMonitor:
 def _believed_not(name: str, t: Array, error: Array, bound: Array, k: int) -> str:
     return (
         f"above its own proved bound: {name} is {error[k]:.3g} at t = {t[k]:.9g} s, where at most "
-        f"{bound[k]:.3g} is proved: what is simulated is not to be believed"
+        f"{bound[k]:.3g} is proved: numerical error is suspected"
     )
 
 
