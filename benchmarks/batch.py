@@ -88,6 +88,7 @@ def overhead(small: Path, out: Path) -> None:
     from pwatrack.batch.job import Job
     from pwatrack.batch.remote import done
     from pwatrack.batch.work import simulate
+    from pwatrack.claims.bounds import SignalBounds
     from pwatrack.spec.load import load_spec
     from pwatrack.workflow import pipeline
 
@@ -96,7 +97,7 @@ def overhead(small: Path, out: Path) -> None:
         read, start = load_spec(spec), time.process_time()
         controller = pipeline.design(read, growing=True)
         pipeline.simulate(read, controller)
-        _ = controller.bounds, controller.starts
+        _ = controller.claim(SignalBounds).both
         own.append(time.process_time() - start)
         start = time.process_time()
         done(simulate, Job(spec=spec, out=out / str(k), plots="none"))

@@ -18,6 +18,7 @@ import numpy as np
 from rich.console import Console
 
 from pwatrack import design, load_spec
+from pwatrack.claims.bounds import SignalBounds
 from tests.promises import box_system, joint_system, random_box, random_design, worst, worst_from
 
 
@@ -47,8 +48,9 @@ def ratios(seed: int) -> Iterator[tuple[str, float]]:
     random, loop = np.random.default_rng(seed), random_design(seed)
     controller = loop.controller
     n, duration = len(controller.plant.B), 6 / controller.guarantees.rate
-    driven = controller.bounds[int(random.integers(n))], controller.bounds[-1]
-    starts = controller.starts[int(random.integers(n))], controller.starts[n + int(random.integers(n))]
+    known = controller.claim(SignalBounds)
+    driven = known.acting[int(random.integers(n))], known.acting[-1]
+    starts = known.starts[int(random.integers(n))], known.starts[n + int(random.integers(n))]
     for bounds in (*driven, *starts):
         M, g, rows = joint_system(controller, bounds)
         for kind, k in bounds.sizes:

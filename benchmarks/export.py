@@ -310,14 +310,14 @@ def main(asked: argparse.Namespace) -> int:
     if left_out:
         console.print("Left out, since there is no controller:", *left_out, sep="\n  ", highlight=False)
     random = sum(row.name.startswith("random_") for row in rows)
-    bits, faults = sum(sum(row.bits.values()) for row in rows), sum(len(row.faults) for row in rows)
+    different, faulty = sum(sum(row.bits.values()) for row in rows), sum(len(row.faults) for row in rows)
     took = time.perf_counter() - started
     console.print(
         f"{cut}{len(rows) - random} specs and {random} random ones, {asked.steps:,} steps of each:"
-        f" {bits} bits different, {faults} other faults; {took:.0f} s",
+        f" {different} bits different, {faulty} other faults; {took:.0f} s",
         highlight=False,
     )
-    return int(bits + faults > 0 or not rows)
+    return int(different + faulty > 0 or not rows)
 
 
 def arguments() -> argparse.Namespace:

@@ -459,7 +459,7 @@ def nearly_singular_stacks(count: int) -> str:
         certificate = prove(M, P)
         exact = [BallMatrix.of(M_i) for M_i in M]
         proof = None if certificate is None else prove_exactly(CONTROLLER, exact, certificate.P, certificate.rate)
-        balls = [(matrix(ball.texts), []) for ball in exact]
+        balls: list[Ball] = [(matrix(ball.texts), []) for ball in exact]
         if proof is not None:
             stable_ones += 1
             wrong += not stable or bool(proofs.check(balls, [], claim_of(proof), None))

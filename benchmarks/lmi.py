@@ -191,7 +191,7 @@ def design(n: int, cells: int) -> float:
     for role, of, to in ((CONTROLLER, A, B), (OBSERVER, A.transpose(0, 2, 1), C.T)):
         task = Task(A=of, B=to, role=role, cells=names)
         K, certificate = gain(task)
-        proofs = prove_inequality(role, different(task.exactly_closed(K)), certificate, task.solver)
+        proofs = prove_inequality(role, different(task.exactly_closed(K)), certificate)
         rates.append(proofs[0].rate)
     return rates[0]
 
@@ -252,7 +252,10 @@ def _report(run: Callable[[], float], repeat: int, off: float = np.nan) -> None:
 def exponent(sizes: list[int], times: list[float]) -> str:
     """Return the slope of log time over log size, by least squares, of the three largest sizes that were solved."""
     pairs = [(s, t) for s, t in zip(sizes, times, strict=True) if np.isfinite(t)][-3:]
-    return f"{np.polyfit(*np.log(np.array(pairs).T), 1)[0]:.1f}" if len(pairs) > 1 else "–"
+    if len(pairs) < 2:
+        return "–"
+    size, took = np.log(np.array(pairs, dtype=float).T)
+    return f"{np.polyfit(size, took, 1)[0]:.1f}"
 
 
 class Measured:

@@ -75,7 +75,8 @@ def made(random: Random) -> Content:
         plant |= {"cells": [f"c{k}" for k in range(len(signs))], "signs": [list(row) for row in signs]}
         plant |= {"H": H, "h": [str(v) for v in random.integers(-9, 9, size=planes)]}
         plant |= {"A": [A] * len(signs), "b": [[["0"]] * n] * len(signs)}
-    exponents = [int(v) for v in random.integers(*random.choice([[0, 1], [-3, 4], [-2000, 2001]]), size=n)]
+    low, high = random.choice([[0, 1], [-3, 4], [-2000, 2001]]).tolist()
+    exponents = [int(v) for v in random.integers(low, high, size=n)]
     P = {"integers": whole(n, int(random.choice([0, 40, 400])), random), "exponents": exponents}
     proofs = [
         {"of": of, "rate": "0.001", "margin": "0.001", "radius": "0", "P": P}

@@ -228,7 +228,7 @@ def compiled(flow: Flow) -> Callable[..., None]:
                             result[i] += F[cell, i, j] * z[j]
                     break
 
-    return rhs  # type: ignore[no-any-return]
+    return rhs
 
 
 @njit

@@ -113,7 +113,7 @@ def test_files_that_architecture_and_contributing_name_are_there() -> None:
         named = re.findall(
             r"[`\s]((?:\w+/)*\w+\.(?:py|md|toml)|(?:\w+/)+)(?=[`\s])", (HOUSE.parent / page).read_text("utf-8")
         )
-        assert len(named) > 3
+        assert named
         rooms = [HOUSE, HOUSE.parent, *(path for path in HOUSE.iterdir() if path.is_dir()), HOUSE / "lmi" / "audit"]
         assert not [one for one in named if not any((room / one).exists() for room in rooms)]
 

@@ -14,17 +14,18 @@ from pwatrack.claims.registry import CLAIMS, STATEMENT, data, rows
 from pwatrack.commands.told import told_design
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Asked, Claim, ProvedController
-from pwatrack.lmi.audit.shape import DESIGN, REFUSAL
+from pwatrack.lmi.audit.certificate import DESIGN
+from pwatrack.lmi.audit.shape import REFUSAL
 from pwatrack.lmi.solve import answers
 from pwatrack.report.certificate import design_certificate
 
 PLANTS = {
     "two_mass_backlash": {"Decay", "SignalBounds"},
     "two_mass_goals": {"Decay", "Costs", "SignalBounds"},
-    "two_mass_machine": {"Decay", "Limited", "SignalBounds"},
+    "two_mass_machine": {"Decay", "NoSaturation", "SignalBounds"},
     "gallery/robust_positioning": {"Decay", "SignalBounds", "Robust"},
     "gallery/gear_with_backlash": {"Practical", "Decay", "Costs", "SignalBounds"},
-    "gallery/cart_and_pole_swaying": {"Decay", "SignalBounds", "PlayedBack"},
+    "gallery/cart_and_pole_swaying": {"Decay", "SignalBounds", "StableInversion"},
 }
 
 

@@ -9,6 +9,23 @@ from .matrices import AuditFault, Matrix, added, definite, identity, product, si
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
 from .reading import distinct, number, packed, place
+from .shape import NUMBER, PACKED, TEXT, WHOLE, of
+
+KEY = "bounds"
+CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]
+PART = {"loop": TEXT, "channel": CHANNEL, "a": NUMBER, "Q": PACKED, "signals": SIGNALS}
+PEAK = of(WHOLE, "part unit") | {"steps": [[WHOLE, WHOLE]], "P": PACKED, "size": NUMBER}
+SHAPE = [{"channel": CHANNEL, "signals": SIGNALS, "parts": [PART], "peaks?": [PEAK]}]
+ACTS = ("disturbance", "noise", "start")  # what bounds are of, in this order
+
+
+def decided(found: Any, loop: "Loop", _: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with all bounds, and what they claim."""
+    faults = [f"bound of {entry['channel']}: {fault}" for entry in found for fault in loop.faults(entry)]
+    channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in found)]
+    if channels != sorted(set(channels)):
+        faults.append("the bounds are not in order, or one is there twice")
+    return faults, [f"the bounds of {len(found)} disturbances, noises and starts are proved"] if found else []
 
 
 class Loop:

@@ -4,17 +4,15 @@ import os
 import stat
 from typing import Any
 
+from . import bounds, corners, simplified, starts
 from .bounds import Loop
-from .corners import uncertain
 from .form import normal_form
 from .matrices import AuditFault, counted, transposed
-from .plant import AuditedPlant
+from .plant import AuditedPlant, at_centres
 from .polynomials import polynomial
 from .proofs import both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
 from .reading import FORMAT, matrix, number, parsed
-from .shape import CELLS, DESIGN, REFUSAL, by_cell, fit, kind, refuses
-from .simplified import Deviations, merged
-from .starts import near
+from .shape import CELLS, REFUSAL, ROWS, by_cell, fit, kind, refuses
 from .uncontrollable import between
 
 NAMES = {
@@ -33,7 +31,8 @@ DECIDED = {  # each claim of `shape.PROOFS`
     "no P, by multipliers": no_P_by_Z,
     "no P, by unstable modes": no_P_by_modes,
 }
-ACTS = ("disturbance", "noise", "start")  # what bounds are of, in this order
+CLAIMS = (bounds, starts, corners, simplified)  # of a design: each a module with its KEY, its SHAPE, and `decided`
+DESIGN = REFUSAL | {"eta_with_loads?": ROWS} | {claim.KEY: claim.SHAPE for claim in CLAIMS}
 ANEW = "write it anew with 'pwatrack design', or check it with the version that wrote it"
 _MOST_BYTES = 2**28  # of the file
 
@@ -66,9 +65,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     plant, practical = AuditedPlant(content["plant"], named), content.get("practical")
     if practical is not None and practical["observer_runs"] == "all cells":
         plant.seen_A = AuditedPlant(practical["plant"]).A
-    open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
-    inexact = any(any(part["radius"].values()) for part in open_)
-    centres = ", at the centres of the balls that its numbers lie in" if inexact else ""
+    centres = at_centres(content)
     said = [f"plant: {plant.count} cells cover the state space, the field is continuous{centres}"]
     faults = plant.faults()
     if content["tracking"] == "state" and plant.unmatched():
@@ -89,25 +86,10 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         said.append(f"{NAMES[of]}: {claim(proof, plant)}{centres if which in CELLS else ''}")
         decided |= {of} - ({of} if which == "cost" else set())
     loop = Loop(plant, K or [], L or [], X)
-    channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in content.get("bounds", []))]
-    for entry in content.get("bounds", []):
-        faults += [f"bound of {entry['channel']}: {fault}" for fault in loop.faults(entry)]
-    if channels != sorted(set(channels)):
-        faults.append("the bounds are not in order, or one is there twice")
-    if content.get("bounds"):
-        said.append(f"the bounds of {len(content['bounds'])} disturbances, noises and starts are proved")
-    for number_, entry in enumerate(content.get("limits", []), 1):
-        faults += [f"starts {number_}: {fault}" for fault in near(loop, entry)]
-    if content.get("limits"):
-        said.append(f"the bounds of inputs from {len(content['limits'])} boxes of starts are proved")
-    if (box := content.get("uncertain")) is not None:
-        wrong, sentence = uncertain(content["plant"], box, K or [], L or [])
-        faults += [f"uncertain parameters: {fault}" for fault in wrong]
-        said.append(sentence)
-    if practical is not None:
-        wrong, sentence = merged(Deviations(plant, practical, K or [], L or [], X), practical, content["tracking"])
-        faults += [f"practical tracking: {fault}" for fault in wrong]
-        said.append(sentence + centres)
+    for one in () if refusal else CLAIMS:
+        wrong, sentences = one.decided(content[one.KEY], loop, content)
+        faults += wrong
+        said += sentences
     if not refusal:
         wanted = {"controller", "observer"} | ({"generator"} if A_eta is not None and A_eta[0][0] else set())
         absent = sorted(NAMES[of] for of in wanted - decided)

@@ -3,10 +3,16 @@
 from typing import Any
 
 from .balls import Ball, flipped, less, plus, sides, stacked, times, unlike
+from .bounds import SHAPE as BOUNDS
 from .bounds import Loop
 from .matrices import AuditFault, Matrix
 from .plant import AuditedPlant
 from .reading import distinct
+from .shape import NUMBER, RADII, ROWS, TEXT, of
+
+KEY = "uncertain"
+CORNER = of([ROWS], "A b") | {"B": ROWS, "radius": RADII}
+SHAPE = (None, {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS})
 
 
 class UncertainLoop(Loop):
@@ -58,9 +64,11 @@ class UncertainLoop(Loop):
         return [pair for _, pair in unlike(pairs)]
 
 
-def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str], str]:
+def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
-    box = UncertainLoop(plant, content["corners"], K, L)
+    if content is None:
+        return [], []
+    box = UncertainLoop(whole["plant"], content["corners"], loop.K, loop.L)
     faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
     signals = [[signal[:2] for signal in entry["signals"]] for entry in content["bounds"]]
     if [entry["channel"] for entry in content["bounds"]] != [["disturbance", k] for k in sorted(box.varying())]:
@@ -72,4 +80,5 @@ def uncertain(plant: Any, content: Any, K: Matrix, L: Matrix) -> tuple[list[str]
     names = ", ".join(name for name, _, _ in content["parameters"])
     faults += [] if names else ["none is named, and there are bounds for them"]
     count = len(box.matrices("joint"))
-    return faults, f"uncertain parameters: {names}: {count} inequalities are proved, for {box.count()} corners"
+    said = f"uncertain parameters: {names}: {count} inequalities are proved, for {box.count()} corners"
+    return [f"uncertain parameters: {fault}" for fault in faults], [said]

@@ -135,3 +135,10 @@ class AuditedPlant:
             if any(v * plane[pivot] != row[pivot] * p for v, p in zip(row, plane, strict=True)):
                 return True
         return False
+
+
+def at_centres(content: Any) -> str:
+    """Return what is said of a claim that is decided for the middle of what numbers may be; "" if they are exact."""
+    open_ = [content["plant"], *([content["plant"]["loads"]] if content["plant"]["loads"] else [])]
+    inexact = any(any(part["radius"].values()) for part in open_)
+    return ", at the centres of the balls that its numbers lie in" if inexact else ""

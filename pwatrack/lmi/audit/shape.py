@@ -44,21 +44,10 @@ LISTED = PORTS | {"cells": [TEXT], "H": ROWS, "h": [NUMBER], "signs": [[WHOLE]]}
 FUNCTION = of([NUMBER], "breakpoints slopes") | {"value": NUMBER}
 TERM = of([NUMBER], "row direction") | {"constant": NUMBER, "function": FUNCTION}
 ELEMENTS = PORTS | of(ROWS, "A b") | {"elements": [TERM | {"segments": [TEXT]}]}
-MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
 GENERATOR = of([WHOLE], "relative_degrees internal") | of([ROWS], "T A_eta?")
 GENERATOR |= {"directions": ROWS, "scales": [NUMBER], "eta": [TEXT]}
-CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]
-PART = {"loop": TEXT, "channel": CHANNEL, "a": NUMBER, "Q": PACKED, "signals": SIGNALS}
-PEAK = of(WHOLE, "part unit") | {"steps": [[WHOLE, WHOLE]], "P": PACKED, "size": NUMBER}
-BOUNDS = [{"channel": CHANNEL, "signals": SIGNALS, "parts": [PART], "peaks?": [PEAK]}]
-LIMIT = of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}
-CORNER = of([ROWS], "A b") | {"B": ROWS, "radius": RADII}
-BOX = {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS}
-SPLIT = {"plant": LISTED, "merged": [MERGED], "observer_runs": TEXT, "ends_below": SIGNALS, "bounds": BOUNDS}
 REFUSAL = of(TEXT, "format claim spec_sha256 tracking") | of(OPEN, "K L") | {"set": {TEXT: TEXT}}
 REFUSAL |= {"plant": (LISTED, ELEMENTS), "generator": (None, GENERATOR), "proofs": [tuple(PROOFS.values())]}
-DESIGN = REFUSAL | {"bounds": BOUNDS, "limits": [LIMIT], "uncertain": (None, BOX), "practical": (None, SPLIT)}
-DESIGN["eta_with_loads?"] = ROWS
 
 
 def fit(value: Any, shape: Any, place: str) -> None:

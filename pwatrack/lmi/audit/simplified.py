@@ -4,12 +4,18 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import Ball, negative, stacked
-from .bounds import Loop
+from .bounds import SHAPE as BOUNDS
+from .bounds import SIGNALS, Loop
 from .elements import Element, Function
 from .matrices import AuditFault, Matrix, added, spend
-from .plant import AuditedPlant
+from .plant import AuditedPlant, at_centres
 from .reading import distinct, number, place
+from .shape import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, of
 
+KEY = "practical"
+MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
+SPLIT = {"plant": LISTED, "merged": [MERGED], "observer_runs": TEXT, "ends_below": SIGNALS, "bounds": BOUNDS}
+SHAPE = (None, SPLIT)
 Field = list[list[Fraction]]  # [A b] less what merged elements add
 
 
@@ -99,11 +105,12 @@ class Deviations(Loop):
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
 
-def merged(loop: Deviations, content: Any, tracked: str) -> tuple[list[str], str]:
-    """Return what is wrong with a split of the true field and with its bounds, and what they claim.
-
-    `tracked` is what goes with the reference: "output" or "state".
-    """
+def decided(content: Any, of_design: Loop, whole: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with a split of the true field and with its bounds, and what they claim."""
+    if content is None:
+        return [], []
+    loop = Deviations(of_design.plant, content, of_design.K, of_design.L, of_design.X)
+    tracked = whole["tracking"]  # what goes with the reference: "output" or "state"
     faults = [f"true plant: {fault}" for fault in loop.true.faults()]
     faults += [fault for element in loop.elements for fault in element.faults()]
     if loop.differs():
@@ -123,4 +130,5 @@ def merged(loop: Deviations, content: Any, tracked: str) -> tuple[list[str], str
             faults.append(f"{kind} {k} does not end below {size}")
     sizes = ", ".join(str(size) for kind, _, size in content["ends_below"] if kind == tracked)
     said = f"practical tracking: the field of {len(loop.true.A)} cells is that and {count} bounded deviation"
-    return faults, f"{said}{'s' * (count != 1)}; what is tracked ends below {sizes}"
+    said = f"{said}{'s' * (count != 1)}; what is tracked ends below {sizes}{at_centres(whole)}"
+    return [f"practical tracking: {fault}" for fault in faults], [said]

@@ -4,9 +4,19 @@ from fractions import Fraction
 from typing import Any
 
 from .balls import enlarge, flipped, times
-from .bounds import Loop
+from .bounds import SIGNALS, Loop
 from .matrices import AuditFault, added, definite, product, sizes, transposed
 from .reading import distinct, matrix, number, packed
+from .shape import NUMBER, PACKED, ROWS, TEXT, of
+
+KEY = "limits"
+SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]
+
+
+def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with the bounds of inputs from all boxes of starts, and what they claim."""
+    faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
+    return faults, [f"the bounds of inputs from {len(found)} boxes of starts are proved"] if found else []
 
 
 def near(loop: Loop, entry: Any) -> list[str]:
