@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.fuzz import spec_text
-from pwatrack import load_spec, pipeline
+from pwatrack import load_spec
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController as Designed
 from pwatrack.errors import PwatrackError
@@ -48,6 +48,7 @@ from pwatrack.model.conditions import Sampling
 from pwatrack.report.controller import has_tables, starts, written
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow import pipeline
 from tests.fmus import Block
 from tests.misra import checked, listed
 

@@ -39,7 +39,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.summary import print_design
 from pwatrack.report.uncertain import box_figures
-from pwatrack.simulation import preview as preview_module
+from pwatrack.simulation import stable_inversion as preview_module
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.how_far import how_far
