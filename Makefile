@@ -101,9 +101,11 @@ dist: $(READY) ## build wheel and sdist, and run the example with each from an e
 	done
 	@rm -rf $(TRY) && ls -l dist
 
+PLOTS ?= all
+
 .PHONY: batch
-batch: $(READY) ## design and simulate every spec in specs/
-	@$(BIN)/pwatrack batch specs --jobs 2
+batch: $(READY) ## design and simulate every spec in specs/ (PLOTS=failed: pictures of what does not end as expected)
+	@$(BIN)/pwatrack batch specs --jobs 2 --plots $(PLOTS)
 
 PEERS := .venv/.peers
 
