@@ -42,7 +42,7 @@ def test_another_solver_proves_the_same(path: Path) -> None:
         for solver in ("structured", "clarabel")
     )
     assert [proof.role for proof in theirs.proofs] == [proof.role for proof in ours.proofs]
-    assert [proof.rate for proof in theirs.proofs] == pytest.approx([proof.rate for proof in ours.proofs], rel=0.05)
+    assert [proof.rate for proof in theirs.proofs] == pytest.approx([proof.rate for proof in ours.proofs], rel=0.2)
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
