@@ -24,6 +24,7 @@ from rich.console import Console
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.errors import PwatrackError
+from tests.conftest import NUMERICAL
 
 CORES = ("Haswell", "Zen", "SkylakeX", "Prescott", "Nehalem", "Sandybridge", "ARMV8", "NEOVERSEN1")
 _SEED = 25  # of the pairs
@@ -125,8 +126,9 @@ def compare(console: Console, count: int) -> int:
 def test(console: Console, most: int, seed: int) -> int:
     """Run the numerical part of the tests under further core types, and return how many of them fail."""
     chosen, failed = further(console)[: most or None], 0
+    files = sorted(str(path) for path in Path("tests").glob("test_*.py") if NUMERICAL.fullmatch(path.name))
     for core in chosen:
-        command = ["-m", "pytest", "-q", "-n", "auto", "-m", "numerical", "--shuffle", str(seed), "tests"]
+        command = ["-m", "pytest", "-q", "-n", "auto", "--shuffle", str(seed), *files]
         console.print(f"{core}, for a generic processor, in the order of seed {seed}", highlight=False)
         failed += subprocess.run([sys.executable, *command], env=environment(core), check=False).returncode != 0
     console.print(f"ran under {', '.join(chosen) or 'no further core type'}; {failed} failed")

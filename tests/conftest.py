@@ -31,9 +31,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    for item in items:
-        if NUMERICAL.fullmatch(item.path.name):
-            item.add_marker("numerical")
     files = dict[Path, list[pytest.Item]]()
     for item in items:
         files.setdefault(item.path, []).append(item)
