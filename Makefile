@@ -55,9 +55,11 @@ demo: $(READY) ## design and simulate the paper's example
 test: $(DEV) ## run the tests, but for those that take long (five minutes on two cores)
 	@$(BIN)/pytest -q -n auto --dist loadfile -m "not slow"
 
+WORKERS ?= auto
+
 .PHONY: test-all
 test-all: $(DEV) ## run all tests, as CI does
-	@$(BIN)/pytest -q -n auto --dist loadfile
+	@$(BIN)/pytest -q -n $(WORKERS) --dist loadfile
 
 KINDS ?= 0
 
