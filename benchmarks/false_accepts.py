@@ -65,10 +65,10 @@ design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[0.3]]}}, uncertain: {m: 2
 reference: {output: "0.1*sin(t)"}
 simulation: {duration: 1, sample_time: 0.1, actuator: {limits: {u: [-9, 9]}}}
 """
-LESS = ("proofs", "bounds", "limits", "signals", "parts")  # lists of which a certificate may have fewer
+LESS = ("proofs", "bounds", "limits", "signals", "parts", "corners")  # lists of which a certificate may have fewer
 SYMMETRIC = ("X", "Q", "R", "integers")
 ALONE = ("format", "spec", "simulation", "exit", "seconds", "versions", "remarks", "conditions", "files", "tracked")
-ALONE_TOO = ("estimates", "along_x_d")  # of run.json, as the one before: simulated, or how it went
+ALONE_TOO = ("estimates", "along_x_d", "answered")  # of run.json, as the one before: simulated, or how it went
 Place = tuple[Any, ...]
 
 

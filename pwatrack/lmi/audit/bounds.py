@@ -58,6 +58,7 @@ class Loop:
                 enlarge(left, [[v / rate / 2 for v in row] for row in open_], powers)
                 if not definite(left, sign=-1):
                     faults.append("an ellipsoid can be left")
+            distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
                 c = self.row(loop, kind, k)
                 value, radius = times(times(c, (Q, [])), flipped(c))

@@ -9,7 +9,8 @@ from typing import Any
 from .matrices import AuditFault
 from .reading import number
 
-TEXT, NUMBER, WHOLE = "text on one line", "number", "whole number"
+TEXT, NUMBER, WHOLE, DIGEST = "text on one line", "number", "whole number", "digest of 64 hexadecimal digits"
+HEX = {*"0123456789abcdef"}
 Shape = dict[str, Any]
 
 
@@ -46,7 +47,7 @@ TERM = of([NUMBER], "row direction") | {"constant": NUMBER, "function": FUNCTION
 ELEMENTS = PORTS | of(ROWS, "A b") | {"elements": [TERM | {"segments": [TEXT]}]}
 GENERATOR = of([WHOLE], "relative_degrees internal") | of([ROWS], "T A_eta?")
 GENERATOR |= {"directions": ROWS, "scales": [NUMBER], "eta": [TEXT]}
-REFUSAL = of(TEXT, "format claim spec_sha256 tracking") | of(OPEN, "K L") | {"set": {TEXT: TEXT}}
+REFUSAL = of(TEXT, "format claim tracking") | of(OPEN, "K L") | {"spec_sha256": DIGEST, "set": {TEXT: TEXT}}
 REFUSAL |= {"plant": (LISTED, ELEMENTS), "generator": (None, GENERATOR), "proofs": [tuple(PROOFS.values())]}
 
 
@@ -59,8 +60,10 @@ def fit(value: Any, shape: Any, place: str) -> None:
         nearest = {len(found ^ one.keys()) if isinstance(one, dict) else 0: one for one in shape[::-1] if one}
         shape = nearest[min(nearest)]
     if isinstance(shape, str):
-        fits = type(value) is {TEXT: str, WHOLE: int}.get(shape, type(value))
+        fits = type(value) is {TEXT: str, DIGEST: str, WHOLE: int}.get(shape, type(value))
         if not fits or (shape == TEXT and not value.isprintable()) or (shape == WHOLE and abs(value) > 10**9):
+            raise AuditFault(f"{place} is no {shape}")
+        if shape == DIGEST and (len(value) != 64 or not {*value} <= HEX):
             raise AuditFault(f"{place} is no {shape}")
         if shape == NUMBER:
             number(value)
