@@ -115,6 +115,7 @@ def test_the_weights_of_a_cost_are_symmetric(linear: dict[str, Any], name: str, 
     "change",
     [
         lambda c: c["figures"].__setitem__("robust_share_K", 0.99),
+        lambda c: c["figures"].__setitem__("peak_gain", 0.01),
         lambda c: c["figures"].__setitem__("norm_K", c["figures"]["norm_K"] / 2),
         lambda c: c["limits"]["inputs"]["u"].__setitem__("left", 1e9),
         lambda c: c["limits"]["inputs"]["u"]["feedforward"].__setitem__("range", [0.0, 0.0]),

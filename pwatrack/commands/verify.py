@@ -21,6 +21,7 @@ from pwatrack.lmi.audit.shape import refuses
 from pwatrack.report.bounds import bound_content
 from pwatrack.report.certificate import subject_content
 from pwatrack.report.controller import known_start, written
+from pwatrack.report.figures import SIMULATED
 from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
@@ -44,7 +45,7 @@ _ALONE = (  # of run.json, what no proof decides: what was simulated or found on
     ),
     *("estimates", "tracked", "preview", "ensemble", "largest_box"),
 )
-_PARTLY = {"figures": (), "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys; () any
+_PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
 
 
@@ -208,7 +209,7 @@ def _compare(
     made = {key: value for key, value in made.items() if key not in alone}
     for key in _PARTLY if name == INDEX else ():
         if isinstance(told.get(key), dict) and key in made:
-            own = [one for one in told[key] if one in (_PARTLY[key] or told[key].keys() - made[key].keys())]
+            own = [one for one in told[key] if one in _PARTLY[key]]
             told[key] = {one: value for one, value in told[key].items() if one not in own}
             made[key] = {one: value for one, value in made[key].items() if one not in _PARTLY[key]}
             left += [f"{key}.{one}" for one in own]

@@ -2,16 +2,23 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.words import load_kind
+from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
+
+_OF_STEADY_STATE = ("largest_multiplier", "steady_state_residual")
+SIMULATED = (  # the figures that no proof decides
+    *(field.name for field in fields(Figures) if field.name != "sampled"),
+    *_OF_STEADY_STATE,
+)
 
 
 def measures(result: SimulatedLoop) -> dict[str, Any]:
@@ -21,7 +28,7 @@ def measures(result: SimulatedLoop) -> dict[str, Any]:
     if steady_state is None:
         return figures
     largest = float(np.abs(steady_state.multipliers).max())
-    return figures | {"largest_multiplier": largest, "steady_state_residual": steady_state.residual}
+    return figures | dict(zip(_OF_STEADY_STATE, (largest, steady_state.residual), strict=True))
 
 
 def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
