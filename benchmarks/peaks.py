@@ -78,26 +78,24 @@ class Walked:
         system, flow = trajectory.exosystem, desired_flow(plant, trajectory)
         self.trajectory, self.matrices = trajectory, [flow.matrix((i,)) for i in range(len(trajectory.rate))]
         self.t = np.linspace(0.0, duration if system.end is None else min(duration, system.end), _STEPS + 1)
-        self.z = self._from(start, self.t)
-        self.u = self._u(self.z)
+        self.p = len(start)
+        self.z, self.u = self._walked(start, self.t)
 
     def near(self, time: float) -> Array:
         """Return it in small steps, from a step before to a step after the one that a time is in."""
         first = max(0, int(time / self.t[1]) - 1)
         t = np.linspace(self.t[first], self.t[min(first + 3, _STEPS)], 3 * _FINER + 1)
-        return self._u(self._from(self.z[first, : len(self.z[0]) - len(self.trajectory.exosystem.w0) - 1], t))
+        return self._walked(self.z[first, : self.p], t)[1]
 
-    def _from(self, start: Array, t: Array) -> Array:
-        system, p, step = self.trajectory.exosystem, len(start), t[1] - t[0]
-        z = np.hstack([np.zeros((len(t), p)), system.states(t), np.ones((len(t), 1))])
+    def _walked(self, start: Array, t: Array) -> tuple[Array, Array]:
+        """Return (η, w, 1) and u_ff at equal steps."""
+        trajectory, p, step = self.trajectory, self.p, t[1] - t[0]
+        z = np.hstack([np.zeros((len(t), p)), trajectory.exosystem.states(t), np.ones((len(t), 1))])
         z[0, :p] = start
         turns, finer = (np.array([expm(F * h) for F in self.matrices]) for h in (step, step / _FINER))
-        guards, signs = np.ascontiguousarray(self.trajectory.guards), self.trajectory.signs.astype(float)
-        self.cells = _walk(z, p, turns, finer, guards, signs)
-        return z
-
-    def _u(self, z: Array) -> Array:
-        return np.asarray(np.einsum("kms,ks->km", self.trajectory.u_ff[self.cells], z))
+        guards, signs = np.ascontiguousarray(trajectory.guards), trajectory.signs.astype(float)
+        cells = _walk(z, p, turns, finer, guards, signs)
+        return z, np.asarray(np.einsum("kms,ks->km", trajectory.u_ff[cells], z))
 
 
 @njit

@@ -317,6 +317,18 @@ class Workspace(NamedTuple):
     sides: IntArray
 
 
+# Compiled code that an earlier version left beside this file names these types as it did, and Numba reads that before
+# it sees that it is of another file.
+Field, Modes, Trajectory, Room, Routine, Ticks = (
+    FlowTables,
+    ModeTables,
+    KernelState,
+    Workspace,
+    ControllerArrays,
+    ControllerClock,
+)
+
+
 def room_for(N: int, K: int, most: int) -> Workspace:
     """Return room to work in for a state (N,), K guards and so many Taylor terms."""
     return Workspace(
