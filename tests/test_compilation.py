@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -113,3 +114,34 @@ def test_the_command_line_says_it_on_stderr_to_people_only(
     assert done.exit_code == 0, done.output
     assert done.stderr.count("Compiling the simulation, ") == (not options or options == ("--verbose",))
     assert "Compiling" not in done.stdout
+
+
+LEFT = """
+from typing import NamedTuple
+
+import numpy as np
+from pwatrack.simulation.kernel import jitted
+
+class NAME(NamedTuple):
+    a: np.ndarray
+
+def outer(x):
+    return x.a[0] * FACTOR
+
+outer, made = jitted(outer), NAME(np.ones(1))
+"""
+
+
+def test_what_an_earlier_version_left_on_disk_is_compiled_again(tmp_path: Path) -> None:
+    """It names a type that is not there any more, for a function of the same name in the same line."""
+    found = []
+    for name, factor in (("Former", "2.0"), ("Latter", "33.0")):
+        (tmp_path / "left.py").write_text(LEFT.replace("NAME", name).replace("FACTOR", factor), encoding="utf-8")
+        spec = importlib.util.spec_from_file_location("left", tmp_path / "left.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = sys.modules["left"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        found.append(module.outer(module.made))
+    del sys.modules["left"]
+    assert found == [2.0, 33.0]

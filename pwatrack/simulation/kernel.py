@@ -47,27 +47,44 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def _jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
+def jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
+    """Return the compiled function; with a name for others than this module, it is kept on disk."""
     compiler: Any = njit  # its types do not know every option
     kept = not function.__name__.startswith("_")  # what Python calls is kept on disk, with all that it calls
     options |= {"no_cpython_wrapper": not kept, "no_cfunc_wrapper": True}  # by which nobody calls, and which take time
     try:
-        compiled: Callable[_P, _R] = compiler(cache=kept, nogil=True, **options)(function)
+        compiled = compiler(cache=kept, nogil=True, **options)(function)
     except RuntimeError:  # no folder for the cache is writable
-        compiled = compiler(nogil=True, **options)(function)
-    return compiled
+        return compiler(nogil=True, **options)(function)  # type: ignore[no-any-return]
+    if kept and hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves it as it is
+        _forget_unreadable(compiled._cache)
+    return compiled  # type: ignore[no-any-return]
+
+
+def _forget_unreadable(cache: Any) -> None:
+    """Forget what an earlier version left on disk, if that names types that are not here any more.
+
+    Numba reads it before it sees that it is of another file, and an error in that would end the program.
+    """
+    try:
+        cache._cache_file._load_index()
+    except (AttributeError, ImportError):
+        try:
+            cache.flush()
+        except OSError:  # nothing can be written there either
+            cache.disable()
 
 
 _FUSED = {"contract"}  # a b + c may be rounded once
 
 
 def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    return _jitted(function, fastmath=_FUSED)
+    return jitted(function, fastmath=_FUSED)
 
 
 def _as_written(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a part of the controller's program: every operation is rounded once, in the order that is written."""
-    return _jitted(function, fastmath=False)  # said, or Numba takes that of whoever calls it
+    return jitted(function, fastmath=False)  # said, or Numba takes that of whoever calls it
 
 
 def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -75,7 +92,7 @@ def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     Counting references to the arrays of `Workspace` took twice as long as the steps themselves.
     """
-    return _jitted(function, fastmath=_FUSED, _nrt=False)
+    return jitted(function, fastmath=_FUSED, _nrt=False)
 
 
 def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -84,7 +101,7 @@ def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each
     by, that was half of the time to compile. Handing over the arrays of `Workspace` took a third of that of the steps.
     """
-    return _jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
+    return jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
 
 
 class FlowTables(NamedTuple):
@@ -315,18 +332,6 @@ class Workspace(NamedTuple):
     near: Array
     vague: Array
     sides: IntArray
-
-
-# Compiled code that an earlier version left beside this file names these types as it did, and Numba reads that before
-# it sees that it is of another file.
-Field, Modes, Trajectory, Room, Routine, Ticks = (
-    FlowTables,
-    ModeTables,
-    KernelState,
-    Workspace,
-    ControllerArrays,
-    ControllerClock,
-)
 
 
 def room_for(N: int, K: int, most: int) -> Workspace:
