@@ -6,6 +6,10 @@ BIN := .venv/bin
 READY := .venv/.ready
 DEV := .venv/.dev
 
+# Linear algebra has one thread in each process, as in `pwatrack` itself: of small matrices more only wait for each other.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
 .PHONY: help
 help: ## print this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -83,7 +87,7 @@ $(DOCS): $(DEV) docs/requirements.lock
 
 .PHONY: docs
 docs: $(DOCS) ## build the documentation, and run all that it shows (five minutes)
-	@OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -a -W --keep-going -n -q -j 2 docs docs/_build/html
+	@$(BIN)/python -m sphinx -b html -a -W --keep-going -n -q -j 2 docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
 
 TRY := dist/.try
@@ -122,48 +126,48 @@ $(PEERS): $(DEV)
 
 .PHONY: bench
 bench: $(PEERS) ## time our simulation against integrators for general systems
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
+	@$(BIN)/python benchmarks/simulation.py
 
 .PHONY: lmi-bench
 lmi-bench: $(PEERS) ## time our solver of matrix inequalities against CVXPY, PICOS and Clarabel
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lmi
+	@$(BIN)/python -m benchmarks.lmi
 
 .PHONY: corpus
 corpus: $(DEV) ## count the verdicts proved on 900 random systems (ten minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/corpus.py
+	@$(BIN)/python benchmarks/corpus.py
 
 .PHONY: false-accepts
 false-accepts: $(DEV) ## look for false proofs: tampered certificates, nearly singular matrices (three minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.false_accepts
+	@$(BIN)/python -m benchmarks.false_accepts
 
 .PHONY: promises
 promises: $(DEV) ## hold what the proofs promise against simulations of 200 random designs
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.promises 200
+	@$(BIN)/python -m benchmarks.promises 200
 
 .PHONY: peaks
 peaks: $(DEV) ## hold enclosed peaks of feedforwards against a fine walk of 100 random specs and the gallery's
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peaks 100 600
+	@$(BIN)/python -m benchmarks.peaks 100 600
 
 .PHONY: previews
 previews: $(DEV) ## follow references with 100 random plants that are not minimum phase
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview 100
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.preview grazing 20
+	@$(BIN)/python -m benchmarks.preview 100
+	@$(BIN)/python -m benchmarks.preview grazing 20
 
 .PHONY: bounds
 bounds: $(DEV) ## hold the bounds of random designs against the worst that can be found
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bounds 200
+	@$(BIN)/python -m benchmarks.bounds 200
 
 .PHONY: uncertain
 uncertain: $(DEV) ## hold what is said of boxes of parameters against 2,000 random plants (fifteen minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.uncertain 2000
+	@$(BIN)/python -m benchmarks.uncertain 2000
 
 .PHONY: practical
 practical: $(DEV) ## hold final bounds of practical tracking against simulations of 200 random plants (four minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.practical 200
+	@$(BIN)/python -m benchmarks.practical 200
 
 .PHONY: fuzz
 fuzz: $(DEV) ## design, simulate and verify 150 random specs (five minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz
+	@$(BIN)/python -m benchmarks.fuzz
 
 .PHONY: fuzz-reader
 fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by coverage (ten minutes)
@@ -171,7 +175,7 @@ fuzz-reader: $(PEERS) ## fuzz the reader of specs and formulas, guided by covera
 
 .PHONY: bad-inputs
 bad-inputs: $(DEV) ## check every bad input of the tests in a process of its own: code, line, time, memory (five minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bad_inputs
+	@$(BIN)/python -m benchmarks.bad_inputs
 
 .PHONY: batch-bench
 batch-bench: $(DEV) ## time batches against a process for each spec (ten minutes)
@@ -179,7 +183,7 @@ batch-bench: $(DEV) ## time batches against a process for each spec (ten minutes
 
 .PHONY: sweep-bench
 sweep-bench: $(DEV) ## sweep 1,000 points here and on two dask workers, one killed, against a formula (ten minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sweep
+	@$(BIN)/python -m benchmarks.sweep
 
 .PHONY: kills
 kills: $(DEV) ## kill a batch at 200 random moments and look for harm (ten minutes)
@@ -187,19 +191,19 @@ kills: $(DEV) ## kill a batch at 200 random moments and look for harm (ten minut
 
 .PHONY: sampling
 sampling: $(DEV) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.sampling 120
+	@$(BIN)/python -m benchmarks.sampling 120
 
 .PHONY: export
 export: $(DEV) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.export
+	@$(BIN)/python -m benchmarks.export
 
 .PHONY: control-bench
 control-bench: $(DEV) ## run the loop of every spec in python-control, and compare (three minutes)
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.python_control
+	@$(BIN)/python -m benchmarks.python_control
 
 .PHONY: step-bench
 step-bench: $(DEV) ## time a step of exported C against a hand-written loop and python-control
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.step
+	@$(BIN)/python -m benchmarks.step
 
 .PHONY: lint
 lint: $(DEV) ## ruff: lint and format
