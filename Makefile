@@ -197,6 +197,11 @@ sampling: $(DEV) ## simulate 120 random designs at the longest sample time that 
 export: $(DEV) ## compile every spec and 50 random designs, and compare 100,000 steps of each bit by bit
 	@$(BIN)/python -m benchmarks.export
 
+.PHONY: coq
+coq: $(DEV) ## let Coq check the certificates of all specs, 200 changed ones and a large one (ten minutes)
+	@$(BIN)/pwatrack batch specs --plots none --out .venv/.coq >/dev/null
+	@$(BIN)/python -m benchmarks.coq .venv/.coq --changed 200 --size 20 64
+
 .PHONY: control-bench
 control-bench: $(DEV) ## run the loop of every spec in python-control, and compare (three minutes)
 	@$(BIN)/python -m benchmarks.python_control

@@ -305,11 +305,11 @@ def main(count: int) -> None:
         path, seed = Path(folder) / "plant.yaml", 0
         while len(found) < count:
             path.write_text(spec_text(seed), encoding="utf-8")
-            if seed < count:
-                residual, at_others = solved(path)
-                told.append(residual)
-                seen.append(at_others)
             try:
+                if seed < count:
+                    residual, at_others = solved(path)
+                    told.append(residual)
+                    seen.append(at_others)
                 one = found[seed] = followed(path)
                 other = "" if one.off is None else f", from another start {one.off:.1e}"
                 pieces = f"left by pieces {one.left:.1e}, rounding {one.rounding:.1e}"
@@ -318,7 +318,7 @@ def main(count: int) -> None:
                 refused[seed] = refusal
             seed += 1
     console.print(
-        f"{count} bounded solutions: residual of (15) as told at most {max(told):.1e} of its terms, median "
+        f"{len(told)} bounded solutions: residual of (15) as told at most {max(told):.1e} of its terms, median "
         f"{np.median(told):.1e}; of (3) at 500 other times {max(seen):.1e}, median {np.median(seen):.1e}"
     )
     for kind, which in (("periodic", 1), ("rest to rest", 0)):

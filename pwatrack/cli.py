@@ -330,6 +330,22 @@ def verify(
             typer.echo(sentence)
 
 
+@app.command(epilog="Example: pwatrack certify runs/two_mass_backlash --out coq")
+def certify(
+    path: Annotated[
+        Path, typer.Argument(metavar="DIR|FILE", help="A run folder or a certificate.json.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)],
+) -> None:
+    """Write a certificate as a development for Coq, whose kernel proves the theorem for these gains."""
+    with refusals():
+        from pwatrack.commands.certify import certify
+
+        files = certify(path, out)
+        typer.echo(f"Development in {out}/: {', '.join(files)}")
+        typer.echo(f"Coq 8.16 or later with Bignums checks it: make -C {out}")
+
+
 @app.command(epilog="Example: pwatrack init --from backlash drive.yaml")
 def init(
     path: Annotated[Path, typer.Argument(metavar="[SPEC]", help="The file to write.", show_default=True)] = Path(

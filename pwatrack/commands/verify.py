@@ -66,8 +66,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         InvalidSpec: If a file cannot be read.
         CheckFailed: With everything that does not hold.
     """
-    file = path if not path.is_dir() else _certificate_in(path)
-    text = _read(file)
+    file, text = certificate_text(path)
     said, faults = audit(text)
     if not faults:
         content, folder = parsed(text), file.parent
@@ -97,6 +96,12 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         verify(beside, spec)
         said.append(f"{REFUSAL} beside it proves that exact tracking is impossible")
     return said
+
+
+def certificate_text(path: Path) -> tuple[Path, str]:
+    """Return the certificate that a path is, or that is in the folder it is, and its text."""
+    file = path if not path.is_dir() else _certificate_in(path)
+    return file, _read(file)
 
 
 def _certificate_in(folder: Path) -> Path:

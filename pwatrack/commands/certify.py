@@ -1,0 +1,30 @@
+"""A run folder -> a development for Coq, whose kernel checks what the certificate proves."""
+
+from pathlib import Path
+
+from pwatrack.commands.verify import certificate_text
+from pwatrack.errors import CheckFailed, Problem
+from pwatrack.export.coq import development
+from pwatrack.export.source import prefix, write_texts
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.reading import parsed
+
+
+def certify(path: Path, out: Path) -> list[str]:
+    """Write what Coq checks of a certificate: the theory, and the numbers of this run.
+
+    Args:
+        path: A run folder, or its certificate.json.
+        out: The folder for the files.
+
+    Returns:
+        Their names.
+
+    Raises:
+        InvalidSpec: If a file cannot be read, or nothing in it is of the kind that the theory speaks of.
+        CheckFailed: If the certificate does not hold.
+    """
+    file, text = certificate_text(path)
+    if faults := audit(text)[1]:
+        raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
+    return write_texts(development(parsed(text), prefix(file.resolve().parent.name)), out)
