@@ -149,9 +149,8 @@ def size(folder: Path, n: int, cells: int, console: Console) -> int:
     (folder / name).write_text("\n".join(text), encoding="utf-8")
     begin = time.perf_counter()
     done = subprocess.run([COQC, name], cwd=folder, capture_output=True, text=True, check=False)
-    console.print(
-        f"({n}, {cells}): {' '.join(done.stdout.split())} {done.stderr[:300]}; {time.perf_counter() - begin:.1f} s in all"
-    )
+    said = " ".join(done.stdout.split()) or done.stderr[:300]
+    console.print(f"({n}, {cells}): {said}; {time.perf_counter() - begin:.1f} s in all")
     return "= true" not in done.stdout
 
 
