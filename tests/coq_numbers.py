@@ -13,11 +13,12 @@ Rows = list[list[Fraction]]
 
 def written(text: str) -> dict[str, Any]:
     """Return the numbers that a file defines, by their names."""
-    return {
-        name: json.loads(re.sub(r"[()]", "", value.replace(";", ",")))
-        for name, value in re.findall(r"Definition (\w+)[^=]*? :=\s(.*?)\.(?:\s|$)", text, re.DOTALL)
-        if name not in ("cells", "all")
-    }
+    found = re.findall(r"Definition (\w+)[^=]*? :=\s(.*?)\.(?:\s|$)", text, re.DOTALL)
+    return {name: json.loads(_listed(value)) for name, value in found if name != "all"}
+
+
+def _listed(text: str) -> str:
+    return re.sub(r"\((-\d+)\)", r"\1", text).translate(str.maketrans("();", "[],"))
 
 
 def definite(rows: list[list[int]]) -> bool:

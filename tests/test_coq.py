@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import flint
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from pwatrack import Result, Spec
+from pwatrack import Result, Spec, design, load_spec
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.coq import RUN, THEORY, development
 from pwatrack.lmi.audit.reading import parsed
 from pwatrack.lmi.audit.shape import PROOFS
 from pwatrack.report.files import write_design
+from tests.conftest import SPECS
 from tests.coq_numbers import gains_hold, observer_holds, written
 from tests.test_cli import call, refused
 
@@ -45,6 +48,30 @@ def test_the_numbers_are_those_of_the_run(content: Any, paper: Result) -> None:
     product = flint.fmpz_mat(found["P"]) * flint.fmpz_mat(found["W"])
     assert product.tolist() == [[found["d"] * (i == j) for j in range(4)] for i in range(4)]
     assert min(found["alpha"], found["beta"]) / found["D"] == pytest.approx(paper.controller.guarantees.rate, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["two_mass_machine", "gallery/payload_in_wind", pytest.param("gallery/gantry", marks=pytest.mark.slow)]
+)
+def test_the_cells_that_are_written_cover_the_space_with_the_field_of_the_plant(name: str, tmp_path: Path) -> None:
+    """So there is an f of which the theorem speaks, and it is that of the plant with its loads."""
+    spec = load_spec(SPECS / f"{name}.yaml")
+    controller = design(spec)
+    plant, folder = controller.plant, write_design(spec, controller, tmp_path / "run")
+    content = parsed((folder / "certificate.json").read_text(encoding="utf-8"))
+    found, n = written(development(content, "run")[f"{RUN}.v"]), len(plant.B)
+    assert gains_hold(found)
+    assert observer_holds(found)
+    A, b, B, C = (np.array(found[key], dtype=float) / found["D"] for key in ("A", "b", "B", "C"))
+    E = np.zeros((n, len(B) - n)) if plant.loads is None else plant.loads.E.floats
+    assert_allclose(B, np.vstack([plant.B, np.zeros((len(B) - n, plant.B.shape[1]))]))
+    assert_allclose(C[:, :n], plant.C)
+    for z in np.random.default_rng(0).normal(size=(200, len(B))) * 3:
+        x, s = z[:n], z[n:]
+        inside = [i for i, rows in enumerate(found["cells"]) if all(np.dot(row, x) + c >= 0 for row, c in rows)]
+        assert len(inside) == 1, "but on facets"
+        felt = plant.field(x, np.zeros(plant.B.shape[1])) + E @ s
+        assert_allclose(A[inside[0]][:n] @ z + b[inside[0]][:n], felt, rtol=1e-12, atol=1e-9)
 
 
 def test_what_the_theory_does_not_speak_of_is_said(content: Any) -> None:
