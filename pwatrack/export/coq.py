@@ -59,7 +59,9 @@ class _Run:
         self.proofs = {of: _best(content["proofs"], of) for of in ("controller", "observer", "generator")}
         for of in ("controller", "observer"):
             if self.proofs[of] is None:
-                raise InvalidSpec(f"the {of} is not proved by a quadratic form, of which alone the theory speaks")
+                raise InvalidSpec(
+                    f"the {of} is not proved by a quadratic form at a rate, of which alone the theory speaks"
+                )
         plant = _all_cells(content["plant"])
         self.merged = practical is not None
         self.apart = practical is not None and practical["observer_runs"] == "all cells"
@@ -151,15 +153,18 @@ class _Run:
         n, N = self.n, self.N
         of = " of the plant with merged cells" * self.merged
         yield f"(* For the f that is A_i x + b_i in each cell{of}, and from"
-        yield "   every start: x - x_d and x_hat - x go to 0, at least as fast as e^(-min(alpha, beta) t / D). *)"
-        yield f"Theorem {self.name}_tracks : exists c, forall f x x_hat x_d u_ff,"
+        yield "   every start: x - x_d and x_hat - x go to 0, at least as fast as e^(-min(alpha, beta) t / D);"
+        yield "   where plant and observer are disturbed, as close to 0 as that is small. *)"
+        yield f"Theorem {self.name}_tracks : exists c g, forall f x x_hat x_d u_ff disturbance noise most,"
         yield f"  field {N} (length A) (polyhedra D cells) (slopes D A) (offsets D b) f ->"
         yield f"  closed_loop {n} {N} (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G)"
-        yield "    f x x_hat x_d u_ff ->"
+        yield "    f x x_hat x_d u_ff disturbance noise ->"
+        yield "  (forall t, 0 <= t ->"
+        yield f"    dot {N} (disturbance t) (disturbance t) + dot {N} (noise t) (noise t) <= most) ->"
         yield "  forall t, 0 <= t ->"
         yield f"    errors {n} {N} x x_hat x_d t"
         yield "      <= c * exp (- (2 * Rmin (ratio alpha D) (ratio beta D)) * t)"
-        yield f"        * errors {n} {N} x x_hat x_d 0."
+        yield f"        * errors {n} {N} x x_hat x_d 0 + g * most."
         yield "Proof."
         yield f"  exact (tracks {n} {N} D A b cells B K C L G alpha P W d beta Q eq_refl controller observer)."
         yield "Qed."
@@ -211,8 +216,8 @@ def _moved(shift: Any, plant: AuditedPlant, L: Matrix) -> Matrix:
 
 
 def _best(proofs: Any, of: str) -> Any:
-    """Return the proof by a quadratic form with the largest rate; None if there is none."""
-    known = [proof for proof in proofs if proof["of"] == of and kind(proof) == "common P"]
+    """Return the proof by a quadratic form with the largest rate, above 0; None if there is none."""
+    known = [p for p in proofs if p["of"] == of and kind(p) == "common P" and number(p["rate"]) > 0]
     return max(known, key=lambda proof: number(proof["rate"]), default=None)
 
 

@@ -218,6 +218,19 @@ Proof.
   - rewrite <- Rmult_assoc, <- exp_plus. replace (- r * t + r * t) with 0 by ring. rewrite exp_0. ring.
 Qed.
 
+Lemma decay_to (V V' : R -> R) r k : 0 < r -> (forall t, 0 <= t -> derivable_pt_lim V t (V' t)) ->
+  (forall t, 0 <= t -> V' t <= - r * V t + k) -> 0 <= k -> forall t, 0 <= t -> V t <= exp (- r * t) * V 0 + k / r.
+Proof.
+  intros Hr HV Hk H0 t Ht.
+  assert (H : V t - k / r <= exp (- r * t) * (V 0 - k / r)).
+  { apply (decay (fun t => V t - k / r) V' r); auto.
+    - intros s Hs. rewrite <- (Rminus_0_r (V' s)).
+      apply (derivable_pt_lim_minus V (fun _ => k / r)); [auto|apply derivable_pt_lim_const].
+    - intros s Hs. specialize (Hk s Hs). replace (- r * (V s - k / r)) with (- r * V s + k) by (field; lra). exact Hk. }
+  assert (0 <= exp (- r * t) * (k / r)); [|lra].
+  apply Rmult_le_pos; [left; apply exp_pos|]. apply Rmult_le_pos; [auto|]. left. apply Rinv_0_lt_compat. auto.
+Qed.
+
 (* Matrix inequalities *)
 
 Definition symmetric (n : nat) (P : mat) := forall i j, (i < n)%nat -> (j < n)%nat -> P i j = P j i.
@@ -312,11 +325,13 @@ Hypothesis Q_observer : forall i, (i < p)%nat -> falls N Q s (observer i).  (* (
 Definition input (x_hat x_d u_ff : R -> vec) (t : R) : vec :=
   plus (mul n K (minus (x_hat t) (x_d t))) (u_ff t).  (* (19) *)
 
-Record closed_loop (f : vec -> vec) (x x_hat x_d u_ff : R -> vec) : Prop := {
-  plant_runs : forall t, 0 <= t -> derivative N x t (plus (f (x t)) (mul m B (input x_hat x_d u_ff t)));  (* (1) *)
+(* d acts on the plant and v on the observer: disturbances, noise, rounding. *)
+Record closed_loop (f : vec -> vec) (x x_hat x_d u_ff d v : R -> vec) : Prop := {
+  plant_runs : forall t, 0 <= t -> derivative N x t
+    (plus (plus (f (x t)) (mul m B (input x_hat x_d u_ff t))) (d t));  (* (1) *)
   observer_runs : forall t, 0 <= t -> derivative N x_hat t
-    (plus (plus (f (x_hat t)) (mul m B (input x_hat x_d u_ff t)))
-      (mul q L (minus (mul N C (x_hat t)) (mul N C (x t)))));  (* (18) *)
+    (plus (plus (plus (f (x_hat t)) (mul m B (input x_hat x_d u_ff t)))
+      (mul q L (minus (mul N C (x_hat t)) (mul N C (x t))))) (v t));  (* (18) *)
   desired_runs : forall t, 0 <= t -> derivative n x_d t
     (plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G (minus (x_hat t) (x t))));  (* (3) *)
   loads_as_estimated : forall t k, 0 <= t -> (n <= k < N)%nat -> x_d t k = x_hat t k
@@ -325,26 +340,28 @@ Record closed_loop (f : vec -> vec) (x x_hat x_d u_ff : R -> vec) : Prop := {
 Definition errors (x x_hat x_d : R -> vec) (t : R) : R :=
   dot n (minus (x t) (x_d t)) (minus (x t) (x_d t)) + dot N (minus (x_hat t) (x t)) (minus (x_hat t) (x t)).
 
-Definition observer_velocity (f : vec -> vec) (x x_hat : R -> vec) (t : R) : vec :=
-  plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t)))).
+Definition observer_velocity (f : vec -> vec) (x x_hat d v : R -> vec) (t : R) : vec :=
+  plus (plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t))))) (minus (v t) (d t)).
 
-Lemma observer_error f x x_hat x_d u_ff t w M : field N p cells A b f -> closed_loop f x x_hat x_d u_ff -> 0 <= t ->
+Lemma observer_error f x x_hat x_d u_ff d v t w M :
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v -> 0 <= t ->
   (forall i, (i < p)%nat -> dot N w (observer i (minus (x_hat t) (x t))) <= M) ->
-  derivative N (fun t => minus (x_hat t) (x t)) t (observer_velocity f x x_hat t)
-  /\ dot N w (observer_velocity f x x_hat t) <= M.
+  derivative N (fun t => minus (x_hat t) (x t)) t (observer_velocity f x x_hat d v t)
+  /\ dot N w (observer_velocity f x x_hat d v t) <= M + dot N w (minus (v t) (d t)).
 Proof.
   intros Hf Hc Ht H. unfold observer_velocity. split.
-  - intros k Hk. assert (H1 := observer_runs _ _ _ _ _ Hc t Ht k Hk).
-  assert (H2 := plant_runs _ _ _ _ _ Hc t Ht k Hk).
+  - intros k Hk. assert (H1 := observer_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
+    assert (H2 := plant_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
     assert (H3 := derivable_pt_lim_minus _ _ _ _ _ H1 H2).
-    replace (plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t)))) k) with
-      (plus (plus (f (x_hat t)) (mul m B (input x_hat x_d u_ff t))) (mul q L (minus (mul N C (x_hat t)) (mul N C (x t)))) k
-       - plus (f (x t)) (mul m B (input x_hat x_d u_ff t)) k); [exact H3|].
-    unfold plus, minus at 2.
-    rewrite (mul_ext q L (mul N C (minus (x_hat t) (x t))) (minus (mul N C (x_hat t)) (mul N C (x t)))).
+    replace (plus (plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t)))))
+      (minus (v t) (d t)) k) with
+      (plus (plus (plus (f (x_hat t)) (mul m B (input x_hat x_d u_ff t)))
+        (mul q L (minus (mul N C (x_hat t)) (mul N C (x t))))) (v t) k
+       - plus (plus (f (x t)) (mul m B (input x_hat x_d u_ff t))) (d t) k); [exact H3|].
+    unfold plus. rewrite (mul_ext q L (mul N C (minus (x_hat t) (x t))) (minus (mul N C (x_hat t)) (mul N C (x t)))).
     + unfold minus. ring.
     + intros j _. unfold minus at 2. apply mul_minus.
-  - rewrite dot_plus. set (g := dot N w (mul q L _)).
+  - rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus. set (g := dot N w (mul q L _)).
     assert (dot N w (minus (f (x_hat t)) (f (x t))) <= M - g); [|lra].
     apply mean_value with (1 := Hf). intros i Hi. specialize (H i Hi). unfold observer in H. rewrite dot_plus in H.
     fold g in H. lra.
@@ -353,10 +370,10 @@ Qed.
 (* What the error of the observer does to the loop *)
 Definition loads_only (o : vec) : vec := fun k => if Nat.ltb k n then 0 else o k.
 
-Definition tracking_velocity (f : vec -> vec) (x x_hat x_d : R -> vec) (t : R) : vec :=
+Definition tracking_velocity (f : vec -> vec) (x x_hat x_d d : R -> vec) (t : R) : vec :=
   let o := minus (x_hat t) (x t) in
-  plus (plus (minus (f (x t)) (f (x_d t))) (mul m B (mul n K (minus (x t) (x_d t)))))
-    (minus (mul m B (mul n K o)) (mul N G o)).
+  plus (plus (plus (minus (f (x t)) (f (x_d t))) (mul m B (mul n K (minus (x t) (x_d t)))))
+    (minus (mul m B (mul n K o)) (mul N G o))) (d t).
 
 Lemma dot_first_n w v : dot N (fun k => if Nat.ltb k n then w k else 0) v = dot n w v.
 Proof. replace N with (n + (N - n))%nat by lia. apply dot_head. Qed.
@@ -367,25 +384,26 @@ Proof.
   apply sum_ext. intros k _. unfold loads_only. destruct (Nat.ltb k n); ring.
 Qed.
 
-Lemma tracking_error f x x_hat x_d u_ff t w M : field N p cells A b f -> closed_loop f x x_hat x_d u_ff -> 0 <= t ->
+Lemma tracking_error f x x_hat x_d u_ff d v t w M :
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v -> 0 <= t ->
   (forall i, (i < p)%nat -> dot n w (loop i (minus (x t) (x_d t)))
     - dot n w (mul N (A i) (loads_only (minus (x_hat t) (x t)))) <= M) ->
-  derivative n (fun t => minus (x t) (x_d t)) t (tracking_velocity f x x_hat x_d t)
-  /\ dot n w (tracking_velocity f x x_hat x_d t) <= M
-    + dot n w (minus (mul m B (mul n K (minus (x_hat t) (x t)))) (mul N G (minus (x_hat t) (x t)))).
+  derivative n (fun t => minus (x t) (x_d t)) t (tracking_velocity f x x_hat x_d d t)
+  /\ dot n w (tracking_velocity f x x_hat x_d d t) <= M
+    + dot n w (minus (mul m B (mul n K (minus (x_hat t) (x t)))) (mul N G (minus (x_hat t) (x t)))) + dot n w (d t).
 Proof.
   intros Hf Hc Ht H. unfold tracking_velocity.
   set (o := minus (x_hat t) (x t)) in *. set (g := mul m B (mul n K (minus (x t) (x_d t)))). split.
   - intros k Hk. assert (HkN : (k < N)%nat) by lia.
-    assert (H1 := plant_runs _ _ _ _ _ Hc t Ht k HkN). assert (H2 := desired_runs _ _ _ _ _ Hc t Ht k Hk).
+    assert (H1 := plant_runs _ _ _ _ _ _ _ Hc t Ht k HkN). assert (H2 := desired_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
     assert (H3 := derivable_pt_lim_minus _ _ _ _ _ H1 H2). fold o in H3.
-    replace (plus (plus (minus (f (x t)) (f (x_d t))) g) (minus (mul m B (mul n K o)) (mul N G o)) k) with
-      (plus (f (x t)) (mul m B (input x_hat x_d u_ff t)) k
+    replace (plus (plus (plus (minus (f (x t)) (f (x_d t))) g) (minus (mul m B (mul n K o)) (mul N G o))) (d t) k) with
+      (plus (plus (f (x t)) (mul m B (input x_hat x_d u_ff t))) (d t) k
        - plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G o) k); [exact H3|].
     unfold plus. unfold minus at 1 2.
     replace (mul m B (input x_hat x_d u_ff t) k) with (mul m B (u_ff t) k + g k + mul m B (mul n K o) k); [ring|].
     unfold g, o. rewrite <- !mul_plus. apply mul_ext. intros j _. unfold input, plus. rewrite !mul_minus. ring.
-  - rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus.
+  - rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus.
     assert (dot n w (minus (f (x t)) (f (x_d t))) <= M - dot n w g); [|lra].
     rewrite <- dot_first_n. apply mean_value with (1 := Hf). intros i Hi. specialize (H i Hi). unfold loop in H.
     rewrite dot_plus in H. fold g in H. rewrite dot_first_n.
@@ -401,7 +419,7 @@ Proof.
       * rewrite dot_scale. ring.
       * auto.
       * intros j Hj. unfold loads_only, scale, o, minus. destruct (Nat.ltb_spec j n); [ring|].
-        rewrite (loads_as_estimated _ _ _ _ _ Hc t j Ht) by lia. ring.
+        rewrite (loads_as_estimated _ _ _ _ _ _ _ Hc t j Ht) by lia. ring.
 Qed.
 
 Lemma loads_only_small v : dot N (loads_only v) (loads_only v) <= dot N v v.
@@ -427,59 +445,65 @@ Proof.
     apply Rmult_le_reg_l with a; auto. rewrite <- Rmult_assoc, Rinv_r; lra.
 Qed.
 
-Theorem tracking : exists c, forall f x x_hat x_d u_ff,
-  field N p cells A b f -> closed_loop f x x_hat x_d u_ff ->
-  forall t, 0 <= t -> errors x x_hat x_d t <= c * exp (- (2 * Rmin r s) * t) * errors x x_hat x_d 0.
+(* Exponentially without d and v; with them, input-to-state stable, as Theorem 2 has it. *)
+Theorem tracking : 0 < r -> 0 < s -> exists c g, forall f x x_hat x_d u_ff d v W,
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v ->
+  (forall t, 0 <= t -> dot N (d t) (d t) + dot N (v t) (v t) <= W) ->
+  forall t, 0 <= t -> errors x x_hat x_d t <= c * exp (- (2 * Rmin r s) * t) * errors x x_hat x_d 0 + g * W.
 Proof.
-  destruct P_definite as (PS & l & Hl & HP). destruct Q_definite as (QS & k & Hk & HQ).
+  intros Hr0 Hs0. destruct P_definite as (PS & l & Hl & HP). destruct Q_definite as (QS & k & Hk & HQ).
   destruct (all_fall_dual _ _ _ _ _ P_loop) as (mu & Hmu & HM).
   destruct (all_fall _ _ _ _ _ Q_observer) as (nu & Hnu & HN).
   (* what the observer's error adds, and forms from above *)
   destruct (mul_bound n m B) as (g1 & Hg1 & HG1). destruct (mul_bound m n K) as (g2 & Hg2 & HG2).
   destruct (mul_bound n N G) as (g3 & Hg3 & HG3). destruct slopes_bound as (g4 & Hg4 & HG4).
   destruct (mul_bound n n P) as (h & Hh & HH). destruct (mul_bound n n P_inverse) as (h' & Hh' & HH').
-  destruct (dot_mul_bound n P) as (u & Hu & HU). destruct (dot_mul_bound N Q) as (v & Hv & HV).
+  destruct (mul_bound N N Q) as (q' & Hq' & HQ').
+  destruct (dot_mul_bound n P) as (u & Hu & HU). destruct (dot_mul_bound N Q) as (y & Hy & HY).
   set (g := g1 * g2 + g3 + g4). assert (Hg12 : 0 < g1 * g2) by (apply Rmult_lt_0_compat; auto).
   assert (Hg : 0 < g) by (unfold g; lra).
-  set (w := g / (mu * nu)). assert (Hw : 0 < w) by (apply Rdiv_lt_0_compat; [auto|apply Rmult_lt_0_compat; lra]).
+  assert (Hmui : 0 < / mu) by (apply Rinv_0_lt_compat; auto).
+  assert (Hnui : 0 < / nu) by (apply Rinv_0_lt_compat; auto).
+  set (w := 2 * g * / mu * / nu).
+  assert (Hw : 0 < w) by (unfold w; repeat apply Rmult_lt_0_compat; lra).
   set (low := Rmin (l / h) (w * k)).
   assert (Hlow : 0 < low) by (apply Rmin_pos; [apply Rdiv_lt_0_compat; auto|apply Rmult_lt_0_compat; auto]).
-  set (high := u * h' + w * v).
-  exists (high / low). intros f x x_hat x_d u_ff Hf Hc t Ht.
+  set (high := u * h' + w * y). set (R0 := Rmin r s). assert (HR0 : 0 < R0) by (apply Rmin_pos; auto).
+  set (kappa := 2 * / mu + 2 * (w * (q' * / nu))).
+  assert (Hkappa : 0 < kappa).
+  { assert (0 < w * (q' * / nu)) by (repeat apply Rmult_lt_0_compat; lra). unfold kappa. lra. }
+  exists (high / low), (kappa / (2 * R0) / low). intros f x x_hat x_d u_ff d v W Hf Hc HW t Ht.
   set (e := fun t => minus (x t) (x_d t)). set (o := fun t => minus (x_hat t) (x t)).
   set (z := fun t => mul n P_inverse (e t)).
   set (V := fun t => dot n (z t) (mul n P (z t)) + w * dot N (o t) (mul N Q (o t))).
   assert (Ez : forall t i, (i < n)%nat -> mul n P (z t) i = e t i) by (intros; apply P_has_inverse; auto).
-  set (V' := fun t => 2 * dot n (mul n P (z t)) (mul n P_inverse (tracking_velocity f x x_hat x_d t))
-    + w * (2 * dot N (mul N Q (o t)) (observer_velocity f x x_hat t))).
-  assert (Hfall : forall t, 0 <= t -> derivable_pt_lim V t (V' t) /\ V' t <= - (2 * Rmin r s) * V t).
+  set (V' := fun t => 2 * dot n (mul n P (z t)) (mul n P_inverse (tracking_velocity f x x_hat x_d d t))
+    + w * (2 * dot N (mul N Q (o t)) (observer_velocity f x x_hat d v t))).
+  assert (Hfall : forall t, 0 <= t -> derivable_pt_lim V t (V' t) /\ V' t <= - (2 * R0) * V t + kappa * W).
   { intros a Ha.
-    assert (Hmui : 0 < / mu) by (apply Rinv_0_lt_compat; auto).
     (* z.y <= mu/4 |z|^2 + |y|^2 / mu *)
     assert (Hyoung : forall y, dot n (z a) y <= mu / 4 * dot n (z a) (z a) + / mu * dot n y y).
-    { intros y. assert (H := young n (mu / 2) (z a) y ltac:(lra)).
+    { intros y'. assert (H := young n (mu / 2) (z a) y' ltac:(lra)).
       replace (/ (mu / 2)) with (2 * / mu) in H by (field; lra). lra. }
-    destruct (observer_error f x x_hat x_d u_ff a (mul N Q (o a))
+    destruct (observer_error f x x_hat x_d u_ff d v a (mul N Q (o a))
       (- nu * dot N (o a) (o a) - s * dot N (o a) (mul N Q (o a))) Hf Hc Ha) as (Ho & Ho').
     { intros i Hi. specialize (HN i Hi (o a)). fold (o a). lra. }
-    destruct (tracking_error f x x_hat x_d u_ff a (z a)
-      (- (3 * mu / 4) * dot n (z a) (z a) - r * dot n (z a) (mul n P (z a)) +
-        / mu * (g4 * dot N (o a) (o a))) Hf Hc Ha) as (He & He').
+    destruct (tracking_error f x x_hat x_d u_ff d v a (z a)
+      (- (3 * mu / 4) * dot n (z a) (z a) - r * dot n (z a) (mul n P (z a)) + / mu * (g4 * dot N (o a) (o a)))
+      Hf Hc Ha) as (He & He').
     { intros i Hi. specialize (HM i Hi (z a)). fold (e a) (o a).
       rewrite (dot_ext n (z a) (z a) (loop i (e a)) (loop i (mul n P (z a)))).
       - assert (H := Hyoung (scale (-1) (mul N (A i) (loads_only (o a))))).
-      rewrite !dot_scale, (dot_comm n (scale _ _)), dot_scale in H.
+        rewrite !dot_scale, (dot_comm n (scale _ _)), dot_scale in H.
         assert (H4 := HG4 i Hi (loads_only (o a))). assert (H5 := loads_only_small (o a)).
-        assert (/ mu * dot n (mul N (A i) (loads_only (o a))) (mul N (A i) (loads_only (o a))) <=
-          / mu * (g4 * dot N (o a) (o a)));
-          [|lra].
+        assert (/ mu * dot n (mul N (A i) (loads_only (o a))) (mul N (A i) (loads_only (o a)))
+          <= / mu * (g4 * dot N (o a) (o a))); [|lra].
         apply Rmult_le_compat_l; [lra|]. apply Rle_trans with (1 := H4). apply Rmult_le_compat_l; lra.
       - auto.
       - intros j _. unfold loop, plus.
         rewrite (mul_ext n (A i) (mul n P (z a)) (e a)) by auto.
-        rewrite (mul_ext m B (mul n K (mul n P (z a))) (mul n K (e a))); [reflexivity|]. intros. apply mul_ext.
-        auto. }
-    set (o' := observer_velocity f x x_hat a) in *. set (e' := tracking_velocity f x x_hat x_d a) in *.
+        rewrite (mul_ext m B (mul n K (mul n P (z a))) (mul n K (e a))); [reflexivity|]. intros. apply mul_ext. auto. }
+    set (o' := observer_velocity f x x_hat d v a) in *. set (e' := tracking_velocity f x x_hat x_d d a) in *.
     fold (o a) in He'. rewrite dot_minus in He'.
     assert (Hz' : derivative n z a (mul n P_inverse e')) by (apply derivative_mul; exact He).
     unfold V'. fold o' e'. split.
@@ -491,6 +515,25 @@ Proof.
       assert (Hy1 := Hyoung (mul m B (mul n K (o a)))).
       assert (Hy2 := Hyoung (scale (-1) (mul N G (o a)))).
       rewrite !dot_scale, (dot_comm n (scale _ _)), dot_scale in Hy2.
+      assert (Hy3 := Hyoung (d a)). specialize (HW a Ha).
+      assert (Hdn := first_n_small (d a)). assert (Hvv := dot_square_nonneg N (v a)).
+      assert (Hdd := dot_square_nonneg N (d a)).
+      (* what d and v do to the observer *)
+      set (c := minus (v a) (d a)) in *.
+      assert (Hcc : dot N c c <= 2 * W).
+      { assert (H := young N 1 (v a) (scale (-1) (d a)) ltac:(lra)). rewrite Rinv_1 in H.
+        rewrite !dot_scale, (dot_comm N (scale _ _)), dot_scale in H.
+        unfold c. rewrite dot_minus, (dot_comm N _ (v a)), (dot_comm N _ (d a)), !dot_minus,
+          (dot_comm N (d a) (v a)). lra. }
+      assert (Hco : dot N (mul N Q (o a)) c <= nu / 2 * dot N (o a) (o a) + q' * / nu * W).
+      { assert (H := young N (nu / q') (mul N Q (o a)) c ltac:(apply Rdiv_lt_0_compat; auto)).
+        replace (/ (nu / q')) with (q' * / nu) in H by (field; lra).
+        assert (H1 : nu / q' * dot N (mul N Q (o a)) (mul N Q (o a)) <= nu / q' * (q' * dot N (o a) (o a))).
+        { apply Rmult_le_compat_l; [left; apply Rdiv_lt_0_compat; auto|apply HQ']. }
+        replace (nu / q' * (q' * dot N (o a) (o a))) with (nu * dot N (o a) (o a)) in H1 by (field; lra).
+        assert (H2 : q' * / nu * dot N c c <= q' * / nu * (2 * W)).
+        { apply Rmult_le_compat_l; [|exact Hcc]. left. apply Rmult_lt_0_compat; auto. }
+        lra. }
       set (Vz := dot n (z a) (mul n P (z a))) in *. set (Vo := dot N (o a) (mul N Q (o a))) in *.
       set (zz := dot n (z a) (z a)) in *. set (oo := dot N (o a) (o a)) in *.
       assert (Hzz : 0 <= zz) by apply dot_square_nonneg. assert (Hoo : 0 <= oo) by apply dot_square_nonneg.
@@ -500,19 +543,28 @@ Proof.
         apply Rmult_le_compat_l; [lra|apply first_n_small]. }
       assert (H2 : / mu * dot n (mul N G (o a)) (mul N G (o a)) <= / mu * (g3 * oo))
         by (apply Rmult_le_compat_l; [lra|apply HG3]).
-      assert (Ew : w * nu * oo = / mu * (g1 * g2 * oo) + / mu * (g3 * oo) + / mu * (g4 * oo))
+      assert (H6 : / mu * dot n (d a) (d a) <= / mu * W) by (apply Rmult_le_compat_l; lra).
+      assert (Ew : w * (nu / 2 * oo) = / mu * (g1 * g2 * oo) + / mu * (g3 * oo) + / mu * (g4 * oo))
         by (unfold w, g; field; lra).
       assert (HVz : 0 <= Vz) by (apply Rle_trans with (2 := HP (z a)); apply Rmult_le_pos; fold zz; lra).
       assert (HVo : 0 <= Vo) by (apply Rle_trans with (2 := HQ (o a)); apply Rmult_le_pos; fold oo; lra).
-      assert (Hr := Rmin_l r s). assert (Hs := Rmin_r r s). set (R := Rmin r s) in *.
-      assert (Hw1 : w * dot N (mul N Q (o a)) o' <= w * (- nu * oo - s * Vo)) by (apply Rmult_le_compat_l; lra).
-      assert (H3 : R * Vz <= r * Vz) by (apply Rmult_le_compat_r; lra).
-      assert (H4 : w * (R * Vo) <= w * (s * Vo)) by (apply Rmult_le_compat_l; [lra|apply Rmult_le_compat_r; lra]).
-      unfold V. fold Vz Vo. assert (H5 : 0 <= mu * zz) by (apply Rmult_le_pos; lra).
+      assert (Hr : R0 <= r) by apply Rmin_l. assert (Hs : R0 <= s) by apply Rmin_r.
+      assert (Hw1 : w * dot N (mul N Q (o a)) o' <= w * (- nu * oo - s * Vo + (nu / 2 * oo + q' * / nu * W)))
+        by (apply Rmult_le_compat_l; lra).
+      assert (H3 : R0 * Vz <= r * Vz) by (apply Rmult_le_compat_r; lra).
+      assert (H4 : w * (R0 * Vo) <= w * (s * Vo)) by (apply Rmult_le_compat_l; [lra|apply Rmult_le_compat_r; lra]).
+      unfold V, kappa. fold Vz Vo.
       replace (w * (2 * dot N (mul N Q (o a)) o')) with (2 * (w * dot N (mul N Q (o a)) o')) by ring.
-      replace (w * (- nu * oo - s * Vo)) with (- (w * nu * oo) - w * (s * Vo)) in Hw1 by ring.
-      replace (- (2 * R) * (Vz + w * Vo)) with (- 2 * (R * Vz) - 2 * (w * (R * Vo))) by ring. lra. }
-  assert (HVt := decay V V' (2 * Rmin r s) (fun t Ht => proj1 (Hfall t Ht)) (fun t Ht => proj2 (Hfall t Ht)) t Ht).
+      replace (w * (- nu * oo - s * Vo + (nu / 2 * oo + q' * / nu * W)))
+        with (- (w * (nu / 2 * oo)) - w * (s * Vo) + w * (q' * / nu) * W) in Hw1 by (field; lra).
+      replace (- (2 * R0) * (Vz + w * Vo)) with (- 2 * (R0 * Vz) - 2 * (w * (R0 * Vo))) by ring.
+      replace ((2 * / mu + 2 * (w * (q' * / nu))) * W) with (2 * (/ mu * W) + 2 * (w * (q' * / nu) * W)) by ring.
+      lra. }
+  assert (HW0 : 0 <= W).
+  { specialize (HW 0 (Rle_refl 0)). assert (0 <= dot N (d 0) (d 0)) by apply dot_square_nonneg.
+    assert (0 <= dot N (v 0) (v 0)) by apply dot_square_nonneg. lra. }
+  assert (HVt := decay_to V V' (2 * R0) (kappa * W) ltac:(lra) (fun t Ht => proj1 (Hfall t Ht))
+    (fun t Ht => proj2 (Hfall t Ht)) ltac:(apply Rmult_le_pos; lra) t Ht).
   assert (Hbelow : low * errors x x_hat x_d t <= V t).
   { unfold errors, V. fold (e t) (o t).
     assert (He : dot n (e t) (e t) <= h * dot n (z t) (z t)).
@@ -533,16 +585,17 @@ Proof.
   { unfold errors, V, high. fold (e 0) (o 0).
     assert (H1 : dot n (z 0) (mul n P (z 0)) <= u * (h' * dot n (e 0) (e 0))).
     { apply Rle_trans with (1 := HU _). apply Rmult_le_compat_l; [lra|apply HH']. }
-    assert (H2 : w * dot N (o 0) (mul N Q (o 0)) <= w * (v * dot N (o 0) (o 0)))
-      by (apply Rmult_le_compat_l; [lra|apply HV]).
+    assert (H2 : w * dot N (o 0) (mul N Q (o 0)) <= w * (y * dot N (o 0) (o 0)))
+      by (apply Rmult_le_compat_l; [lra|apply HY]).
     assert (0 <= dot n (e 0) (e 0)) by apply dot_square_nonneg.
     assert (0 <= dot N (o 0) (o 0)) by apply dot_square_nonneg.
-    assert (0 <= u * h') by nra. assert (0 <= w * v) by nra. nra. }
-  assert (Hexp : 0 < exp (- (2 * Rmin r s) * t)) by apply exp_pos.
+    assert (0 <= u * h') by nra. assert (0 <= w * y) by nra. nra. }
+  assert (Hexp : 0 < exp (- (2 * R0) * t)) by apply exp_pos.
   apply Rmult_le_reg_l with low; auto.
-  replace (low * (high / low * exp (- (2 * Rmin r s) * t) * errors x x_hat x_d 0))
-    with (exp (- (2 * Rmin r s) * t) * (high * errors x x_hat x_d 0)) by (field; lra).
-  apply Rle_trans with (1 := Hbelow), Rle_trans with (1 := HVt). apply Rmult_le_compat_l; lra.
+  replace (low * (high / low * exp (- (2 * R0) * t) * errors x x_hat x_d 0 + kappa / (2 * R0) / low * W))
+    with (exp (- (2 * R0) * t) * (high * errors x x_hat x_d 0) + kappa * W / (2 * R0)) by (field; lra).
+  apply Rle_trans with (1 := Hbelow), Rle_trans with (1 := HVt). apply Rplus_le_compat_r.
+  apply Rmult_le_compat_l; lra.
 Qed.
 
 End Tracking.

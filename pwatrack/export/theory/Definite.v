@@ -107,7 +107,8 @@ Proof.
     by (intros; try apply value_tl; auto).
   rewrite (dot_ext _ (value (tl (cross a r (first b) b))) (plus (scale #a (value (tl r))) (scale (- value b O) (fun i => value b (S i))))
     _ (fun i => x (S i))).
-  - rewrite dot_comm, dot_plus, !dot_scale, (dot_comm _ _ (value (tl r))), (dot_comm _ _ (fun i => value b (S i))). ring.
+  - rewrite dot_comm, dot_plus, !dot_scale, (dot_comm _ _ (value (tl r))),
+    (dot_comm _ _ (fun i => value b (S i))). ring.
   - intros i _. unfold plus, scale. rewrite value_tl, value_cross, value_tl, first_value. ring.
   - auto.
 Qed.

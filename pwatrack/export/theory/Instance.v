@@ -135,7 +135,8 @@ Proof.
   intros HM HP. unfold lyapunov.
   rewrite (form_triangle (pair_product n) (([] : row), ([] : row))) by apply pair_product_symmetric.
   rewrite combine_length, HM, HP, Nat.min_id.
-  assert (E : forall U V : matrix, sum n (fun i => sum n (fun j => dot n (value (rows U i)) (value (rows V j)) * (x i * x j)))
+  assert (E : forall U V : matrix,
+    sum n (fun i => sum n (fun j => dot n (value (rows U i)) (value (rows V j)) * (x i * x j)))
     = dot n (transposed_times n U x) (transposed_times n V x)).
   { intros U V. rewrite <- times_dot. apply sum_ext. intros i Hi.
     unfold times at 1. rewrite (dot_comm n (value (rows U i))), <- times_dot.
@@ -299,21 +300,27 @@ Definition polyhedra (D : BigZ.t) (cells : list (list (row * BigZ.t))) (i : nat)
   map (fun h => (scale (/ #D) (value (fst h)), ratio (snd h) D)) (nth i cells []).
 
 Theorem tracks n N D (A : list matrix) b cells B K C L G w P W d v Q :
-  Nat.leb n N = true -> controller_proved n D w A B K P W d = true -> observer_proved N D v A C L Q = true ->
-  exists c, forall f x x_hat x_d u_ff,
+  Nat.leb n N && BigZ.ltb 0 w && BigZ.ltb 0 v = true ->
+  controller_proved n D w A B K P W d = true -> observer_proved N D v A C L Q = true ->
+  exists c g, forall f x x_hat x_d u_ff disturbance noise most,
     field N (length A) (polyhedra D cells) (slopes D A) (offsets D b) f ->
-    closed_loop n N (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G) f x x_hat x_d u_ff ->
+    closed_loop n N (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G)
+      f x x_hat x_d u_ff disturbance noise ->
+    (forall t, 0 <= t -> dot N (disturbance t) (disturbance t) + dot N (noise t) (noise t) <= most) ->
     forall t, 0 <= t ->
-      errors n N x x_hat x_d t <= c * exp (- (2 * Rmin (ratio w D) (ratio v D)) * t) * errors n N x x_hat x_d 0.
+      errors n N x x_hat x_d t
+        <= c * exp (- (2 * Rmin (ratio w D) (ratio v D)) * t) * errors n N x x_hat x_d 0 + g * most.
 Proof.
-  rewrite Nat.leb_le. unfold controller_proved, observer_proved. rewrite !andb_true_iff.
-  intros HN (((((HD & Hd) & HP) & HW) & HI) & HA) ((_ & HQ) & HO).
-  apply positive_is in HD, Hd. destruct (positive_form_holds _ _ HP) as (LP & PD).
-  destruct (positive_form_holds _ _ HQ) as (LQ & QD).
-  rewrite forallb_forall in HA, HO. apply tracking with (P := whole P) (P_inverse := over d W) (Q := whole Q); auto.
+  unfold controller_proved, observer_proved. rewrite !andb_true_iff, Nat.leb_le.
+  intros ((HN & Hw) & Hv) (((((HD & Hd) & HP) & HW) & HI) & HA) ((_ & HQ) & HO).
+  apply positive_is in HD, Hd, Hw, Hv. destruct (positive_form_holds _ _ HP) as (LP & PD).
+  destruct (positive_form_holds _ _ HQ) as (LQ & QD). rewrite forallb_forall in HA, HO.
+  apply tracking with (P := whole P) (P_inverse := over d W) (Q := whole Q); auto.
   - intros. apply inverse_holds; auto. apply symmetric_holds; auto.
   - intros i Hi. apply controller_falls; auto; [apply PD|]. apply HA, nth_In; auto.
   - intros i Hi. apply observer_falls; auto; [apply QD|]. apply HO, nth_In; auto.
+  - apply Rdiv_lt_0_compat; auto.
+  - apply Rdiv_lt_0_compat; auto.
 Qed.
 
 Theorem generator_converges n D (A : list matrix) w P :
