@@ -30,6 +30,7 @@ from pwatrack import design, load_spec
 from pwatrack.arrays import Array
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.coq import RUN, THEORY, development
+from pwatrack.export.source import prefix
 from pwatrack.lmi.audit.reading import parsed
 from pwatrack.report.files import write_design
 from tests.coq_numbers import gains_hold, observer_holds, written
@@ -63,16 +64,17 @@ def runs(folder: Path, where: Path, console: Console) -> int:
     for file in sorted(where.rglob("certificate.json")):
         name, content = file.parent.name, parsed(file.read_text(encoding="utf-8"))
         try:
-            theory = compiled(folder, content, name)
+            theory = compiled(folder, content, prefix(name))
         except InvalidSpec as error:
             console.print(f"{name:30} left out: {error}")
             continue
         begin = time.perf_counter()
         done = subprocess.run([COQC, f"{RUN}.v"], cwd=folder, capture_output=True, text=True, check=False)
         took = time.perf_counter() - begin
-        theorems = (folder / f"{RUN}.v").read_text(encoding="utf-8").count("Theorem ")
+        found = re.findall(r"Theorem \w+_(\w+) :", (folder / f"{RUN}.v").read_text(encoding="utf-8"))
+        theorems = " and ".join(found) or "inequalities alone"
         first = f", after {theory:.1f} s for the theory" if theory > 1 else ""
-        said = f"accepted, {theorems} theorems" if not done.returncode else f"REFUSED: {done.stderr.strip()[:200]}"
+        said = f"accepted: {theorems}" if not done.returncode else f"REFUSED: {done.stderr.strip()[:200]}"
         console.print(f"{name:30} {said}, {took:.1f} s{first}")
         refused += done.returncode != 0
     return refused
@@ -98,7 +100,9 @@ def changed(folder: Path, count: int, console: Console) -> int:
     told = [word == "true" for word in re.findall(r"= (true|false)", out)]
     differ = sum(int(a != b) for a, b in zip(told, expected, strict=True))
     whole = sum(a and b for a, b in zip(told[::2], told[1::2], strict=True))
-    console.print(f"{count} changed certificates: {whole} are true all the same and accepted, {count - whole} refused")
+    console.print(
+        f"{count} changed certificates: (8) and (9) hold in {whole} all the same, {count - whole} are refused"
+    )
     console.print(f"{differ} of {2 * count} inequalities differ from the minors")
     return differ
 

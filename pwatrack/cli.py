@@ -343,7 +343,7 @@ def certify(
 
         files = certify(path, out)
         typer.echo(f"Development in {out}/: {', '.join(files)}")
-        typer.echo(f"Coq 8.16 or later with Bignums checks it: make -C {out}")
+        typer.echo(f"Coq 8.16 with Bignums checks it: make -C {out}")
 
 
 @app.command(epilog="Example: pwatrack init --from backlash drive.yaml")

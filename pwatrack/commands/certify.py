@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-from pwatrack.commands.verify import certificate_text
-from pwatrack.errors import CheckFailed, Problem
+from pwatrack.commands.verify import certificate_text, verify
 from pwatrack.export.coq import development
 from pwatrack.export.source import prefix, write_texts
-from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.reading import parsed
 
 
@@ -22,9 +20,8 @@ def certify(path: Path, out: Path) -> list[str]:
 
     Raises:
         InvalidSpec: If a file cannot be read, or nothing in it is of the kind that the theory speaks of.
-        CheckFailed: If the certificate does not hold.
+        CheckFailed: If the certificate does not hold, or is not that of its folder and spec.
     """
+    verify(path)
     file, text = certificate_text(path)
-    if faults := audit(text)[1]:
-        raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
     return write_texts(development(parsed(text), prefix(file.resolve().parent.name)), out)

@@ -79,7 +79,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
             if named is None:
                 said.append("not compared with a spec: none is at hand; name it with --spec")
                 if file.name != REFUSAL:
-                    _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults)
+                    _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults, exactly=True)
             else:
                 described = load(named, content["set"])
                 faults += _against_spec(content, described)

@@ -136,7 +136,7 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
     """Return the refusal to look for a largest rate, where even this one (1/s) is reached."""
     return InvalidSpec(
         Problem(
-            message=f"{task.role.claim} has no largest rate: "
+            message=f"{task.role.claim}: no largest rate was found: "
             f"even {rate:.4g} 1/s can be reached, with ever larger gains",
             subject=(task.role.part, ProblemPart.RATE),
             hint="give a bound of the gain beside it, or the rate that is wanted",

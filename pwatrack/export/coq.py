@@ -4,6 +4,7 @@ The theory is written once, in `theory`: vectors, definiteness by elimination, c
 affine loops, and what is left to computation. A run adds its numbers, as whole numbers over one denominator.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from importlib.resources import files
@@ -26,7 +27,13 @@ THEORY = ("Vectors", "Definite", "Convergence", "Instance")
 RUN = "Run"
 _WIDTH = 110  # of a line
 _MOST_CELLS = 1000  # that are written down
-_TYPES = {"A": "list matrix", "A_seen": "list matrix", "cells": "list (list (row * BigZ.t)%type)", "G": "matrix"}
+_TYPES = {  # of names that are not matrices
+    "A": "list matrix",
+    "A_seen": "list matrix",
+    "A_eta": "list matrix",
+    "cells": "list (list (row * BigZ.t)%type)",
+    "d": "BigZ.t",
+}
 _DECIDED = "Proof. vm_cast_no_check (eq_refl true). Qed."
 
 Cell = list[tuple[list[Fraction], Fraction]]  # row x + constant >= 0, for each
@@ -44,7 +51,7 @@ def development(content: Any, name: str) -> dict[str, str]:
     """
     theory = {f"{part}.v": files("pwatrack.export").joinpath(f"theory/{part}.v").read_text() for part in THEORY}
     order = " ".join(f"{part}.v" for part in (*THEORY, RUN))
-    check = f"check:\n\tset -e; for file in {order}; do coqc $$file; done\n"
+    check = f".PHONY: check\ncheck:\n\tset -e; for file in {order}; do coqc $$file; done\n"
     make = f"# Every file has to pass. The last prints what its theorems rest on.\n{check}"
     return theory | {f"{RUN}.v": "\n".join(_Run(content, name).lines()) + "\n", "Makefile": make}
 
@@ -62,6 +69,9 @@ class _Run:
                 raise InvalidSpec(
                     f"the {of} is not proved by a quadratic form at a rate, of which alone the theory speaks"
                 )
+        self.spec = str(content["spec_sha256"])
+        if not re.fullmatch("[0-9a-f]{64}", self.spec):
+            raise InvalidSpec("its digest of the spec is none")
         plant = _all_cells(content["plant"])
         self.merged = practical is not None
         self.apart = practical is not None and practical["observer_runs"] == "all cells"
@@ -98,10 +108,13 @@ class _Run:
 
     def lines(self) -> Iterator[str]:
         """Yield the lines of the file."""
-        centres = at_centres(self.content).removeprefix(", ") or "exactly as they are written there"
-        yield f"(* {self.name}: the gains of a certificate for a spec with SHA-256"
-        yield f"   {self.content['spec_sha256']}. Its numbers stand here"
-        yield f"   {centres}, over the denominator D."
+        centres = at_centres(self.content)
+        yield f"(* {self.name}: the gains of a certificate for the spec with SHA-256"
+        yield f"   {self.spec}{' with parameters replaced' * bool(self.content['set'])}."
+        yield "   Its numbers stand here over the denominator D, exactly as they are written there."
+        if centres:
+            yield "   The plant is the one at the centres of the balls that its numbers lie in: of the others there"
+            yield "   nothing is proved here ('pwatrack verify' does that)."
         yield f"   {', '.join(f'{part}.v' for part in THEORY)} are compiled before, in this order. *)"
         yield "From Coq Require Import Reals List."
         yield "From Bignums Require Import BigZ."
@@ -125,6 +138,8 @@ class _Run:
         if "generator" in self.rates:
             yield from self._generator()
             names.append(f"{self.name}_generator")
+        elif self.content["generator"] is not None:
+            yield "\n(* Of (17) nothing: there are no internal states, or it is not by a P > 0 that it is proved. *)"
         yield ""
         yield f"Definition all := ({', '.join(names)})."
         yield "Print Assumptions all."
@@ -154,13 +169,14 @@ class _Run:
         of = " of the plant with merged cells" * self.merged
         yield f"(* For the f that is A_i x + b_i in each cell{of}, and from"
         yield "   every start: x - x_d and x_hat - x go to 0, at least as fast as e^(-min(alpha, beta) t / D);"
-        yield "   where plant and observer are disturbed, as close to 0 as that is small. *)"
-        yield f"Theorem {self.name}_tracks : exists c g, forall f x x_hat x_d u_ff disturbance noise most,"
+        yield "   where plant and observer are disturbed, or x_d is off (3), as close to 0 as that is small. *)"
+        yield f"Theorem {self.name}_tracks : exists c g, forall f x x_hat x_d u_ff disturbance noise off jumps most,"
         yield f"  field {N} (length A) (polyhedra D cells) (slopes D A) (offsets D b) f ->"
         yield f"  closed_loop {n} {N} (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G)"
-        yield "    f x x_hat x_d u_ff disturbance noise ->"
+        yield "    f x x_hat x_d u_ff disturbance noise off jumps ->"
         yield "  (forall t, 0 <= t ->"
-        yield f"    dot {N} (disturbance t) (disturbance t) + dot {N} (noise t) (noise t) <= most) ->"
+        yield f"    dot {N} (disturbance t) (disturbance t) + dot {N} (noise t) (noise t)"
+        yield f"      + dot {n} (off t) (off t) <= most) ->"
         yield "  forall t, 0 <= t ->"
         yield f"    errors {n} {N} x x_hat x_d t"
         yield "      <= c * exp (- (2 * Rmin (ratio alpha D) (ratio beta D)) * t)"
@@ -171,11 +187,10 @@ class _Run:
 
     def _generator(self) -> Iterator[str]:
         r = len(self.numbers["A_eta"][1][0])
-        yield "\n(* Any two solutions of the generator for one reference approach each other. *)"
-        yield f"Theorem {self.name}_generator : exists c, forall cells b (f : R -> vec -> vec) x y,"
+        yield "\n(* Any two solutions of the generator for one reference and the same loads approach each other. *)"
+        yield f"Theorem {self.name}_generator : exists c, forall cells b (f : R -> vec -> vec) x y jumps,"
         yield f"  (forall t, field {r} (length A_eta) (cells t) (slopes D A_eta) (b t) (f t)) ->"
-        yield f"  (forall t, 0 <= t -> derivative {r} x t (f t (x t))) ->"
-        yield f"  (forall t, 0 <= t -> derivative {r} y t (f t (y t))) ->"
+        yield f"  locally_finite jumps -> solves {r} f jumps x -> solves {r} f jumps y ->"
         yield f"  forall t, 0 <= t -> dot {r} (minus (x t) (y t)) (minus (x t) (y t))"
         yield f"    <= c * exp (- (2 * ratio gamma D) * t) * dot {r} (minus (x 0) (y 0)) (minus (x 0) (y 0))."
         yield f"Proof. exact (generator_converges {r} D A_eta gamma P_eta generator). Qed."
@@ -225,7 +240,8 @@ def _form(proof: Any) -> list[list[int]]:
     """Return P of a proof, times what makes its entries whole numbers without a common factor."""
     entries = packed(proof["P"])[0]
     whole = _scaled(entries, lcm(*(v.denominator for v in _flat(entries))))
-    return [[v // gcd(*_flat(whole)) for v in row] for row in whole]
+    common = gcd(*_flat(whole))
+    return [[v // common for v in row] for row in whole]
 
 
 def _inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
@@ -238,8 +254,7 @@ def _inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
 
 def _definition(symbol: str, value: Any) -> Iterator[str]:
     """Yield the lines of a definition."""
-    type_ = f" : {_TYPES[symbol]}" if symbol in _TYPES else ""
-    text = f"Definition {symbol}{type_} := {_literal(value)}."
+    text = f"Definition {symbol} : {_TYPES.get(symbol, 'matrix')} := {_literal(value)}."
     yield from wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 

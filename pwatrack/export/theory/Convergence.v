@@ -1,5 +1,6 @@
 (* Continuous piecewise affine loops: what matrix inequalities prove of them. Numbers in brackets are of the paper. *)
 From Coq Require Import Reals List Lra Psatz ZArith Lia.
+Import ListNotations.
 Require Import Vectors.
 Open Scope R_scope.
 
@@ -73,6 +74,10 @@ Record field (n p : nat) (cells : nat -> list halfspace) (A : nat -> mat) (b : n
   covered : forall x, exists i, (i < p)%nat /\ inside n (cells i) x;
   affine : forall x i, (i < p)%nat -> inside n (cells i) x -> forall k, (k < n)%nat -> f x k = mul n (A i) x k + b i k
 }.
+
+(* There are such fields: of one cell, to begin with. *)
+Lemma field_of_one_cell n A b : field n 1 (fun _ => []) (fun _ => A) (fun _ => b) (fun x => plus (mul n A x) b).
+Proof. split; intros; [exists O; split; [lia|constructor]|reflexivity]. Qed.
 
 Definition segment (x y : vec) (s : R) : vec := plus y (scale s (minus x y)).
 
@@ -194,39 +199,94 @@ Proof.
   - rewrite (dot_symmetric n P v (x t)), (dot_comm n v) by auto. ring.
 Qed.
 
-(* What falls at least as fast as it is large falls exponentially. *)
-Lemma decay (V V' : R -> R) r : (forall t, 0 <= t -> derivable_pt_lim V t (V' t)) ->
-  (forall t, 0 <= t -> V' t <= - r * V t) -> forall t, 0 <= t -> V t <= exp (- r * t) * V 0.
+Definition continuous (n : nat) (x : R -> vec) (t : R) := forall k, (k < n)%nat -> continuity_pt (fun s => x s k) t.
+
+Lemma continuous_sum n (g : nat -> R -> R) t : (forall k, (k < n)%nat -> continuity_pt (g k) t) ->
+  continuity_pt (fun s => sum n (fun k => g k s)) t.
 Proof.
-  intros HV Hr t Ht.
+  induction n; intros H; simpl.
+  - apply continuity_pt_const. intros a b. reflexivity.
+  - apply (continuity_pt_plus (fun s => sum n (fun k => g k s)) (g n)); auto.
+Qed.
+
+Lemma continuous_dot n x y t : continuous n x t -> continuous n y t -> continuity_pt (fun s => dot n (x s) (y s)) t.
+Proof.
+  intros Hx Hy. apply (continuous_sum n (fun k s => x s k * y s k)). intros k Hk.
+  apply (continuity_pt_mult (fun s => x s k) (fun s => y s k)); auto.
+Qed.
+
+Lemma continuous_mul n k M x t : continuous k x t -> continuous n (fun s => mul k M (x s)) t.
+Proof.
+  intros H i _. apply (continuous_sum k (fun j s => M i j * x s j)). intros j Hj.
+  apply (continuity_pt_scal (fun s => x s j)). auto.
+Qed.
+
+Lemma continuous_minus n x y t : continuous n x t -> continuous n y t -> continuous n (fun s => minus (x s) (y s)) t.
+Proof. intros Hx Hy k Hk. apply (continuity_pt_minus (fun s => x s k) (fun s => y s k)); auto. Qed.
+
+(* Inputs may jump, but not at infinitely many times before any T. *)
+Definition locally_finite (jumps : R -> Prop) := forall T, exists l, forall t, 0 < t < T -> jumps t -> In t l.
+
+(* A continuous function that does not grow but at finitely many times does not grow. *)
+Lemma falling (U U' : R -> R) (l : list R) : forall a b, a <= b ->
+  (forall t, a <= t <= b -> continuity_pt U t) ->
+  (forall t, a < t < b -> ~ In t l -> derivable_pt_lim U t (U' t) /\ U' t <= 0) -> U b <= U a.
+Proof.
+  induction l as [|x l IH]; intros a b Hab HC HU.
+  - destruct (Rle_lt_or_eq_dec a b Hab) as [Hlt| <-]; [|lra].
+    assert (D : forall c, a < c < b -> derivable_pt U c) by (intros c Hc; exists (U' c); apply HU; auto).
+    destruct (MVT U id a b D (fun c _ => derivable_pt_id c) Hlt HC) as (c & Hc & He);
+      [intros; apply derivable_continuous_pt, derivable_pt_id|].
+    destruct (HU c Hc ltac:(auto)) as (Hd & Hs).
+    rewrite derive_pt_id, (proj2 (derive_pt_eq U c (U' c) (D c Hc)) Hd) in He. unfold id in He. nra.
+  - assert (Hin : forall s, s <> x -> ~ In s l -> ~ In s (x :: l))
+      by (intros s Hs Hl [E|Hs2]; [apply Hs; auto|auto]).
+    destruct (Rlt_dec a x) as [Ha|Ha]; [destruct (Rlt_dec x b) as [Hb|Hb]|].
+    + apply Rle_trans with (U x); apply IH; try lra; intros; try (apply HC; lra);
+        (apply HU; [lra|apply Hin; auto; lra]).
+    + apply IH; auto. intros. apply HU; auto. apply Hin; auto. lra.
+    + apply IH; auto. intros. apply HU; auto. apply Hin; auto. lra.
+Qed.
+
+(* What falls at least as fast as it is large, but for jumps of its derivative, falls exponentially. *)
+Lemma decay (V V' : R -> R) jumps r : locally_finite jumps -> (forall t, 0 <= t -> continuity_pt V t) ->
+  (forall t, 0 < t -> ~ jumps t -> derivable_pt_lim V t (V' t) /\ V' t <= - r * V t) ->
+  forall t, 0 <= t -> V t <= exp (- r * t) * V 0.
+Proof.
+  intros HJ HC HV t Ht. destruct (HJ t) as (l & Hl).
   set (U := fun s => exp (r * s) * V s). set (U' := fun s => r * exp (r * s) * V s + exp (r * s) * V' s).
-  assert (HU : forall s, 0 <= s -> derivable_pt_lim U s (U' s)).
-  { intros s Hs. apply (derivable_pt_lim_mult (fun s => exp (r * s)) V); [|auto].
-    replace (r * exp (r * s)) with (exp (r * s) * (r * 1)) by ring.
+  assert (HE : forall s, derivable_pt_lim (fun s => exp (r * s)) s (r * exp (r * s))).
+  { intros s. replace (r * exp (r * s)) with (exp (r * s) * (r * 1)) by ring.
     apply (derivable_pt_lim_comp (fun s => r * s) exp).
     - apply (derivable_pt_lim_scal id). apply derivable_pt_lim_id.
     - apply derivable_pt_lim_exp. }
   assert (H : U t <= U 0).
-  { destruct (Rle_lt_or_eq_dec 0 t Ht) as [Hlt| <-]; [|lra].
-    destruct (MVT_cor2 U U' 0 t Hlt) as (c & He & Hc); [intros; apply HU; lra|].
-    assert (U' c <= 0).
-    { unfold U'. assert (0 < exp (r * c)) by apply exp_pos. assert (Hrc := Hr c ltac:(lra)). nra. }
-    nra. }
+  { apply (falling U U' l 0 t Ht).
+    - intros s Hs. apply (continuity_pt_mult (fun s => exp (r * s)) V); [|apply HC; lra].
+      apply derivable_continuous_pt. exists (r * exp (r * s)). apply HE.
+    - intros s Hs Hn. destruct (HV s ltac:(lra)) as (Hd & Hle); [intros Hj; apply Hn, Hl; auto|]. split.
+      + apply (derivable_pt_lim_mult (fun s => exp (r * s)) V); auto.
+      + unfold U'. assert (0 < exp (r * s)) by apply exp_pos. nra. }
   unfold U in H. rewrite Rmult_0_r, exp_0, Rmult_1_l in H.
   replace (V t) with (exp (- r * t) * (exp (r * t) * V t)).
   - apply Rmult_le_compat_l; [left; apply exp_pos|exact H].
   - rewrite <- Rmult_assoc, <- exp_plus. replace (- r * t + r * t) with 0 by ring. rewrite exp_0. ring.
 Qed.
 
-Lemma decay_to (V V' : R -> R) r k : 0 < r -> (forall t, 0 <= t -> derivable_pt_lim V t (V' t)) ->
-  (forall t, 0 <= t -> V' t <= - r * V t + k) -> 0 <= k -> forall t, 0 <= t -> V t <= exp (- r * t) * V 0 + k / r.
+Lemma decay_to (V V' : R -> R) jumps r k : 0 < r -> 0 <= k -> locally_finite jumps ->
+  (forall t, 0 <= t -> continuity_pt V t) ->
+  (forall t, 0 < t -> ~ jumps t -> derivable_pt_lim V t (V' t) /\ V' t <= - r * V t + k) ->
+  forall t, 0 <= t -> V t <= exp (- r * t) * V 0 + k / r.
 Proof.
-  intros Hr HV Hk H0 t Ht.
+  intros Hr H0 HJ HC HV t Ht.
   assert (H : V t - k / r <= exp (- r * t) * (V 0 - k / r)).
-  { apply (decay (fun t => V t - k / r) V' r); auto.
-    - intros s Hs. rewrite <- (Rminus_0_r (V' s)).
-      apply (derivable_pt_lim_minus V (fun _ => k / r)); [auto|apply derivable_pt_lim_const].
-    - intros s Hs. specialize (Hk s Hs). replace (- r * (V s - k / r)) with (- r * V s + k) by (field; lra). exact Hk. }
+  { apply (decay (fun t => V t - k / r) V' jumps r); auto.
+    - intros s Hs. apply (continuity_pt_minus V (fun _ => k / r)); [auto|].
+      apply continuity_pt_const. intros a b. reflexivity.
+    - intros s Hs Hj. destruct (HV s Hs Hj) as (Hd & Hk). split.
+      + rewrite <- (Rminus_0_r (V' s)).
+        apply (derivable_pt_lim_minus V (fun _ => k / r)); [auto|apply derivable_pt_lim_const].
+      + replace (- r * (V s - k / r)) with (- r * V s + k) by (field; lra). exact Hk. }
   assert (0 <= exp (- r * t) * (k / r)); [|lra].
   apply Rmult_le_pos; [left; apply exp_pos|]. apply Rmult_le_pos; [auto|]. left. apply Rinv_0_lt_compat. auto.
 Qed.
@@ -262,28 +322,33 @@ Proof.
   assert (0 <= dot n e e) by apply dot_square_nonneg. nra.
 Qed.
 
+Definition solves (n : nat) (f : R -> vec -> vec) (jumps : R -> Prop) (x : R -> vec) :=
+  (forall t, 0 <= t -> continuous n x t) /\ (forall t, 0 < t -> ~ jumps t -> derivative n x t (f t (x t))).
+
 (* Theorem 1, also where the cells and constants depend on time, as those of the generator (15) do: any two solutions
    approach each other. *)
 Theorem convergent n p P r (A : nat -> mat) : positive_definite n P ->
   (forall i, (i < p)%nat -> falls n P r (mul n (A i))) ->
-  exists c, forall cells b (f : R -> vec -> vec) x y,
-    (forall t, field n p (cells t) A (b t) (f t)) ->
-    (forall t, 0 <= t -> derivative n x t (f t (x t))) -> (forall t, 0 <= t -> derivative n y t (f t (y t))) ->
+  exists c, forall cells b (f : R -> vec -> vec) x y jumps,
+    (forall t, field n p (cells t) A (b t) (f t)) -> locally_finite jumps ->
+    solves n f jumps x -> solves n f jumps y ->
     forall t, 0 <= t -> dot n (minus (x t) (y t)) (minus (x t) (y t))
       <= c * exp (- (2 * r) * t) * dot n (minus (x 0) (y 0)) (minus (x 0) (y 0)).
 Proof.
   intros (HS & l & Hl & HP) HA. destruct (all_fall _ _ _ _ _ HA) as (m & Hm & HM).
   destruct (dot_mul_bound n P) as (u & Hu & HU). exists (/ l * u).
-  intros cells b f x y Hf Hx Hy t Ht. set (e := fun s => minus (x s) (y s)).
-  assert (HV := decay (fun s => dot n (e s) (mul n P (e s)))
-    (fun s => 2 * dot n (mul n P (e s)) (minus (f s (x s)) (f s (y s)))) (2 * r)).
-  cbv beta in HV. assert (Hd : dot n (e t) (mul n P (e t)) <= exp (- (2 * r) * t) * dot n (e 0) (mul n P (e 0))).
-  { apply HV; auto.
-    - intros s Hs. apply derivative_form; auto. apply derivative_minus; auto.
-    - intros s Hs. apply Rle_trans with (2 * - (r * dot n (e s) (mul n P (e s)))); [|lra].
-      apply Rmult_le_compat_l; [lra|]. apply mean_value with (1 := Hf s). intros i Hi.
-      specialize (HM i Hi (e s)). assert (0 <= dot n (e s) (e s)) by apply dot_square_nonneg.
-      fold (e s). assert (0 <= m * dot n (e s) (e s)) by (apply Rmult_le_pos; lra). lra. }
+  intros cells b f x y jumps Hf HJ (Cx & Hx) (Cy & Hy) t Ht. set (e := fun s => minus (x s) (y s)).
+  assert (Hd : dot n (e t) (mul n P (e t)) <= exp (- (2 * r) * t) * dot n (e 0) (mul n P (e 0))).
+  { apply (decay (fun s => dot n (e s) (mul n P (e s)))
+      (fun s => 2 * dot n (mul n P (e s)) (minus (f s (x s)) (f s (y s)))) jumps (2 * r)); auto.
+    - intros s Hs. assert (continuous n e s) by (apply continuous_minus; auto).
+      apply continuous_dot; auto. apply continuous_mul. auto.
+    - intros s Hs Hj. split.
+      + apply derivative_form; auto. apply derivative_minus; auto.
+      + apply Rle_trans with (2 * - (r * dot n (e s) (mul n P (e s)))); [|lra].
+        apply Rmult_le_compat_l; [lra|]. apply mean_value with (1 := Hf s). intros i Hi.
+        specialize (HM i Hi (e s)). assert (0 <= dot n (e s) (e s)) by apply dot_square_nonneg.
+        fold (e s). assert (0 <= m * dot n (e s) (e s)) by (apply Rmult_le_pos; lra). lra. }
   fold (e t) (e 0). specialize (HP (e t)). specialize (HU (e 0)). assert (0 < exp (- (2 * r) * t)) by apply exp_pos.
   apply Rmult_le_reg_l with l; auto.
   replace (l * (/ l * u * exp (- (2 * r) * t) * dot n (e 0) (e 0)))
@@ -325,15 +390,18 @@ Hypothesis Q_observer : forall i, (i < p)%nat -> falls N Q s (observer i).  (* (
 Definition input (x_hat x_d u_ff : R -> vec) (t : R) : vec :=
   plus (mul n K (minus (x_hat t) (x_d t))) (u_ff t).  (* (19) *)
 
-(* d acts on the plant and v on the observer: disturbances, noise, rounding. *)
-Record closed_loop (f : vec -> vec) (x x_hat x_d u_ff d v : R -> vec) : Prop := {
-  plant_runs : forall t, 0 <= t -> derivative N x t
+(* d acts on the plant, v on the observer, and (3) is missed by o: disturbances, noise, rounding, what is left of a
+   reference that is played back. They, and u_ff, may jump. *)
+Record closed_loop (f : vec -> vec) (x x_hat x_d u_ff d v o : R -> vec) (jumps : R -> Prop) : Prop := {
+  few_jumps : locally_finite jumps;
+  no_jumps_of_states : forall t, 0 <= t -> continuous N x t /\ continuous N x_hat t /\ continuous n x_d t;
+  plant_runs : forall t, 0 < t -> ~ jumps t -> derivative N x t
     (plus (plus (f (x t)) (mul m B (input x_hat x_d u_ff t))) (d t));  (* (1) *)
-  observer_runs : forall t, 0 <= t -> derivative N x_hat t
+  observer_runs : forall t, 0 < t -> ~ jumps t -> derivative N x_hat t
     (plus (plus (plus (f (x_hat t)) (mul m B (input x_hat x_d u_ff t)))
       (mul q L (minus (mul N C (x_hat t)) (mul N C (x t))))) (v t));  (* (18) *)
-  desired_runs : forall t, 0 <= t -> derivative n x_d t
-    (plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G (minus (x_hat t) (x t))));  (* (3) *)
+  desired_runs : forall t, 0 < t -> ~ jumps t -> derivative n x_d t
+    (plus (plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G (minus (x_hat t) (x t)))) (o t));  (* (3) *)
   loads_as_estimated : forall t k, 0 <= t -> (n <= k < N)%nat -> x_d t k = x_hat t k
 }.
 
@@ -343,15 +411,15 @@ Definition errors (x x_hat x_d : R -> vec) (t : R) : R :=
 Definition observer_velocity (f : vec -> vec) (x x_hat d v : R -> vec) (t : R) : vec :=
   plus (plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t))))) (minus (v t) (d t)).
 
-Lemma observer_error f x x_hat x_d u_ff d v t w M :
-  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v -> 0 <= t ->
+Lemma observer_error f x x_hat x_d u_ff d v o jumps t w M :
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v o jumps -> 0 < t -> ~ jumps t ->
   (forall i, (i < p)%nat -> dot N w (observer i (minus (x_hat t) (x t))) <= M) ->
   derivative N (fun t => minus (x_hat t) (x t)) t (observer_velocity f x x_hat d v t)
   /\ dot N w (observer_velocity f x x_hat d v t) <= M + dot N w (minus (v t) (d t)).
 Proof.
-  intros Hf Hc Ht H. unfold observer_velocity. split.
-  - intros k Hk. assert (H1 := observer_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
-    assert (H2 := plant_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
+  intros Hf Hc Ht Hj H. unfold observer_velocity. split.
+  - intros k Hk. assert (H1 := observer_runs _ _ _ _ _ _ _ _ _ Hc t Ht Hj k Hk).
+    assert (H2 := plant_runs _ _ _ _ _ _ _ _ _ Hc t Ht Hj k Hk).
     assert (H3 := derivable_pt_lim_minus _ _ _ _ _ H1 H2).
     replace (plus (plus (minus (f (x_hat t)) (f (x t))) (mul q L (mul N C (minus (x_hat t) (x t)))))
       (minus (v t) (d t)) k) with
@@ -370,10 +438,10 @@ Qed.
 (* What the error of the observer does to the loop *)
 Definition loads_only (o : vec) : vec := fun k => if Nat.ltb k n then 0 else o k.
 
-Definition tracking_velocity (f : vec -> vec) (x x_hat x_d d : R -> vec) (t : R) : vec :=
-  let o := minus (x_hat t) (x t) in
+Definition tracking_velocity (f : vec -> vec) (x x_hat x_d d o : R -> vec) (t : R) : vec :=
+  let delta := minus (x_hat t) (x t) in
   plus (plus (plus (minus (f (x t)) (f (x_d t))) (mul m B (mul n K (minus (x t) (x_d t)))))
-    (minus (mul m B (mul n K o)) (mul N G o))) (d t).
+    (minus (mul m B (mul n K delta)) (mul N G delta))) (minus (d t) (o t)).
 
 Lemma dot_first_n w v : dot N (fun k => if Nat.ltb k n then w k else 0) v = dot n w v.
 Proof. replace N with (n + (N - n))%nat by lia. apply dot_head. Qed.
@@ -384,42 +452,52 @@ Proof.
   apply sum_ext. intros k _. unfold loads_only. destruct (Nat.ltb k n); ring.
 Qed.
 
-Lemma tracking_error f x x_hat x_d u_ff d v t w M :
-  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v -> 0 <= t ->
+Lemma tracking_error f x x_hat x_d u_ff d v o jumps t w M :
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v o jumps -> 0 < t -> ~ jumps t ->
   (forall i, (i < p)%nat -> dot n w (loop i (minus (x t) (x_d t)))
     - dot n w (mul N (A i) (loads_only (minus (x_hat t) (x t)))) <= M) ->
-  derivative n (fun t => minus (x t) (x_d t)) t (tracking_velocity f x x_hat x_d d t)
-  /\ dot n w (tracking_velocity f x x_hat x_d d t) <= M
-    + dot n w (minus (mul m B (mul n K (minus (x_hat t) (x t)))) (mul N G (minus (x_hat t) (x t)))) + dot n w (d t).
+  derivative n (fun t => minus (x t) (x_d t)) t (tracking_velocity f x x_hat x_d d o t)
+  /\ dot n w (tracking_velocity f x x_hat x_d d o t) <= M
+    + dot n w (minus (mul m B (mul n K (minus (x_hat t) (x t)))) (mul N G (minus (x_hat t) (x t))))
+    + dot n w (minus (d t) (o t)).
 Proof.
-  intros Hf Hc Ht H. unfold tracking_velocity.
-  set (o := minus (x_hat t) (x t)) in *. set (g := mul m B (mul n K (minus (x t) (x_d t)))). split.
+  intros Hf Hc Ht Hj H. unfold tracking_velocity.
+  set (delta := minus (x_hat t) (x t)) in *. set (g := mul m B (mul n K (minus (x t) (x_d t)))). split.
   - intros k Hk. assert (HkN : (k < N)%nat) by lia.
-    assert (H1 := plant_runs _ _ _ _ _ _ _ Hc t Ht k HkN). assert (H2 := desired_runs _ _ _ _ _ _ _ Hc t Ht k Hk).
-    assert (H3 := derivable_pt_lim_minus _ _ _ _ _ H1 H2). fold o in H3.
-    replace (plus (plus (plus (minus (f (x t)) (f (x_d t))) g) (minus (mul m B (mul n K o)) (mul N G o))) (d t) k) with
+    assert (H1 := plant_runs _ _ _ _ _ _ _ _ _ Hc t Ht Hj k HkN).
+    assert (H2 := desired_runs _ _ _ _ _ _ _ _ _ Hc t Ht Hj k Hk).
+    assert (H3 := derivable_pt_lim_minus _ _ _ _ _ H1 H2). fold delta in H3.
+    replace (plus (plus (plus (minus (f (x t)) (f (x_d t))) g) (minus (mul m B (mul n K delta)) (mul N G delta)))
+      (minus (d t) (o t)) k) with
       (plus (plus (f (x t)) (mul m B (input x_hat x_d u_ff t))) (d t) k
-       - plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G o) k); [exact H3|].
-    unfold plus. unfold minus at 1 2.
-    replace (mul m B (input x_hat x_d u_ff t) k) with (mul m B (u_ff t) k + g k + mul m B (mul n K o) k); [ring|].
-    unfold g, o. rewrite <- !mul_plus. apply mul_ext. intros j _. unfold input, plus. rewrite !mul_minus. ring.
+       - plus (plus (plus (f (x_d t)) (mul m B (u_ff t))) (mul N G delta)) (o t) k); [exact H3|].
+    unfold plus. unfold minus at 1 2 3.
+    replace (mul m B (input x_hat x_d u_ff t) k) with (mul m B (u_ff t) k + g k + mul m B (mul n K delta) k);
+      [unfold minus; ring|].
+    unfold g, delta. rewrite <- !mul_plus. apply mul_ext. intros j _. unfold input, plus. rewrite !mul_minus. ring.
   - rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus. apply Rplus_le_compat_r. rewrite dot_plus.
     assert (dot n w (minus (f (x t)) (f (x_d t))) <= M - dot n w g); [|lra].
     rewrite <- dot_first_n. apply mean_value with (1 := Hf). intros i Hi. specialize (H i Hi). unfold loop in H.
     rewrite dot_plus in H. fold g in H. rewrite dot_first_n.
     rewrite (dot_ext n w w (mul N (A i) (minus (x t) (x_d t)))
-      (minus (mul n (A i) (minus (x t) (x_d t))) (mul N (A i) (loads_only o)))).
+      (minus (mul n (A i) (minus (x t) (x_d t))) (mul N (A i) (loads_only delta)))).
     + rewrite dot_minus. lra.
     + auto.
     + intros k Hk.
       change (dot N (A i k) (minus (x t) (x_d t)) =
-        dot n (A i k) (minus (x t) (x_d t)) - dot N (A i k) (loads_only o)).
+        dot n (A i k) (minus (x t) (x_d t)) - dot N (A i k) (loads_only delta)).
       rewrite dot_split.
-      rewrite (dot_ext N (A i k) (A i k) (loads_only (minus (x t) (x_d t))) (scale (-1) (loads_only o))).
+      rewrite (dot_ext N (A i k) (A i k) (loads_only (minus (x t) (x_d t))) (scale (-1) (loads_only delta))).
       * rewrite dot_scale. ring.
       * auto.
-      * intros j Hj. unfold loads_only, scale, o, minus. destruct (Nat.ltb_spec j n); [ring|].
-        rewrite (loads_as_estimated _ _ _ _ _ _ _ Hc t j Ht) by lia. ring.
+      * intros j Hn. unfold loads_only, scale, delta, minus. destruct (Nat.ltb_spec j n); [ring|].
+        rewrite (loads_as_estimated _ _ _ _ _ _ _ _ _ Hc t j (Rlt_le _ _ Ht)) by lia. ring.
+Qed.
+
+Lemma difference_small k x y : dot k (minus x y) (minus x y) <= 2 * (dot k x x + dot k y y).
+Proof.
+  unfold dot. rewrite <- sum_plus, <- sum_scale. apply sum_le. intros i _. unfold minus.
+  assert (0 <= (x i + y i) * (x i + y i)) by apply Rle_0_sqr. lra.
 Qed.
 
 Lemma loads_only_small v : dot N (loads_only v) (loads_only v) <= dot N v v.
@@ -446,9 +524,9 @@ Proof.
 Qed.
 
 (* Exponentially without d and v; with them, input-to-state stable, as Theorem 2 has it. *)
-Theorem tracking : 0 < r -> 0 < s -> exists c g, forall f x x_hat x_d u_ff d v W,
-  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v ->
-  (forall t, 0 <= t -> dot N (d t) (d t) + dot N (v t) (v t) <= W) ->
+Theorem tracking : 0 < r -> 0 < s -> exists c g, forall f x x_hat x_d u_ff d v off jumps W,
+  field N p cells A b f -> closed_loop f x x_hat x_d u_ff d v off jumps ->
+  (forall t, 0 <= t -> dot N (d t) (d t) + dot N (v t) (v t) + dot n (off t) (off t) <= W) ->
   forall t, 0 <= t -> errors x x_hat x_d t <= c * exp (- (2 * Rmin r s) * t) * errors x x_hat x_d 0 + g * W.
 Proof.
   intros Hr0 Hs0. destruct P_definite as (PS & l & Hl & HP). destruct Q_definite as (QS & k & Hk & HQ).
@@ -469,28 +547,28 @@ Proof.
   set (low := Rmin (l / h) (w * k)).
   assert (Hlow : 0 < low) by (apply Rmin_pos; [apply Rdiv_lt_0_compat; auto|apply Rmult_lt_0_compat; auto]).
   set (high := u * h' + w * y). set (R0 := Rmin r s). assert (HR0 : 0 < R0) by (apply Rmin_pos; auto).
-  set (kappa := 2 * / mu + 2 * (w * (q' * / nu))).
+  set (kappa := 4 * / mu + 2 * (w * (q' * / nu))).
   assert (Hkappa : 0 < kappa).
   { assert (0 < w * (q' * / nu)) by (repeat apply Rmult_lt_0_compat; lra). unfold kappa. lra. }
-  exists (high / low), (kappa / (2 * R0) / low). intros f x x_hat x_d u_ff d v W Hf Hc HW t Ht.
+  exists (high / low), (kappa / (2 * R0) / low). intros f x x_hat x_d u_ff d v off jumps W Hf Hc HW t Ht.
   set (e := fun t => minus (x t) (x_d t)). set (o := fun t => minus (x_hat t) (x t)).
   set (z := fun t => mul n P_inverse (e t)).
   set (V := fun t => dot n (z t) (mul n P (z t)) + w * dot N (o t) (mul N Q (o t))).
   assert (Ez : forall t i, (i < n)%nat -> mul n P (z t) i = e t i) by (intros; apply P_has_inverse; auto).
-  set (V' := fun t => 2 * dot n (mul n P (z t)) (mul n P_inverse (tracking_velocity f x x_hat x_d d t))
+  set (V' := fun t => 2 * dot n (mul n P (z t)) (mul n P_inverse (tracking_velocity f x x_hat x_d d off t))
     + w * (2 * dot N (mul N Q (o t)) (observer_velocity f x x_hat d v t))).
-  assert (Hfall : forall t, 0 <= t -> derivable_pt_lim V t (V' t) /\ V' t <= - (2 * R0) * V t + kappa * W).
-  { intros a Ha.
+  assert (Hfall : forall t, 0 < t -> ~ jumps t -> derivable_pt_lim V t (V' t) /\ V' t <= - (2 * R0) * V t + kappa * W).
+  { intros a Ha Hj.
     (* z.y <= mu/4 |z|^2 + |y|^2 / mu *)
     assert (Hyoung : forall y, dot n (z a) y <= mu / 4 * dot n (z a) (z a) + / mu * dot n y y).
     { intros y'. assert (H := young n (mu / 2) (z a) y' ltac:(lra)).
       replace (/ (mu / 2)) with (2 * / mu) in H by (field; lra). lra. }
-    destruct (observer_error f x x_hat x_d u_ff d v a (mul N Q (o a))
-      (- nu * dot N (o a) (o a) - s * dot N (o a) (mul N Q (o a))) Hf Hc Ha) as (Ho & Ho').
+    destruct (observer_error f x x_hat x_d u_ff d v off jumps a (mul N Q (o a))
+      (- nu * dot N (o a) (o a) - s * dot N (o a) (mul N Q (o a))) Hf Hc Ha Hj) as (Ho & Ho').
     { intros i Hi. specialize (HN i Hi (o a)). fold (o a). lra. }
-    destruct (tracking_error f x x_hat x_d u_ff d v a (z a)
+    destruct (tracking_error f x x_hat x_d u_ff d v off jumps a (z a)
       (- (3 * mu / 4) * dot n (z a) (z a) - r * dot n (z a) (mul n P (z a)) + / mu * (g4 * dot N (o a) (o a)))
-      Hf Hc Ha) as (He & He').
+      Hf Hc Ha Hj) as (He & He').
     { intros i Hi. specialize (HM i Hi (z a)). fold (e a) (o a).
       rewrite (dot_ext n (z a) (z a) (loop i (e a)) (loop i (mul n P (z a)))).
       - assert (H := Hyoung (scale (-1) (mul N (A i) (loads_only (o a))))).
@@ -503,8 +581,8 @@ Proof.
       - intros j _. unfold loop, plus.
         rewrite (mul_ext n (A i) (mul n P (z a)) (e a)) by auto.
         rewrite (mul_ext m B (mul n K (mul n P (z a))) (mul n K (e a))); [reflexivity|]. intros. apply mul_ext. auto. }
-    set (o' := observer_velocity f x x_hat d v a) in *. set (e' := tracking_velocity f x x_hat x_d d a) in *.
-    fold (o a) in He'. rewrite dot_minus in He'.
+    set (o' := observer_velocity f x x_hat d v a) in *. set (e' := tracking_velocity f x x_hat x_d d off a) in *.
+    fold (o a) in He'. rewrite (dot_minus n (z a) (mul m B _)) in He'.
     assert (Hz' : derivative n z a (mul n P_inverse e')) by (apply derivative_mul; exact He).
     unfold V'. fold o' e'. split.
     - apply (derivable_pt_lim_plus (fun t => dot n (z t) (mul n P (z t))) (fun t => w * dot N (o t) (mul N Q (o t)))).
@@ -515,16 +593,15 @@ Proof.
       assert (Hy1 := Hyoung (mul m B (mul n K (o a)))).
       assert (Hy2 := Hyoung (scale (-1) (mul N G (o a)))).
       rewrite !dot_scale, (dot_comm n (scale _ _)), dot_scale in Hy2.
-      assert (Hy3 := Hyoung (d a)). specialize (HW a Ha).
-      assert (Hdn := first_n_small (d a)). assert (Hvv := dot_square_nonneg N (v a)).
+      assert (Hy3 := Hyoung (minus (d a) (off a))). specialize (HW a (Rlt_le _ _ Ha)).
+      assert (Hdn := first_n_small (d a)). assert (Hoff := dot_square_nonneg n (off a)). assert (Hvv := dot_square_nonneg N (v a)).
       assert (Hdd := dot_square_nonneg N (d a)).
       (* what d and v do to the observer *)
       set (c := minus (v a) (d a)) in *.
+      assert (Hdo : dot n (minus (d a) (off a)) (minus (d a) (off a)) <= 2 * W).
+      { assert (H := difference_small n (d a) (off a)). lra. }
       assert (Hcc : dot N c c <= 2 * W).
-      { assert (H := young N 1 (v a) (scale (-1) (d a)) ltac:(lra)). rewrite Rinv_1 in H.
-        rewrite !dot_scale, (dot_comm N (scale _ _)), dot_scale in H.
-        unfold c. rewrite dot_minus, (dot_comm N _ (v a)), (dot_comm N _ (d a)), !dot_minus,
-          (dot_comm N (d a) (v a)). lra. }
+      { assert (H := difference_small N (v a) (d a)). unfold c. lra. }
       assert (Hco : dot N (mul N Q (o a)) c <= nu / 2 * dot N (o a) (o a) + q' * / nu * W).
       { assert (H := young N (nu / q') (mul N Q (o a)) c ltac:(apply Rdiv_lt_0_compat; auto)).
         replace (/ (nu / q')) with (q' * / nu) in H by (field; lra).
@@ -543,7 +620,7 @@ Proof.
         apply Rmult_le_compat_l; [lra|apply first_n_small]. }
       assert (H2 : / mu * dot n (mul N G (o a)) (mul N G (o a)) <= / mu * (g3 * oo))
         by (apply Rmult_le_compat_l; [lra|apply HG3]).
-      assert (H6 : / mu * dot n (d a) (d a) <= / mu * W) by (apply Rmult_le_compat_l; lra).
+      assert (H6 : / mu * dot n (minus (d a) (off a)) (minus (d a) (off a)) <= / mu * (2 * W)) by (apply Rmult_le_compat_l; lra).
       assert (Ew : w * (nu / 2 * oo) = / mu * (g1 * g2 * oo) + / mu * (g3 * oo) + / mu * (g4 * oo))
         by (unfold w, g; field; lra).
       assert (HVz : 0 <= Vz) by (apply Rle_trans with (2 := HP (z a)); apply Rmult_le_pos; fold zz; lra).
@@ -558,13 +635,21 @@ Proof.
       replace (w * (- nu * oo - s * Vo + (nu / 2 * oo + q' * / nu * W)))
         with (- (w * (nu / 2 * oo)) - w * (s * Vo) + w * (q' * / nu) * W) in Hw1 by (field; lra).
       replace (- (2 * R0) * (Vz + w * Vo)) with (- 2 * (R0 * Vz) - 2 * (w * (R0 * Vo))) by ring.
-      replace ((2 * / mu + 2 * (w * (q' * / nu))) * W) with (2 * (/ mu * W) + 2 * (w * (q' * / nu) * W)) by ring.
+      replace ((4 * / mu + 2 * (w * (q' * / nu))) * W) with (2 * (/ mu * (2 * W)) + 2 * (w * (q' * / nu) * W)) by ring.
       lra. }
   assert (HW0 : 0 <= W).
   { specialize (HW 0 (Rle_refl 0)). assert (0 <= dot N (d 0) (d 0)) by apply dot_square_nonneg.
-    assert (0 <= dot N (v 0) (v 0)) by apply dot_square_nonneg. lra. }
-  assert (HVt := decay_to V V' (2 * R0) (kappa * W) ltac:(lra) (fun t Ht => proj1 (Hfall t Ht))
-    (fun t Ht => proj2 (Hfall t Ht)) ltac:(apply Rmult_le_pos; lra) t Ht).
+    assert (0 <= dot N (v 0) (v 0)) by apply dot_square_nonneg.
+    assert (0 <= dot n (off 0) (off 0)) by apply dot_square_nonneg. lra. }
+  assert (HVt : V t <= exp (- (2 * R0) * t) * V 0 + kappa * W / (2 * R0)).
+  { apply (decay_to V V' jumps); auto; [lra|apply Rmult_le_pos; lra|apply (few_jumps _ _ _ _ _ _ _ _ _ Hc)|].
+    intros a Ha. destruct (no_jumps_of_states _ _ _ _ _ _ _ _ _ Hc a Ha) as (Cx & Cxh & Cd).
+    assert (Ce : continuous n z a).
+    { apply continuous_mul, continuous_minus; [intros k' Hk'; apply Cx; lia|exact Cd]. }
+    assert (Co : continuous N o a) by (apply continuous_minus; auto).
+    apply (continuity_pt_plus (fun t => dot n (z t) (mul n P (z t))) (fun t => w * dot N (o t) (mul N Q (o t)))).
+    - apply continuous_dot; [|apply continuous_mul]; auto.
+    - apply (continuity_pt_scal (fun t => dot N (o t) (mul N Q (o t)))). apply continuous_dot; [|apply continuous_mul]; auto. }
   assert (Hbelow : low * errors x x_hat x_d t <= V t).
   { unfold errors, V. fold (e t) (o t).
     assert (He : dot n (e t) (e t) <= h * dot n (z t) (z t)).

@@ -302,11 +302,12 @@ Definition polyhedra (D : BigZ.t) (cells : list (list (row * BigZ.t))) (i : nat)
 Theorem tracks n N D (A : list matrix) b cells B K C L G w P W d v Q :
   Nat.leb n N && BigZ.ltb 0 w && BigZ.ltb 0 v = true ->
   controller_proved n D w A B K P W d = true -> observer_proved N D v A C L Q = true ->
-  exists c g, forall f x x_hat x_d u_ff disturbance noise most,
+  exists c g, forall f x x_hat x_d u_ff disturbance noise off jumps most,
     field N (length A) (polyhedra D cells) (slopes D A) (offsets D b) f ->
     closed_loop n N (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G)
-      f x x_hat x_d u_ff disturbance noise ->
-    (forall t, 0 <= t -> dot N (disturbance t) (disturbance t) + dot N (noise t) (noise t) <= most) ->
+      f x x_hat x_d u_ff disturbance noise off jumps ->
+    (forall t, 0 <= t -> dot N (disturbance t) (disturbance t) + dot N (noise t) (noise t)
+      + dot n (off t) (off t) <= most) ->
     forall t, 0 <= t ->
       errors n N x x_hat x_d t
         <= c * exp (- (2 * Rmin (ratio w D) (ratio v D)) * t) * errors n N x x_hat x_d 0 + g * most.
@@ -325,9 +326,9 @@ Qed.
 
 Theorem generator_converges n D (A : list matrix) w P :
   observer_proved n D w A [] [] P = true ->
-  exists c, forall cells b (f : R -> vec -> vec) x y,
-    (forall t, field n (length A) (cells t) (slopes D A) (b t) (f t)) ->
-    (forall t, 0 <= t -> derivative n x t (f t (x t))) -> (forall t, 0 <= t -> derivative n y t (f t (y t))) ->
+  exists c, forall cells b (f : R -> vec -> vec) x y jumps,
+    (forall t, field n (length A) (cells t) (slopes D A) (b t) (f t)) -> locally_finite jumps ->
+    solves n f jumps x -> solves n f jumps y ->
     forall t, 0 <= t -> dot n (minus (x t) (y t)) (minus (x t) (y t))
       <= c * exp (- (2 * ratio w D) * t) * dot n (minus (x 0) (y 0)) (minus (x 0) (y 0)).
 Proof.

@@ -133,14 +133,3 @@ Proof.
     assert (0 <= dot n x x - k * dot n a x) by lra.
     rewrite <- E at 1. nra.
 Qed.
-
-Lemma times_bound n M : exists c, 0 < c /\ forall x, dot n (times n M x) (times n M x) <= c * dot n x x.
-Proof.
-  exists (1 + sum n (fun i => dot n (value (rows M i)) (value (rows M i)))).
-  assert (Hs : 0 <= sum n (fun i => dot n (value (rows M i)) (value (rows M i))))
-    by (apply sum_nonneg; intros; apply dot_square_nonneg).
-  split; [lra|]. intros x. assert (Hx := dot_square_nonneg n x).
-  apply Rle_trans with (sum n (fun i => dot n x x * dot n (value (rows M i)) (value (rows M i)))).
-  - apply sum_le. intros i _. unfold times. rewrite (Rmult_comm (dot n x x)). apply dot_bound.
-  - rewrite sum_scale. nra.
-Qed.
