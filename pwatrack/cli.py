@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from pwatrack.cli_export import Set, exports
-from pwatrack.report.terminal import STYLE, console, refusals
+from pwatrack.report.terminal import console, refusals, refusals_as
 from pwatrack.version import __version__
 
 if TYPE_CHECKING:
@@ -57,13 +57,14 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def main(
+    context: typer.Context,
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
     style: Annotated[
         Literal["text", "json", "github"], typer.Option("--format", help="How errors are said, on stderr.")
     ] = "text",
 ) -> None:
     """Output tracking control of continuous piecewise affine systems, with proofs."""
-    STYLE.set(style)
+    context.with_resource(refusals_as(style))  # until the command ends: a process may call several
 
 
 @app.command(epilog="Example: pwatrack check specs/two_mass_backlash.yaml")

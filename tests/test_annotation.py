@@ -75,6 +75,7 @@ def test_errors_as_json_are_one_object(wrong: str) -> None:
     said = json.loads(run.stderr)
     assert (said["exit"], said["verdict"]) == (2, "invalid spec")
     assert all(problem["place"]["line"] > 0 for problem in said["problems"])
+    assert CliRunner().invoke(app, ["check", wrong]).stderr.startswith("error: ")  # and no later ones in this process
 
 
 def test_errors_for_github_are_commands(wrong: str) -> None:

@@ -32,6 +32,16 @@ _LONGEST = 2_000  # characters of one message
 
 
 @contextmanager
+def refusals_as(style: Style) -> Iterator[None]:
+    """Say refusals inside in this style, and as before when it ends."""
+    before = STYLE.set(style)
+    try:
+        yield
+    finally:
+        STYLE.reset(before)
+
+
+@contextmanager
 def compiling(screen: Console, *, meant: bool = True) -> Iterator[None]:
     """Say on a console that the simulation is compiled, if that takes a while; not where refusals are for machines."""
     with while_compiling(partial(_say, screen)) if meant and STYLE.get() == "text" else nullcontext():
