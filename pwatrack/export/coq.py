@@ -72,39 +72,23 @@ class _Run:
         self.spec = str(content["spec_sha256"])
         if not re.fullmatch("[0-9a-f]{64}", self.spec):
             raise InvalidSpec("its digest of the spec is none")
-        plant = _all_cells(content["plant"])
         self.merged = practical is not None
         self.apart = practical is not None and practical["observer_runs"] == "all cells"
-        K, L = matrix(content["K"]), matrix(content["L"])
-        form = None if content["generator"] is None else self._form(plant)
-        last, loads = -plant.count, plant.loads[1][0] if plant.loads is not None else []
-        self.numbers: dict[str, tuple[str, Any]] = {  # by their names, with what they are
-            "A": ("slopes of the field, cell by cell", [X for X, _ in plant.seen_A[last:]]),
-            "b": ("its constants", [[v for row in b for v in row] for b, _ in plant.b[last:]]),
-            "cells": ("each is where all of its rows x + constant are at least 0", _cells(plant)),
-            "B": ("the input enters here", plant.B[0] + [[Fraction(0)] * len(plant.B[0][0]) for _ in loads]),
-            "C": ("what is measured", plant.seen_C[0]),
-            "K": ("feedback", K),
-            "L": ("observer", L),
-            "G": ("what errors of estimated loads move x_d by", _moved(form and form[1], plant, L)),
-        }
+        plant = _all_cells(content["plant"])
+        A_eta, shift = _generator(plant, content)
+        if not A_eta:
+            self.proofs["generator"] = None
+        self.numbers = _numbers(plant, content, shift)
         if self.apart:
             seen = _all_cells(practical["plant"])
             self.numbers["A_seen"] = ("slopes of the plant that the observer runs", [X for X, _ in seen.seen_A])
-        if form is None:
-            self.proofs["generator"] = None
-        elif self.proofs["generator"] is not None:
-            slopes = [X for X, _ in form[0][last:]]
-            self.numbers["A_eta"] = ("slopes of the generator (15), by the normal form (11) of the plant", slopes)
+        if self.proofs["generator"] is not None:
+            self.numbers["A_eta"] = ("slopes of the generator (15), by the normal form (11) of the plant", A_eta)
         self.n, self.N = len(plant.B[0]), len(plant.seen_A[0][0])
         self.rates = {of: number(proof["rate"]) for of, proof in self.proofs.items() if proof is not None}
         self.D = lcm(
             *(v.denominator for v in _flat([*(value for _, value in self.numbers.values()), *self.rates.values()]))
         )
-
-    def _form(self, plant: AuditedPlant) -> Any:
-        """Return A_eta, and by what loads shift x_d."""
-        return normal_form(plant, self.content["generator"], self.content.get("eta_with_loads"))
 
     def lines(self) -> Iterator[str]:
         """Yield the lines of the file."""
@@ -147,7 +131,7 @@ class _Run:
     def _lemmas(self) -> Iterator[str]:
         """Yield the forms, and what the kernel computes of them."""
         P, n, N = _form(self.proofs["controller"]), self.n, self.N
-        W, d = _inverse(P)
+        W, d = inverse(P)
         yield "\n(* (8) by P, with d times its inverse, at the rate alpha / D *)"
         for symbol, value in (("P", P), ("W", W), ("d", d)):
             yield from _definition(symbol, value)
@@ -194,6 +178,30 @@ class _Run:
         yield f"  forall t, 0 <= t -> dot {r} (minus (x t) (y t)) (minus (x t) (y t))"
         yield f"    <= c * exp (- (2 * ratio gamma D) * t) * dot {r} (minus (x 0) (y 0)) (minus (x 0) (y 0))."
         yield f"Proof. exact (generator_converges {r} D A_eta gamma P_eta generator). Qed."
+
+
+def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
+    """Return A_eta of each cell, and what loads shift x_d by; neither where there is no generator."""
+    if content["generator"] is None:
+        return [], None
+    slopes, shift, *_ = normal_form(plant, content["generator"], content.get("eta_with_loads"))
+    return [X for X, _ in slopes[-plant.count :]], shift
+
+
+def _numbers(plant: AuditedPlant, content: Any, shift: Any) -> dict[str, tuple[str, Any]]:
+    """Return what is written of every run, by its name, with what it is."""
+    last, loads = -plant.count, plant.loads[1][0] if plant.loads is not None else []
+    L = matrix(content["L"])
+    return {
+        "A": ("slopes of the field, cell by cell", [X for X, _ in plant.seen_A[last:]]),
+        "b": ("its constants", [[v for row in b for v in row] for b, _ in plant.b[last:]]),
+        "cells": ("each is where all of its rows x + constant are at least 0", _cells(plant)),
+        "B": ("the input enters here", plant.B[0] + [[Fraction(0)] * len(plant.B[0][0]) for _ in loads]),
+        "C": ("what is measured", plant.seen_C[0]),
+        "K": ("feedback", matrix(content["K"])),
+        "L": ("observer", L),
+        "G": ("what errors of estimated loads move x_d by", _moved(shift, plant, L)),
+    }
 
 
 def _all_cells(content: Any) -> AuditedPlant:
@@ -244,8 +252,8 @@ def _form(proof: Any) -> list[list[int]]:
     return [[v // common for v in row] for row in whole]
 
 
-def _inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
-    """Return W and d > 0 with P W = d I, in whole numbers."""
+def inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
+    """Return W and d > 0 with P W = d I, all whole numbers, of P > 0."""
     inverse: Any = flint.fmpz_mat(P).inv()
     entries = [[Fraction(int(v.p), int(v.q)) for v in row] for row in inverse.tolist()]
     d = lcm(*(v.denominator for v in _flat(entries)))
@@ -254,16 +262,17 @@ def _inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
 
 def _definition(symbol: str, value: Any) -> Iterator[str]:
     """Yield the lines of a definition."""
-    text = f"Definition {symbol} : {_TYPES.get(symbol, 'matrix')} := {_literal(value)}."
+    text = f"Definition {symbol} : {_TYPES.get(symbol, 'matrix')} := {literal(value)}."
     yield from wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
-def _literal(value: Any) -> str:
+def literal(value: Any) -> str:
+    """Return a number, or lists and pairs of them, as Coq reads it."""
     match value:
         case list():
-            return f"[{'; '.join(map(_literal, value))}]"
+            return f"[{'; '.join(map(literal, value))}]"
         case tuple():
-            return f"({', '.join(map(_literal, value))})"
+            return f"({', '.join(map(literal, value))})"
     return f"({value})" if value < 0 else str(value)
 
 
