@@ -40,8 +40,7 @@ from pwatrack import (
 from pwatrack.commands.verify import verify
 from pwatrack.rational import fraction_of
 from pwatrack.spec.expression import Expression
-from pwatrack.spec.values import document_of, yaml_text
-from pwatrack.spec.yaml_tree import parse_yaml
+from pwatrack.spec.yaml_tree import document_of, parse_yaml, yaml_text
 from tests.conftest import SPECS
 
 SHIPPED = sorted(SPECS.rglob("*.yaml"))

@@ -13,7 +13,7 @@ from pwatrack.report.run_folder import SPEC, RunFolder
 from pwatrack.spec.load import load_spec, referenced_names, spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.spec.table import Folder, table_content
-from pwatrack.spec.values import WRITTEN
+from pwatrack.spec.yaml_tree import WRITTEN
 
 
 def keep(run: RunFolder, spec: Spec) -> None:

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.interruption import uninterrupted
-from pwatrack.spec.values import WRITTEN
+from pwatrack.spec.yaml_tree import WRITTEN
 
 Plots = Literal["all", "failed", "none"]  # which runs have pictures
 

@@ -9,7 +9,7 @@ from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import read_plant, read_spec
 from pwatrack.spec.spec import Spec
-from pwatrack.spec.values import document_of, subscripts
+from pwatrack.spec.yaml_tree import document_of, subscripts
 
 Entries = Any  # an array, or lists of numbers, fractions and texts in each other
 _SIGNS: Mapping[float, str] = {1: "+", -1: "-", 0: "0"}

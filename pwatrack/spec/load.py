@@ -25,8 +25,7 @@ from pwatrack.spec.section import Context
 from pwatrack.spec.spec import Spec, TrackingProblem
 from pwatrack.spec.spelling import located
 from pwatrack.spec.table import Folder
-from pwatrack.spec.values import WRITTEN, document_of, yaml_text
-from pwatrack.spec.yaml_tree import Document, at_path, parse_yaml, path_text
+from pwatrack.spec.yaml_tree import WRITTEN, Document, at_path, document_of, parse_yaml, path_text, yaml_text
 
 _LARGEST_FILE = 4 * 2**20  # bytes
 _LARGEST: dict[Subject, int] = {  # entries of a list, before anything is made of them

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from pwatrack.causes import ProblemPart, Subject, Way
 from pwatrack.errors import Place, Problem, PwatrackError
-from pwatrack.spec.values import Arguments
+from pwatrack.spec.yaml_tree import Arguments
 
 _PATHS: Mapping[ProblemPart, Subject] = {
     ProblemPart.PLANT: ("system",),
