@@ -165,19 +165,15 @@ def problem(
         >>> spec.problem.tracking, spec.scenario.duration
         ('output', 10.0)
     """
-    _check_plant(plant)
+    if not isinstance(plant, Plant):
+        message = f"plant: a {type(plant).__name__} is none: what plant(A=…, B=…, C=…) returns is expected"
+        raise InvalidSpec(Problem(message=message, subject=None))
     design = {"tracking": tracking, "controller": controller, "observer": observer}
     design |= {"estimate": estimate, "solver": solver, "uncertain": uncertain}
     asked = {"output": reference} if isinstance(reference, str) else reference
     sections = {"name": name, "description": description, **plant.sections, "design": design}
     sections |= {"reference": asked, "simulation": simulation, "require": require}
     return read_spec(document_of(sections, argument), outside=True, plant=plant.system)
-
-
-def _check_plant(plant: object) -> None:
-    if not isinstance(plant, Plant):
-        message = f"plant: a {type(plant).__name__} is none: what plant(A=…, B=…, C=…) returns is expected"
-        raise InvalidSpec(Problem(message=message, subject=None))
 
 
 def argument(subject: Subject) -> str:

@@ -48,13 +48,10 @@ def must(holds: Callable[[Any], bool], text: str) -> AfterValidator:
 
 
 def sized_real(value: Any, context: Context) -> Real:
-    """Return a number, or the value of an expression in the parameters.
-
-    Raises:
-        ValueError: If it has none, or one beyond the numbers that are read.
-    """
-    result = value if isinstance(value, Real) else real(_text(value, "a number or an expression"), context.parameters)
-    return _sized(result)
+    """Return a number, or the value of an expression; a ValueError where it is beyond the numbers that are read."""
+    return _sized(
+        value if isinstance(value, Real) else real(_text(value, "a number or an expression"), context.parameters)
+    )
 
 
 def _text(value: Any, what: str) -> str | Expression:
@@ -73,13 +70,7 @@ def _sized(value: Real) -> Real:
 
 
 def _sized_form(form: LinearForm) -> LinearForm:
-    for value in (*form.coefficients, form.offset):
-        _sized(value)
-    return form
-
-
-def _real(value: Any, info: ValidationInfo[Context]) -> Real:
-    return sized_real(value, info.context)
+    return LinearForm(tuple(map(_sized, form.coefficients)), _sized(form.offset))
 
 
 def _number(value: Any, info: ValidationInfo[Context]) -> float:
@@ -235,7 +226,7 @@ _NOT_DOWNWARD = _PAIR | {
 }
 
 Number = Annotated[float, BeforeValidator(_number), WithJsonSchema(_VALUE)]
-Exact = Annotated[Real, PlainValidator(_real), WithJsonSchema(_VALUE)]
+Exact = Annotated[Real, PlainValidator(lambda value, info: sized_real(value, info.context)), WithJsonSchema(_VALUE)]
 _ABOVE = must(lambda value: float(value) > 0, "{:g} is not positive")
 ExactPositive = Annotated[Exact, _ABOVE, WithJsonSchema(_ABOVE_0)]
 Positive = Annotated[Number, _ABOVE, WithJsonSchema(_ABOVE_0)]

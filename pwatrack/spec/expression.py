@@ -23,11 +23,8 @@ from pwatrack.real import Real, enclosed
 from pwatrack.spec.wording import guess, misread, shown
 
 _OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "sqrt")
-FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in (*_OF_ONE, "atan2", "log")} | {
-    "abs": abs,
-    "min": min,
-    "max": max,
-}
+FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(math, name) for name in (*_OF_ONE, "atan2", "log")}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max}
 CONSTANTS = {"pi": math.pi}
 TIME = "t"
 RESERVED = frozenset(CONSTANTS) | frozenset(FUNCTIONS) | {TIME}
@@ -220,19 +217,8 @@ def _atan2(y: Real, x: Real) -> Real:
     return enclosed(flint.arb.atan2, y, x)
 
 
-def _pi() -> Real:
-    import flint
-
-    return enclosed(flint.arb.pi)
-
-
-_EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x.applied(name) for name in _OF_ONE} | {
-    "log": _log,
-    "atan2": _atan2,
-    "abs": abs,
-    "min": min,
-    "max": max,
-}
+_EXACT_FUNCTIONS = FUNCTIONS | {name: lambda x, name=name: x.applied(name) for name in _OF_ONE}
+_EXACT_FUNCTIONS |= {"log": _log, "atan2": _atan2}
 
 
 def parsed(text: str | Expression) -> Expression:
@@ -332,7 +318,9 @@ class _Reader:
 
     def _named(self, name: str) -> Any:
         if self.exact and name == "pi":
-            return _pi()
+            import flint
+
+            return enclosed(flint.arb.pi)
         if name not in self.names:
             raise UnknownName(name, self.names)
         if self.names[name] is None:

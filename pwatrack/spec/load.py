@@ -18,8 +18,7 @@ from pwatrack.remote_files import content
 from pwatrack.spec.axis import Axis, axes_of
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.plant_section import build_plant
-from pwatrack.spec.profiles import build_reference
-from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_scenario
+from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_reference, build_scenario
 from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile, validation_problems
 from pwatrack.spec.section import Context
 from pwatrack.spec.spec import Spec, TrackingProblem
@@ -123,14 +122,14 @@ def _spec_of(
     text: str | None = None,
     plant: PWASystem | None = None,
 ) -> Spec:
-    file, context = _checked(document, parameters or {}, SpecFile)
-    simulation = file.simulation
-    parametric = ParametricPlant.of(document.data, parameters or {}, file, context)
+    overrides = parameters or {}
+    file, context = _checked(document, overrides, SpecFile)
+    parametric = ParametricPlant.of(document.data, overrides, file, context)
     try:
         plant = plant or build_plant(file.system, file.tolerance.continuity)
         plant = replace(plant, loads=build_loads(file.design.estimate, plant))
-        reference = build_reference(file.reference, plant.tracked_names, folder, simulation.duration)
-        conditions = build_conditions(simulation, plant, parametric, folder)
+        reference = build_reference(file.reference, plant.tracked_names, folder, file.simulation.duration)
+        conditions = build_conditions(file.simulation, plant, parametric, folder)
     except PwatrackError as error:
         raise located(error, document.places) from None
     return Spec(
@@ -139,7 +138,7 @@ def _spec_of(
         sha256=sha256,
         text=text,
         parameters={name: float(value) for name, value in context.parameters.items() if value is not None},
-        overrides=parameters or {},
+        overrides=overrides,
         problem=TrackingProblem(
             plant=plant,
             units={name: unit for name, unit in file.system.units.items() if unit != "1"},  # 1 is no unit to be said
@@ -148,7 +147,7 @@ def _spec_of(
             parametric=parametric,
         ),
         objectives=build_objectives(file.design, parametric),
-        scenario=build_scenario(simulation, plant.states, conditions),
+        scenario=build_scenario(file.simulation, plant.states, conditions),
         requirements=file.require,
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
@@ -158,7 +157,12 @@ def _spec_of(
 def _checked(document: Document, parameters: Mapping[str, float | str], form: type[_Form]) -> tuple[_Form, Context]:
     """Return the sections of a document and what they were read with, or refuse it with all that is wrong with it."""
     data, places = document.data, document.places
-    if too_much := _too_large(data):
+    too_much = [
+        Problem(message=f"{path_text(subject)}: {len(entries):,} entries, at most {most:,} are read", subject=subject)
+        for subject, most in _LARGEST.items()
+        if isinstance(entries := at_path(data, subject), list) and len(entries) > most
+    ]
+    if too_much:
         raise located(InvalidSpec(*document.problems, *too_much), places).sorted()
     values, problems = evaluated(data.get("parameters", {}), parameters)
     context = Context.of(data, values)
@@ -171,16 +175,6 @@ def _checked(document: Document, parameters: Mapping[str, float | str], form: ty
         problems = [problem for problem in problems if problem.subject not in said]
         raise located(InvalidSpec(*document.problems, *problems), places).sorted()
     return file, context
-
-
-def _too_large(data: Mapping[str, Any]) -> list[Problem]:
-    """Compare the lists that memory and time grow with to their limits."""
-    found = ((subject, at_path(data, subject), most) for subject, most in _LARGEST.items())
-    return [
-        Problem(message=f"{path_text(subject)}: {len(entries):,} entries, at most {most:,} are read", subject=subject)
-        for subject, entries, most in found
-        if isinstance(entries, list) and len(entries) > most
-    ]
 
 
 def assignments(texts: Sequence[str]) -> dict[str, str]:
@@ -210,14 +204,14 @@ def expected_exit(path: str | Path) -> int:
     try:
         document, _ = _read(Path(path))
         return ExpectSection.model_validate(document.data["expect"]).exit
+    except (KeyError, ValidationError):
+        return 0
     except PwatrackError:  # not even YAML
         try:
             found = _EXPECT.search(spec_bytes(Path(path)).decode("utf-8", errors="replace"))
         except InvalidSpec:
             return 0
         return int(found[1]) if found else 0
-    except (KeyError, ValidationError):
-        return 0
 
 
 def referenced_files(path: str | Path) -> tuple[Path, ...]:
@@ -239,14 +233,10 @@ def referenced_names(text: bytes) -> tuple[str, ...]:
 
 def _files(data: object) -> Iterator[str]:
     """Yield what stands under the key `file`, wherever that is."""
-    if isinstance(data, dict):
-        if isinstance(name := data.get("file"), str):
-            yield name
-        for value in data.values():
-            yield from _files(value)
-    elif isinstance(data, list):
-        for value in data:
-            yield from _files(value)
+    if isinstance(data, dict) and isinstance(name := data.get("file"), str):
+        yield name
+    for value in data.values() if isinstance(data, dict) else data if isinstance(data, list) else ():
+        yield from _files(value)
 
 
 def _read(path: Path) -> tuple[Document, str]:
@@ -270,11 +260,10 @@ def file_content(path: Path) -> bytes:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
             kind = "is a folder" if stat.S_ISDIR(about.st_mode) else "is no regular file"
-            raise InvalidSpec(Problem(message=f"cannot read {path}: it {kind}"))
+            raise InvalidSpec(f"cannot read {path}: it {kind}")
         if about.st_size > _LARGEST_FILE:
-            message = f"cannot read {path}: it has {about.st_size:,} bytes, at most {_LARGEST_FILE:,} are read"
-            raise InvalidSpec(Problem(message=message))
+            raise InvalidSpec(f"cannot read {path}: it has {about.st_size:,} bytes, at most {_LARGEST_FILE:,} are read")
         with path.open("rb") as file:
             return file.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        raise InvalidSpec(Problem(message=f"cannot read {path}: {getattr(error, 'strerror', None) or error}")) from None
+        raise InvalidSpec(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None

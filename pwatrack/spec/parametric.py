@@ -24,7 +24,7 @@ from pwatrack.spec.expression import (
 )
 from pwatrack.spec.plant_section import SystemSection, build_plant
 from pwatrack.spec.schema import PlantFile, validation_problems
-from pwatrack.spec.section import MOST, Context, Section
+from pwatrack.spec.section import MOST, Context, Section, listed
 
 Value = str | float | Expression | Real
 
@@ -49,7 +49,7 @@ class ParametricPlant:
         (-0.1, {'k2': 0.1})
     """
 
-    parameters: Mapping[str, Value]
+    parameters: Mapping[str, Expression]
     outside: frozenset[str]
     nominal: SystemSection
     written: Mapping[str, Any]
@@ -82,7 +82,9 @@ class ParametricPlant:
         A refusal is about `subject`, where the file asks for them.
         """
         try:
-            values = self._values(parameters)
+            values, wrong = evaluated(self.parameters, parameters, outside=self.outside - set(parameters))
+            if wrong:
+                raise InvalidSpec(*wrong)
             plant = build_plant(self._section(values), self.tolerance)
         except PwatrackError as refusal:
             given = ((name, number_text(float(v)) if isinstance(v, Real) else v) for name, v in parameters.items())
@@ -96,15 +98,9 @@ class ParametricPlant:
         """The parameters that the value of each is made of."""
         found = dict[str, frozenset[str]]()
         for name, written in self.parameters.items():
-            direct = written.names & found.keys() if isinstance(written, Expression) else frozenset()
+            direct = written.names & found.keys()
             found[name] = direct.union(*(found[other] for other in direct))
         return found
-
-    def _values(self, parameters: Mapping[str, float | str | Real]) -> dict[str, Real | None]:
-        values, problems = evaluated(self.parameters, parameters, outside=self.outside - set(parameters))
-        if problems:
-            raise InvalidSpec(*problems)
-        return values
 
     def _section(self, values: dict[str, Real | None]) -> SystemSection:
         """Return the section of the plant with these values in the entries that depend on them."""
@@ -153,8 +149,7 @@ def evaluated(
     texts = dict(section) if isinstance(section, dict) else {}
     for name in overrides:
         if name not in texts:
-            known = ", ".join(list(texts)[:MOST]) + (", …" if len(texts) > MOST else "") or "none"
-            message = f"parameter '{name}' is set but not declared; declared: {known}"
+            message = f"parameter '{name}' is set but not declared; declared: {listed(texts, MOST)}"
             problems.append(Problem(message=message, subject=None))
     for name, text in texts.items():
         text, value = overrides.get(name, text), None

@@ -71,11 +71,7 @@ class ElementSection(Section):
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
     def function(self) -> PiecewiseLinear:
-        """Return φ.
-
-        Raises:
-            ValueError: If its numbers make none.
-        """
+        """Return φ; a ValueError if its numbers make none."""
         raise NotImplementedError
 
     def rules(self, context: Context) -> Iterator[Fault]:
@@ -229,18 +225,14 @@ class SystemSection(Section):
 
 
 def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
-    """Return the plant from any of the three ways to write it.
-
-    Raises:
-        OutsideTheory: If it is not a continuous PWA system with one B.
-    """
+    """Return the plant from any of the three ways to write it; OutsideTheory if it is not continuous with one B."""
     _refuse_other_B(system)
     A: Any
     b: Any
     odd: list[str] = []
     written = None
     if system.cells is None:
-        elements = _elements(system)
+        elements = [_element(section, system.states) for section in system.nonlinearities or []]
         n = len(system.states)
         base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
         written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
@@ -252,10 +244,9 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         for section, element in zip(system.nonlinearities or [], elements, strict=True):
             odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
     else:
-        cells = system.cells
-        partition = _partition(system, cells)
-        A = [cell.A for cell in cells]
-        b = [cell.b or [0] * len(system.states) for cell in cells]
+        partition = _partition(system, system.cells)
+        A = [cell.A for cell in system.cells]
+        b = [cell.b or [0] * len(system.states) for cell in system.cells]
     plant = PWASystem.create(
         partition=partition,
         A=A,
@@ -317,17 +308,14 @@ def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition
     """Return the cells, from their signs or from their inequalities, each of which is a hyperplane."""
     signs: Any
     if system.hyperplanes is not None:
-        values = {"+": 1, "-": -1, "0": 0}
         H: list[Sequence[Real]] = [plane.H for plane in system.hyperplanes]
         h = [plane.h for plane in system.hyperplanes]
-        signs = [[values[sign] for sign in cell.signs or []] for cell in cells]
+        signs = [[{"+": 1, "-": -1, "0": 0}[sign] for sign in cell.signs or []] for cell in cells]
     else:
         forms = [[form for chain in cell.where or [] for form in chain] for cell in cells]
         H, h = [form.coefficients for cell in forms for form in cell], [form.offset for cell in forms for form in cell]
-        signs, start = np.zeros((len(cells), len(H)), dtype=np.int64), 0
-        for i, cell in enumerate(forms):
-            signs[i, start : start + len(cell)] = 1
-            start += len(cell)
+        signs = np.zeros((len(cells), len(H)), dtype=np.int64)
+        signs[np.repeat(np.arange(len(cells)), [len(cell) for cell in forms]), np.arange(len(H))] = 1
     return Partition.create(
         H=np.array(H, dtype=object).reshape(-1, len(system.states)),
         h=h,
@@ -336,22 +324,14 @@ def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition
     )
 
 
-def _elements(system: SystemSection) -> list[Nonlinearity]:
-    elements = []
-    for section in system.nonlinearities or []:
-        direction = [Real.of(0)] * len(system.states)
-        for state, factor in section.into.items():
-            direction[system.states.index(state)] = factor
-        elements.append(
-            Nonlinearity(
-                name=section.name,
-                function=section.function(),
-                row=section.of.coefficients,
-                constant=section.of.offset,
-                direction=direction,
-            )
-        )
-    return elements
+def _element(section: ElementSection, states: Sequence[str]) -> Nonlinearity:
+    return Nonlinearity(
+        name=section.name,
+        function=section.function(),
+        row=section.of.coefficients,
+        constant=section.of.offset,
+        direction=[section.into.get(state, Real.of(0)) for state in states],
+    )
 
 
 def _doubles(rows: Sequence[Sequence[Real]]) -> Array:

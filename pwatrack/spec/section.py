@@ -22,7 +22,6 @@ from pwatrack.spec.wording import guess, shown
 from pwatrack.spec.yaml_tree import at_path
 
 MOST = 100  # for so many faults of a kind it is guessed what was meant
-_LISTED = 20  # names that a message repeats
 
 
 @dataclass(frozen=True)
@@ -217,10 +216,10 @@ def unknown_names(names: Iterable[str], known: Collection[str]) -> Iterator[tupl
             count += 1
 
 
-def listed(names: Iterable[str]) -> str:
+def listed(names: Iterable[str], most: int = 20) -> str:
     """Return names joined by commas, the first ones where there are very many."""
     names = tuple(names)
-    return ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "") or "none"
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "") or "none"
 
 
 def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
