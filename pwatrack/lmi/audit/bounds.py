@@ -4,12 +4,27 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from .balls import Ball, column, enlarge, flipped, less, negative, part, sides, stacked, times, unlike
-from .matrices import AuditFault, Matrix, added, definite, identity, product, sizes, transposed
+from .matrices import (
+    AuditFault,
+    Ball,
+    Matrix,
+    added,
+    column,
+    definite,
+    falls,
+    flipped,
+    identity,
+    minus,
+    negative,
+    part,
+    sides,
+    stacked,
+    times,
+    unlike,
+)
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
-from .reading import distinct, number, packed, place
-from .shape import NUMBER, PACKED, TEXT, WHOLE, of
+from .reading import NUMBER, PACKED, TEXT, WHOLE, distinct, number, of, packed, place
 
 KEY = "bounds"
 CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]
@@ -51,12 +66,9 @@ class Loop:
                 if not definite(added(Q, square, -1)):
                     faults.append("the start is not in the ellipsoid")
                 square = identity(len(Q), 0)
+            square, open_ = [[v / rate for v in row] for row in square], [[v / rate / 2 for v in row] for row in open_]
             for X, R in M:
-                half = product(added(X, identity(len(Q), rate / 2)), Q)
-                left = added(added(half, transposed(half)), [[v / rate for v in row] for row in square])
-                enlarge(left, product(R, sizes(Q)) if R else [], powers)
-                enlarge(left, [[v / rate / 2 for v in row] for row in open_], powers)
-                if not definite(left, sign=-1):
+                if not falls((added(X, identity(len(Q), rate / 2)), R), Q, powers, square, open_):
                     faults.append("an ellipsoid can be left")
             distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
@@ -111,7 +123,7 @@ class Loop:
         if self.plant.loads is None:
             return BK
         if self.X is not None:
-            BK = less(BK, times(times(self.X, (self.L[len(self.K[0]) :], [])), self.plant.C))
+            BK = minus(BK, times(times(self.X, (self.L[len(self.K[0]) :], [])), self.plant.C))
         return sides(BK, negative(self.plant.loads[0]))
 
     def matrices(self, name: str) -> list[Ball]:

@@ -5,8 +5,25 @@ from fractions import Fraction
 from functools import partial, reduce
 from typing import Any
 
-from .balls import Ball, inverse, less, negative, part, plus, stacked, times, unlike
-from .matrices import AuditFault, Matrix, added, definite, inverted, product, spend, transposed
+from .matrices import (
+    AuditFault,
+    Ball,
+    Matrix,
+    added,
+    definite,
+    frozen,
+    inverse,
+    inverted,
+    minus,
+    negative,
+    part,
+    plus,
+    product,
+    stacked,
+    times,
+    transposed,
+    unlike,
+)
 from .plant import AuditedPlant
 from .reading import matrix, number, place
 
@@ -29,7 +46,7 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     share, N = times(BZ, inverse(times(C[0], BZ))), list[Ball]()
     for j in internal:
         own: Ball = [[Fraction(int(j == k)) for k in range(n)]], []
-        N.append(less(own, times(part(share, j), C[0])))
+        N.append(minus(own, times(part(share, j), C[0])))
     T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
     found, backs = list[Ball](), once(inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
@@ -121,10 +138,6 @@ def joined(rows: list[Ball]) -> Ball:
 
 def once(function: Callable[[Ball], Ball], balls: list[Ball]) -> list[Ball]:
     """Apply a function to each, to those that are equal once."""
-    found: dict[Any, Ball] = {}
-    spend(sum(len(row) for ball in balls for X in ball for row in X))
-    keys = [tuple(tuple(map(tuple, X)) for X in ball) for ball in balls]
-    for key, ball in zip(keys, balls, strict=True):
-        if key not in found:
-            found[key] = function(ball)
+    keys = [frozen(ball) for ball in balls]
+    found = {key: function(ball) for key, ball in dict(zip(keys, balls, strict=True)).items()}
     return [found[key] for key in keys]

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-from .balls import Ball, flipped, plus, sides, stacked, times
 from .cells import Cells
 from .elements import Elements
-from .matrices import AuditFault, Matrix, rank, spend, transposed
-from .reading import ball, distinct, place
-from .shape import CELLS, by_cell, kind
+from .matrices import AuditFault, Ball, Matrix, flipped, plus, rank, sides, spend, stacked, times, transposed
+from .reading import CELLS, ball, by_cell, distinct, kind, place
 
 
 class AuditedPlant:

@@ -3,14 +3,12 @@
 from fractions import Fraction
 from typing import Any
 
-from .balls import Ball, negative, stacked
 from .bounds import SHAPE as BOUNDS
 from .bounds import SIGNALS, Loop
 from .elements import Element, Function
-from .matrices import AuditFault, Matrix, added, spend
+from .matrices import AuditFault, Ball, Matrix, added, negative, spend, stacked
 from .plant import AuditedPlant, at_centres
-from .reading import distinct, number, place
-from .shape import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, of
+from .reading import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, distinct, number, of, place
 
 KEY = "practical"
 MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
