@@ -31,8 +31,8 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.proofs import refuted
 from pwatrack.lmi.exact import Certificate, prove
-from pwatrack.lmi.exact_polynomial import exactly
 from pwatrack.lmi.infeasibility import Impossibility, refute
+from pwatrack.lmi.polynomial import exactly
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem

@@ -15,8 +15,14 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.matrices import AuditFault, Ball
 from pwatrack.lmi.audit.proofs import polynomial as audit_polynomial
-from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
-from pwatrack.lmi.polynomial import Monomials, PolynomialLyapunov, best_polynomial, degrees
+from pwatrack.lmi.polynomial import (
+    Monomials,
+    PolynomialLyapunov,
+    PolynomialProof,
+    best_polynomial,
+    degrees,
+    prove_polynomial,
+)
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import CONTROLLER, GENERATOR
 from pwatrack.rational import floats

@@ -20,7 +20,7 @@ from pwatrack.control.words import Words, all_cells, down, load_kind
 from pwatrack.lmi.audit.reading import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
-from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}

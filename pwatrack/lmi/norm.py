@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Proof, unsure
-from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.rational import (
     Rational,
     diagonal,
