@@ -267,7 +267,7 @@ class Precise:
 
     @classmethod
     def of_regulator(cls, A: Rational, B: Rational, Q: Rational, R: Rational) -> "tuple[Precise, Array] | None":
-        """Return coordinates where the least ∫(xᵀQx + uᵀRu) dt is |z|², if doubles do not hold them, and the gain; or None.
+        """Return where the least ∫(xᵀQx + uᵀRu) dt is |z|², if doubles do not hold it, and the gain; else None.
 
         Example: an input that hardly tells two unstable modes apart.
 
