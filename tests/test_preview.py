@@ -27,9 +27,8 @@ from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.dichotomy import prove_dichotomy
+from pwatrack.lmi.dichotomy import prove_dichotomy, refute_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.no_dichotomy import refute_dichotomy
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form

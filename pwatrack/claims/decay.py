@@ -17,10 +17,10 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.control.words import Words, all_cells, down, load_kind
-from pwatrack.lmi.audit.shape import kind
+from pwatrack.lmi.audit.reading import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
-from pwatrack.lmi.exact_polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
 
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}

@@ -29,7 +29,7 @@ from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
-from pwatrack.lmi.starts import StartEllipsoid, held
+from pwatrack.lmi.ellipsoid import StartEllipsoid, held
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 

@@ -31,8 +31,8 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
-from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.peak_gain import PeakGain, peak_gain
+from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.scalar_form import scalar_form

@@ -35,7 +35,7 @@ from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, Problem, Undecided
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.exact_polynomial import AnyProof
+from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity

@@ -16,8 +16,7 @@ from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
 from pwatrack.export.stored import LARGEST, digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
-from pwatrack.lmi.audit.reading import number, parsed
-from pwatrack.lmi.audit.shape import refuses
+from pwatrack.lmi.audit.reading import number, parsed, refuses
 from pwatrack.report.bounds import bound_content
 from pwatrack.report.certificate import subject_content
 from pwatrack.report.controller import known_start, written

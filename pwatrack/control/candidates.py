@@ -9,6 +9,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import EPS, Array
 from pwatrack.control.task import Task
+from pwatrack.lmi.ellipsoid import WEIGHINGS, weighed
 from pwatrack.lmi.inequality import Inequality, bounded_cost, quadratic_cost, state_feedback
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
@@ -22,7 +23,6 @@ from pwatrack.lmi.program import (
     smallest_gain,
 )
 from pwatrack.lmi.solve import solve
-from pwatrack.lmi.starts import WEIGHINGS, weighed
 
 DIGITS = 9  # of a gain
 FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
@@ -222,7 +222,7 @@ def short(K: Array, digits: int = DIGITS) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class _Box:
-    """Starts G ζ, |ζ_k| ≤ 1, with the weights of an ellipsoid around them, see `lmi.starts`; bounds of inputs."""
+    """Starts G ζ, |ζ_k| ≤ 1, with the weights of an ellipsoid around them, see `lmi.ellipsoid`; bounds of inputs."""
 
     G: Array
     weights: Array

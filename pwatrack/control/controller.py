@@ -21,8 +21,8 @@ from pwatrack.control.headroom import Headroom
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words
-from pwatrack.lmi.exact_polynomial import AnyProof
 from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem

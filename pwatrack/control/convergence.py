@@ -11,10 +11,9 @@ from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
 from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
-from pwatrack.lmi.exact_polynomial import Found, prove_polynomial
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
-from pwatrack.lmi.polynomial import PolynomialLyapunov, best_polynomial, degrees
+from pwatrack.lmi.polynomial import Found, PolynomialLyapunov, best_polynomial, degrees, prove_polynomial
 from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, square
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
 from pwatrack.lmi.role import PLANT, Role

@@ -10,10 +10,9 @@ from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.refusal import conflict_text
 from pwatrack.errors import Infeasible, Undecided
-from pwatrack.lmi.dichotomy import Dichotomy, prove_dichotomy
-from pwatrack.lmi.exact_polynomial import Found
+from pwatrack.lmi.dichotomy import Dichotomy, NoDichotomy, prove_dichotomy, refute_dichotomy
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
-from pwatrack.lmi.no_dichotomy import NoDichotomy, refute_dichotomy
+from pwatrack.lmi.polynomial import Found
 from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
 

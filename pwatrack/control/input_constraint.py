@@ -12,9 +12,8 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.task import Task
-from pwatrack.lmi.ellipsoid import Inner
+from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
-from pwatrack.lmi.starts import held
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,7 @@ from pwatrack.control.task import Task
 from pwatrack.errors import Problem, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
-from pwatrack.lmi.exact_polynomial import AnyProof, Found, exactly
-from pwatrack.lmi.polynomial import PolynomialLyapunov
+from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes

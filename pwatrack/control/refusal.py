@@ -8,8 +8,8 @@ from pwatrack.arrays import Array, complex_text, number_text
 from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
+from pwatrack.lmi.dichotomy import NoDichotomy
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
-from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.lmi.solve import asked
 from pwatrack.lmi.uncontrollable import Between

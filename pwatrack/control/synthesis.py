@@ -17,8 +17,8 @@ from pwatrack.control.input_constraint import InputConstraint
 from pwatrack.control.task import Task, reaches
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.exact import Certificate
-from pwatrack.lmi.exact_polynomial import Found
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
+from pwatrack.lmi.polynomial import Found
 from pwatrack.lmi.presolve import Precise, corners, square
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem

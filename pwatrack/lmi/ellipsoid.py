@@ -13,24 +13,31 @@ Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
     M_p Q + Q M_pᵀ + a Q ≺ 0   for every p,   Q ≻ G Gᵀ:
 
 V ≤ 1 at the start, V' ≤ −a V, and |c z(t)| ≤ √(c Q cᵀ) e^(−a t / 2) at all times.
+
+From which starts some linear forms stay small for good is said in the same way. Let z(0) = G ζ with |ζ_k| ≤ 1, a box
+seen through G = [g_1 …]. For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved there). With
+Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
+|c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., section 5.2). What holds from z(0) holds in proportion from
+multiples of it.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import eigh, solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Packed, left_side
 from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import root_above, square_above
-from pwatrack.lmi.program import least_sizes
+from pwatrack.lmi.program import SemidefiniteProgram, least_sizes, of_P
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import Rational, is_positive_definite, scalar
+from pwatrack.rational import is_positive_definite, scalar
 
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
@@ -40,7 +47,12 @@ _SLACK = 1e-9  # of the mean weight, beside forms that do not see all of z: what
 _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
-
+_DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
+WEIGHINGS = 3  # times that the weights of the directions are chosen anew
+_LEAST_WEIGHT = 1e-4  # of a direction
+_SCALE_NEAR = 1e-3  # what the scale of one around a box may be off
+_ROOM = (1e-9, 1e-7, 1e-5, 1e-3)  # by which Q is enlarged, until it is proved
+_BOX_SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in there, until it is proved
 
 Columns = tuple[BallMatrix, Sequence[Fraction]]  # g_k (N, k), and the weight w_k of each
 
@@ -97,7 +109,7 @@ def ellipsoid(
 
     Args:
         M: The matrices M_p (N, N).
-        g: (N, 1), not 0.
+        g: (N, 1); None is returned where it is 0.
         forms: The rows c, (s, N).
         inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
         tries: Of a.
@@ -131,17 +143,13 @@ def ellipsoid(
         return None
     Q, far, a = best
     proved = enclosure(M, forms, _mixed(Q, far), a=a, driven=(g, [1 / Fraction(repr(a))]))
-    return None if proved is None else InvariantEllipsoid(a=a, sizes=proved[1], **proved[0].parts)
+    return None if proved is None else InvariantEllipsoid(a=a, **proved)
 
 
 def from_start(
     M: Sequence[BallMatrix], G: BallMatrix, forms: BallMatrix, inners: Sequence[Inner]
 ) -> InvariantEllipsoid | None:
-    """Return an ellipsoid that holds all starts G v, |v| ≤ 1, and in which all of c z are small at once.
-
-    Args:
-        M, forms, inners: As for `ellipsoid`.
-        G: (N, k), exact, not 0.
+    """Return an ellipsoid that holds all starts G v, |v| ≤ 1, G (N, k), and in which all of c z are small at once.
 
     Example: from z = 3 on, |z| ≤ 3 for z' = −2 z.
 
@@ -150,23 +158,19 @@ def from_start(
         >>> 3.0 < found.sizes[0] < 3.1
         True
     """
-    matrices, start, rows = np.array([M_p.floats for M_p in M]), G.floats, forms.floats
-    if not inners or not start.any():
-        return None
-    inner = inners[-1]
-    a = _short(_LASTING * inner.most)
-    near = inner.near(matrices)
+    start, rows = G.floats, forms.floats
+    near = inners[-1].near(np.array([M_p.floats for M_p in M])) if inners and start.any() else None
     if near is None:
         return None
-    V, inside = near
+    a, (V, inside) = _short(_LASTING * inners[-1].most), near
     within = solve_triangular(V, start, lower=True)
     size, seen = float(np.linalg.norm(within, 2)) ** 2, rows @ V
     W = _weight(seen.T / _sizes((seen**2).sum(axis=1)), seen)[0]
     found = solve(least_sizes(lyapunov(inside / a, 0.5), W, above=within @ within.T / size), gap=_NEAR)
-    far = 2 * size * inner.Q
+    far = 2 * size * inners[-1].Q
     Q = far if found is None else size * V @ found.P @ V.T
     proved = enclosure(M, forms, _mixed(Q, far), a=a, around=(G, [Fraction(1)] * G.shape[1]))
-    return None if proved is None else InvariantEllipsoid(a=a, sizes=proved[1], **proved[0].parts)
+    return None if proved is None else InvariantEllipsoid(a=a, **proved)
 
 
 def _next(steps: Sequence[tuple[float, float]]) -> float:
@@ -240,17 +244,11 @@ def enclosure(
     a: float = 0.0,
     around: Columns | None = None,
     driven: Columns | None = None,
-) -> tuple[Packed, tuple[float, ...]] | None:
-    """Return the first Q, in short numbers, for which the inequalities are proved, with a size for each c; or None.
+) -> dict[str, Any] | None:
+    """Return the parts of the first Q for which the inequalities are proved, with a size for each c; or None.
 
-    They are −(M_p Q + Q M_pᵀ) − a Q − Σ w_k g_k g_kᵀ ≻ 0 for every p, and Q − Σ w_k g_k g_kᵀ ≻ 0.
-
-    Args:
-        M: The matrices M_p (N, N).
-        forms: The rows c, (s, N).
-        trials: Q (N, N).
-        a: In 1/s, as printed.
-        around, driven: g_k of the second and of the first; None for none.
+    They are −(M_p Q + Q M_pᵀ) − a Q − Σ w_k g_k g_kᵀ ≻ 0 for every p, with g_k that drive, and Q − Σ w_k g_k g_kᵀ ≻ 0,
+    with those that Q is to be around. a counts as printed.
     """
     for trial in trials:
         if not np.isfinite(trial).all():
@@ -259,18 +257,117 @@ def enclosure(
         inside = Q.P if around is None else Q.P - square_above(*around, Q.scale)
         rest = scalar(a) * Q.P if driven is None else scalar(a) * Q.P + square_above(*driven, Q.scale)
         if is_positive_definite(inside) and all(is_positive_definite(left_side(X, Q) - rest) for X in M):
-            return Q, tuple(root_above(square) for square in _squares(forms, Q.P))
+            squares = forms @ BallMatrix(Q.P) @ forms.transpose()
+            most = squares.centre if squares.radius is None else squares.centre + squares.radius
+            return Q.parts | {"sizes": tuple(root_above(most[k, k]) for k in range(forms.shape[0]))}
     return None
-
-
-def _squares(forms: BallMatrix, Q: Rational) -> list[Any]:
-    """Return c Q cᵀ for each row c, or the most that it is in the ball."""
-    squares = forms @ BallMatrix(Q) @ forms.transpose()
-    return [
-        squares.centre[k, k] + (0 if squares.radius is None else squares.radius[k, k]) for k in range(forms.shape[0])
-    ]
 
 
 def _short(value: float) -> float:
     """Return a number of three digits."""
     return float(f"{value:.2e}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartEllipsoid(Packed):
+    """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
+
+    Where M_p or c have irrational entries, for everything in their balls. So |c z| ≤ size at all times.
+
+    Attributes:
+        weights: w_k, short decimals; one for each column of G.
+        sizes: One for each c, rounded up.
+    """
+
+    weights: tuple[float, ...]
+    sizes: tuple[float, ...]
+
+
+def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:
+    """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
+
+    Args:
+        M, forms: As for `ellipsoid`.
+        G: (N, k); it counts as the decimals that it prints as. Columns of 0 do nothing.
+        most: What each form is held against, (s,), positive; infinite for what does not count.
+        inner: What to start from.
+
+    Example: z' = −z from |z(0)| ≤ 3, seen as 2 z.
+
+        >>> M, c = BallMatrix.of([[-1]]), BallMatrix.of([[2]])
+        >>> found = held([M], np.array([[3.0]]), c, np.ones(1), Inner(Q=np.eye(1), most=1.9))
+        >>> 6.0 <= found.sizes[0] < 6.001
+        True
+    """
+    acts = np.flatnonzero(G.any(axis=0))
+    rows = forms.floats / most[:, None]
+    if not len(acts) or not rows.any():
+        return None
+    matrices, best, least = np.array([M_p.floats for M_p in M]), None, np.inf
+    weights = np.full(len(acts), 1 / len(acts))
+    for _ in range(WEIGHINGS):
+        Q = _smallest_around(matrices, G[:, acts], rows, inner, weights)
+        if Q is None:
+            break
+        largest = float(np.einsum("sj,jk,sk->s", rows, Q, rows).max())
+        if not largest < least:
+            break
+        best, least = (Q, weights), largest
+        weights = weighed(G[:, acts], Q)
+    if best is None:
+        return None
+    all_weights = np.full(G.shape[1], _LEAST_WEIGHT / G.shape[1])
+    all_weights[acts] = best[1]
+    weights = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
+    short, decimal = tuple((np.maximum(weights, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
+    proved = enclosure(M, forms, _enlarged(best[0], inner.Q), around=(decimal, [1 / Fraction(repr(w)) for w in short]))
+    return None if proved is None else StartEllipsoid(weights=short, **proved)
+
+
+def _enlarged(Q: Array, far: Array) -> Iterator[Array]:
+    """Yield what is a little larger than Q, then with more and more of another one mixed in."""
+    for share, room in product(_BOX_SHARES, _ROOM):
+        shape = (1 - share) * Q + share * float(np.trace(Q) / np.trace(far)) * far
+        yield (shape + shape.T) / 2 * float(1 + 1e-5 + room + 2 * share)
+
+
+def weighed(G: Array, Q: Array) -> Array:
+    """Return the weights (k,) with which G diag(1 / w) Gᵀ is more like Q: by what each direction needs of it.
+
+    Example: along the longer axis of Q there is more room.
+
+        >>> weighed(np.eye(2), np.diag([1.0, 3.0])).tolist()
+        [0.75, 0.25]
+    """
+    needed = np.abs(G.T @ np.linalg.solve(Q, G)).sum(axis=1)
+    weights = np.maximum(needed / needed.sum(), _LEAST_WEIGHT)
+    return np.asarray(weights / weights.sum())
+
+
+def _smallest_around(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> Array | None:
+    """Return Q ⪰ G diag(1 / w) Gᵀ with the least of the largest c Q cᵀ, in floating point.
+
+    In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1:
+    maximise t subject to F_i(P) ⪯ 0 for all cells, P ⪰ t Σ, P ⪯ 1e6 I and c P cᵀ ≤ 1. What starts in √t times an
+    ellipsoid, {z: z zᵀ ⪯ Σ}, then has |c z| ≤ 1.
+    """
+    near = inner.near(M)
+    if near is None:
+        return None
+    V, decay, forms = near[0], lyapunov(near[1] / (inner.most / 2), _DECAY), rows @ near[0]
+    directions = solve_triangular(V, G, lower=True) / np.sqrt(weights)
+    starts = directions @ directions.T
+    starts /= float(np.linalg.norm(starts, 2))
+    forms = forms / float(np.linalg.norm(forms, axis=1).max())
+    within = [of_P(decay, 1.0, row[None], constant=-np.eye(1)) for row in forms[forms.any(axis=1)]]
+    eye = np.eye(len(V))
+    bounded = of_P(decay, -1.0, eye, T=starts), of_P(decay, 1.0, 1e-3 * eye, constant=-eye)
+    solution = solve(SemidefiniteProgram(constraints=(decay, *bounded, *within), price=-1.0), gap=_SCALE_NEAR)
+    if solution is None or not solution.t > 0:
+        return None
+    Q, needed = V @ solution.P @ V.T, G / np.sqrt(weights)
+    try:
+        share = float(eigh(needed @ needed.T, Q, eigvals_only=True)[-1])
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return Q * share

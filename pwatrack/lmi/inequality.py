@@ -55,11 +55,7 @@ class Inequality:
         return symmetric_part(self.L @ P @ self.R) + symmetric_part(self.M @ Y @ self.N) + self.constant
 
     def adjoint(self, Z: Array) -> tuple[Array, Array, float]:
-        """Return G (n, n), H (m, n) and h with Σ tr Z_i F_i(P, Y, t) = tr G P + Σ H_jk Y_jk + h t + Σ tr Z_i C_i.
-
-        Args:
-            Z: (l, N, N), symmetric.
-        """
+        """Return G (n, n), H (m, n) and h with Σ tr Z_i F_i(P, Y, t) = tr G P + Σ H_jk Y_jk + h t + Σ tr Z_i C_i."""
         G = symmetric_part((self.R @ Z @ self.L).sum(axis=0))
         H = 2 * (self.N @ Z @ self.M).sum(axis=0).T
         return G, np.asarray(H), 0.0 if self.T is None else float((Z * self.T).sum())
@@ -71,23 +67,12 @@ class Inequality:
 
 
 def lyapunov(M: Array, rate: float = 0.0) -> Inequality:
-    """M_i P + P M_iᵀ + 2 rate P ⪯ 0: (8) for given gains, and (7), (9), (17) with M_i transposed.
-
-    Args:
-        M: (l, n, n).
-        rate: Decay rate α in 1/s.
-    """
+    """M_i P + P M_iᵀ + 2 rate P ⪯ 0: (8) for given gains, and (7), (9), (17) with M_i transposed; rate in 1/s."""
     return state_feedback(M, np.zeros((M.shape[1], 0)), rate)
 
 
 def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
-    """A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ⪯ 0: eq. (8); eq. (9) is this for (A_iᵀ, Cᵀ), Y = 𝒳ᵀ.
-
-    Args:
-        A: (l, n, n).
-        B: (n, m).
-        rate: Decay rate α in 1/s.
-    """
+    """A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ⪯ 0: eq. (8); eq. (9) is this for (A_iᵀ, Cᵀ), Y = 𝒳ᵀ; rate in 1/s."""
     cells, n = A.shape[:2]
     eye = np.broadcast_to(np.eye(n), (cells, n, n))
     return Inequality(
@@ -100,12 +85,7 @@ def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
 
 
 def weighted(M: Array, W: Array) -> Inequality:
-    """M_i P + P M_iᵀ + W ⪯ 0: P bounds the integral of a quadratic form (see `claims.cost`).
-
-    Args:
-        M: (l, n, n).
-        W: (n, n), symmetric.
-    """
+    """M_i P + P M_iᵀ + W ⪯ 0: P bounds the integral of a quadratic form (see `claims.cost`)."""
     return replace(lyapunov(M), constant=np.broadcast_to(W, M.shape))
 
 
@@ -115,12 +95,6 @@ def quadratic_cost(A: Array, B: Array, Q_root: Array, R: Array) -> Inequality:
     Under u = K x it bounds ∫(xᵀQx + uᵀRu) dt by x(0)ᵀ P⁻¹ x(0), whatever the switching (Boyd et al., Linear Matrix
     Inequalities in System and Control Theory, 1994, section 7.4). No other gain does better with this P: in
     the inequality K stands as (K + R⁻¹BᵀP⁻¹)ᵀ R (K + R⁻¹BᵀP⁻¹) ⪰ 0, the same for all cells.
-
-    Args:
-        A: (l, n, n).
-        B: (n, m).
-        Q_root: Q^½, (n, n).
-        R: (m, m), positive definite.
     """
     cells, n = A.shape[:2]
     L, N, constant = np.zeros((cells, 2 * n, n)), np.zeros((cells, n, 2 * n)), np.zeros((cells, 2 * n, 2 * n))
@@ -136,11 +110,6 @@ def bounded_cost(A: Array, B: Array, Q_root: Array, R_root: Array) -> Inequality
 
     With K = Y P⁻¹ it bounds ∫(xᵀQx + uᵀRu) dt by t x(0)ᵀ P⁻¹ x(0), whatever the switching (Kothare, Balakrishnan and
     Morari, Robust constrained model predictive control using linear matrix inequalities, Automatica, 1996).
-
-    Args:
-        A: (l, n, n).
-        B: (n, m).
-        Q_root, R_root: Q^½ and R^½, (n, n) and (m, m).
     """
     (cells, n), m = A.shape[:2], B.shape[1]
     L, N, M = np.zeros((cells, 2 * n + m, n)), np.zeros((cells, n, 2 * n + m)), np.zeros((cells, 2 * n + m, m))

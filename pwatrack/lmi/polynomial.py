@@ -1,4 +1,4 @@
-"""Polynomials that decay along every switching: sought where no quadratic form does.
+"""Polynomials that decay along every switching: sought where no quadratic form does, and proved exactly.
 
 Let e' = A(t) e with A(t) in the convex hull of matrices A_i, and let m hold the monomials of degree d of z = T e; their
 lifts 𝒜_i are those of T A_i T⁻¹. If there are P ≻ 0 and N_i with
@@ -21,7 +21,7 @@ a + b add up to 0, and only there.
 Counted in weights w_a = √(d! / a!) the monomials w_a e^a have |m|² = |e|^2d, and the lift of a rotation is one.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations_with_replacement
@@ -35,9 +35,21 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array, IntArray, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.exact import (
+    BITS,
+    Certificate,
+    Packed,
+    Proof,
+    Whole,
+    left_side,
+    prove_exactly,
+    proved_rate,
+    whole,
+)
 from pwatrack.lmi.presolve import Coordinates
+from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import semidefinite
-from pwatrack.rational import Rational
+from pwatrack.rational import Rational, is_positive_definite
 
 Exponents = tuple[int, ...]
 DEGREES = (4, 6, 8, 10)  # that are tried
@@ -91,11 +103,11 @@ class Monomials:
     def _moves(self) -> IntArray:
         """Rows (a, b, j, k, a_j): the lift has a_j A_jk in its entry (a, b), beside what else is there."""
         at = {a: place for place, a in enumerate(self.exponents)}
+        unit = np.eye(self.n, dtype=np.int64)
         rows = [
-            (at[a], at[_moved(a, j, k)], j, k, a[j])
+            (at[a], at[tuple((a - unit[j] + unit[k]).tolist())], j, k, a[j])
             for a in self.exponents
-            for j in range(self.n)
-            for k in range(self.n)
+            for j, k in np.ndindex(self.n, self.n)
             if a[j]
         ]
         return np.array(rows, dtype=np.int64).reshape(-1, 5)
@@ -129,15 +141,15 @@ class Monomials:
     @cached_property
     def nothing(self) -> sparse.csc_matrix:
         """Orthonormal columns that span all N with mᵀ N m = 0, m in weights, each as `upper` has it."""
-        place, columns = upper_place(len(self)), list[tuple[Array, list[int]]]()
+        columns = list[tuple[Array, list[int]]]()
         for pairs in self.products.values():
             v = np.array([self.weights[j] * self.weights[k] * (1.0 if j == k else np.sqrt(2.0)) for j, k in pairs])
             basis = np.linalg.qr(np.column_stack([v, np.eye(len(pairs))[:, 1:]]))[0][:, 1:]
-            columns += [(column, [place[pair] for pair in pairs]) for column in basis.T]
+            columns += [(column, [k * (k + 1) // 2 + j for j, k in pairs]) for column in basis.T]
         entries = np.concatenate([np.zeros(0), *(column for column, _ in columns)])
         rows = [row for _, places in columns for row in places]
         ends = np.cumsum([0, *(len(places) for _, places in columns)])
-        return sparse.csc_matrix((entries, rows, ends), shape=(len(place), len(columns)))
+        return sparse.csc_matrix((entries, rows, ends), shape=(len(self) * (len(self) + 1) // 2, len(columns)))
 
 
 def upper(X: Array) -> Array:
@@ -157,19 +169,6 @@ def symmetric_of(x: Array, N: int) -> Array:
     X = np.zeros((*x.shape[:-1], N, N))
     X[..., row, column] = X[..., column, row] = x / np.where(row == column, 1.0, np.sqrt(2.0))
     return X
-
-
-def upper_place(N: int) -> dict[tuple[int, int], int]:
-    """Return where `upper` has the entry (j, k), j ≤ k."""
-    return {(j, k): k * (k + 1) // 2 + j for k in range(N) for j in range(k + 1)}
-
-
-def _moved(a: Exponents, j: int, k: int) -> Exponents:
-    """Return a − ε_j + ε_k."""
-    moved = list(a)
-    moved[j] -= 1
-    moved[k] += 1
-    return tuple(moved)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,15 +200,12 @@ class PolynomialLyapunov:
 def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
     """Return the degrees that are tried for so many different matrices of order n: those of programs small enough.
 
-    Args:
-        n, cells: Order and number of the matrices.
-        most_rows: Of a program.
-
     Example:
         >>> degrees(2, 2), degrees(4, 3), degrees(12, 3)
         ((4, 6, 8, 10), (4, 6), ())
     """
-    return tuple(degree for degree in DEGREES if n > 1 and _rows(n, degree, cells) <= most_rows)
+    orders = {degree: len(Monomials.of(n, degree // 2)) for degree in DEGREES if n > 1}
+    return tuple(degree for degree, N in orders.items() if (cells + 2) * N * (N + 1) // 2 <= most_rows)
 
 
 def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> PolynomialLyapunov | None:
@@ -248,12 +244,6 @@ def short(X: Array) -> Array:
     return np.asarray(np.ldexp(np.round(np.ldexp(fraction, _DIGITS)), exponent - _DIGITS))
 
 
-def _rows(n: int, degree: int, cells: int) -> int:
-    """Return how many rows the program has."""
-    N = len(Monomials.of(n, degree // 2))
-    return (cells + 2) * N * (N + 1) // 2
-
-
 class _Sought:
     """The programs of one degree: the largest t with −sym(P 𝒜_i) − N_i − 2 d α P ⪰ t I, t I ⪯ P ⪯ I, for rates α."""
 
@@ -273,11 +263,8 @@ class _Sought:
         G = np.zeros((cells + 2, self.size, 1 + self.size + cells * free))
         G[:, :, 0] = self.one
         G[1, :, 0] = 0.0
-        G[:, :, 1 : 1 + self.size] = [
-            -np.eye(self.size),
-            np.eye(self.size),
-            *(of_P + self.d * rate * self.of_P for of_P in self.maps),
-        ]
+        eye = np.eye(self.size)
+        G[:, :, 1 : 1 + self.size] = [-eye, eye, *(of_P + self.d * rate * self.of_P for of_P in self.maps)]
         for k in range(cells):
             G[2 + k, :, 1 + self.size + k * free : 1 + self.size + (k + 1) * free] = self.nothing
         h = np.zeros((cells + 2, self.size))
@@ -302,3 +289,123 @@ class _Sought:
         except np.linalg.LinAlgError:  # P is not positive definite to working precision
             return None
         return (shown, (P, N)) if shown > rate else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolynomialProof(Packed):
+    """P ≻ 0 and −sym(P 𝒜_i) − N_i − 2 d rate P ≻ 0 for every i, proved exactly: see `polynomial`.
+
+    𝒜_i is the lift of T A_i T⁻¹ on the monomials of degree d, A_i the matrix by which errors change. Where it has
+    irrational entries, for every matrix in its ball.
+
+    Attributes:
+        role: Which inequality it takes the place of.
+        degree: 2 d.
+        T: (n, n): the decimals that it prints as.
+        N: The integers of N_i, one for each different A_i, with
+        N_exponents: their exponents.
+        rate: Certified decay rate of errors in 1/s, a short decimal.
+    """
+
+    role: Role
+    degree: int
+    T: Array
+    N: tuple[Whole, ...]
+    N_exponents: tuple[int, ...]
+    rate: float
+
+    @property
+    def order(self) -> int:
+        """That of the matrices it speaks of."""
+        return len(self.T)
+
+    @property
+    def monomials(self) -> Monomials:
+        """Those of half the degree."""
+        return Monomials.of(len(self.T), self.degree // 2)
+
+
+AnyProof = Proof | PolynomialProof
+Found = Certificate | PolynomialLyapunov
+
+
+def exactly(role: Role, M: Sequence[BallMatrix], found: Found) -> AnyProof | None:
+    """Prove for rounded numbers what was found in floating point of these M_i, each different; or return None."""
+    if isinstance(found, PolynomialLyapunov):
+        return prove_polynomial(role, M, found)
+    return prove_exactly(role, M, found.P if found.precise is None else found.precise, found.rate)
+
+
+def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapunov) -> PolynomialProof | None:
+    """Round P, N_i and the rate to short numbers and prove the inequality of these M_i for them, or return None.
+
+    What was found is of the matrices nearest to these, each different.
+
+    Example:
+        >>> from pwatrack.lmi.role import CONTROLLER
+        >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
+        >>> found = best_polynomial(A, 4, Coordinates.balanced(A.swapaxes(1, 2)))
+        >>> proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
+        >>> proof.degree, 0 < proof.rate <= found.rate
+        (4, True)
+    """
+    monomials, T = found.monomials, BallMatrix.of(found.T)
+    weights = monomials.weights
+    short = Packed.of(found.P * weights[:, None] * weights)
+    numbers = _numbers(found, [role.oriented(M_i.floats) for M_i in M])
+    if numbers is None or not is_positive_definite(short.P):
+        return None
+    N, N_exponents = _rounded(numbers * weights[:, None] * weights, short.exponents, monomials)
+    left = list[Rational]()
+    for M_i, N_i in zip(M, N, strict=True):
+        lift = monomials.exactly(T @ role.exact(M_i) @ T.inverse())
+        left.append(left_side(lift.transpose(), short) - Packed(integers=N_i, exponents=N_exponents).P)
+    rate = proved_rate(left, short.P, found.degree, found.rate)
+    if rate is None:
+        return None
+    return PolynomialProof(
+        role=role, degree=found.degree, T=found.T, N=N, N_exponents=N_exponents, rate=rate, **short.parts
+    )
+
+
+def _numbers(found: PolynomialLyapunov, A: Sequence[Array]) -> Array | None:
+    """Return the N_i of these matrices, (l, N, N); None where one has none."""
+    at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
+    places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]
+    return None if -1 in places else np.asarray(found.N[places])
+
+
+def _rounded(N: Array, exponents: Sequence[int], monomials: Monomials) -> tuple[tuple[Whole, ...], tuple[int, ...]]:
+    """Return whole numbers near N_i (l, N, N), scaled by powers of two, with mᵀ N_i m = 0 exactly.
+
+    Of the entries that are to add up to 0 the finest one is what the others leave. Entries on the diagonal are even,
+    as those beside it count twice.
+    """
+    scale = np.exp2(-np.asarray(exponents, dtype=np.float64))
+    size = float(np.abs(N * scale[:, None] * scale).max(initial=0.0))
+    shift = round(np.log2(size) / 2) - BITS // 2 if size else 0
+    powers = tuple(e + shift for e in exponents)
+    finest = {
+        product: min(pairs, key=lambda p: powers[p[0]] + powers[p[1]]) for product, pairs in monomials.products.items()
+    }
+    return tuple(_vanishing(whole(N_i, powers), powers, monomials.products, finest) for N_i in N), powers
+
+
+def _vanishing(
+    rows: Whole,
+    powers: Sequence[int],
+    products: Mapping[Exponents, Sequence[tuple[int, int]]],
+    finest: Mapping[Exponents, tuple[int, int]],
+) -> Whole:
+    """Return whole numbers changed as little as it takes that mᵀ N m = 0."""
+    N = [list(row) for row in rows]
+    for product, pairs in products.items():
+        j, k = finest[product]
+        rest = 0
+        for a, b in pairs:
+            if a == b:
+                N[a][a] = 2 * round(N[a][a] / 2)
+            if (a, b) != (j, k):
+                rest += (1 + (a != b)) * N[a][b] << (powers[a] + powers[b] - powers[j] - powers[k])
+        N[j][k] = N[k][j] = -rest if j == k else -rest // 2
+    return tuple(tuple(row) for row in N)

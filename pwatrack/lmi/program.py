@@ -17,14 +17,11 @@ class SemidefiniteProgram:
     """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
     Attributes:
-        constraints: The inequalities; all have the same P, Y and t.
+        constraints: The inequalities, at least one; all have the same P, Y and t.
         price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
         weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
         cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
         equalities: E (n, n), symmetric, and value of each tr E P = value.
-
-    Raises:
-        ValueError: If shapes do not fit, or more than one objective is given.
     """
 
     constraints: tuple[Inequality, ...]
@@ -32,20 +29,6 @@ class SemidefiniteProgram:
     weight: Array | None = None
     cost: Array | None = None
     equalities: tuple[tuple[Array, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.constraints or any((c.n, c.m) != (self.n, self.m) for c in self.constraints):
-            raise ValueError("the constraints of a program have the same P and Y, and there is at least one")
-        if bool(self.price) + (self.weight is not None) + (self.cost is not None) > 1:
-            raise ValueError("a program has one objective: t, tr W P or tr V P⁻¹ Vᵀ")
-        if self.price and all(c.T is None for c in self.constraints):
-            raise ValueError("t is the objective and stands in no constraint")
-        if self.weight is not None and self.weight.shape[1] != self.n:
-            raise ValueError(f"V has {self.weight.shape[1]} columns, P has {self.n}")
-        if self.cost is not None and self.cost.shape != (self.n, self.n):
-            raise ValueError(f"W is {self.cost.shape[0]} × {self.cost.shape[1]}, P is {self.n} × {self.n}")
-        if any(E.shape != (self.n, self.n) or (E.T != E).any() for E, _ in self.equalities):
-            raise ValueError(f"the matrix of an equality is symmetric and {self.n} × {self.n}, as P is")
 
     @property
     def n(self) -> int:
@@ -121,14 +104,9 @@ class Solution:
         return self.program.objective(self.P, self.t)
 
     @property
-    def slacks(self) -> list[Array]:
-        """What is left of each constraint, (l, N, N) each: positive definite where it holds strictly."""
-        return [-side for side in self.program.left_sides(self.P, self.Y, self.t)]
-
-    @property
     def violation(self) -> float:
         """The largest eigenvalue of a left-hand side: negative where all constraints hold strictly."""
-        return -min(float(np.linalg.eigvalsh(slack).min()) for slack in self.slacks)
+        return max(float(np.linalg.eigvalsh(side).max()) for side in self.program.left_sides(self.P, self.Y, self.t))
 
     @property
     def off(self) -> float:
@@ -194,32 +172,30 @@ def largest_margin(inequality: Inequality, most: float | None = None, *, any_sig
     Without a bound Y may become large for a margin that is hardly better. For a P of any sign −I ⪯ P in place of t I.
     """
     n, N, eye = inequality.n, inequality.L.shape[1], np.eye(inequality.n)
+    bounds_of_Y = []  # as [most I, Y; Yᵀ, most I] ⪰ 0
+    if most is not None and inequality.m:
+        square = bound_of_gain(
+            inequality, np.eye(inequality.m), most=most, factors=(0 * eye, eye), constant=-most * eye
+        )
+        bounds_of_Y.append(square)
     return SemidefiniteProgram(
         constraints=(
             replace(inequality, T=np.broadcast_to(np.eye(N), inequality.constant.shape)),
             of_P(inequality, -1.0, constant=-eye) if any_sign else of_P(inequality, -1.0, T=eye),
             of_P(inequality, 1.0, constant=-eye),
             of_P(inequality, 1.0, np.zeros((1, n)), constant=-np.eye(1), T=np.eye(1)),
-            *([] if most is None or not inequality.m else [_norm_of_Y(inequality, most)]),
+            *bounds_of_Y,
         ),
         price=-1.0,
     )
 
 
-def _norm_of_Y(like: Inequality, most: float) -> Inequality:
-    """Return ‖Y‖ ≤ most, as [most I, Y; Yᵀ, most I] ⪰ 0."""
-    nothing, eye = np.zeros((like.n, like.n)), np.eye(like.n)
-    return bound_of_gain(like, np.eye(like.m), most=most, factors=(nothing, eye), constant=-most * eye)
-
-
 def least_violation(inequalities: Sequence[Inequality], definite: int | None = None) -> SemidefiniteProgram:
     """Minimise t subject to F_i(P, Y) ⪯ t I for all cells, P ⪰ 0 and tr P = 1.
 
-    Where the least t is positive, the multipliers U_i have Σ tr U_i F_i(P, Y) ≥ t tr P for any P ⪰ 0 and Y.
-
-    Args:
-        inequalities: Those of cells of one order each; all have the same P and Y.
-        definite: The order of the first diagonal block of P that P ⪰ 0 and tr P = 1 speak of; the rest may be anything.
+    Where the least t is positive, the multipliers U_i have Σ tr U_i F_i(P, Y) ≥ t tr P for any P ⪰ 0 and Y. Each
+    inequality has cells of one order. P ⪰ 0 and tr P = 1 may speak of the first diagonal block of P alone, of the order
+    `definite`; the rest may be anything.
     """
     first = inequalities[0]
     order, eye = first.n if definite is None else definite, np.eye(first.n)
@@ -233,10 +209,7 @@ def least_condition(inequality: Inequality, unit: Array) -> SemidefiniteProgram:
     """Minimise κ subject to F_i(P) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
 
     κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1.
-
-    Args:
-        inequality: What P must satisfy.
-        unit: U (n, n), positive definite: the P that would be the identity in the units that count.
+    U (n, n), positive definite, is the P that would be the identity in the units that count.
 
     Raises:
         numpy.linalg.LinAlgError: If U is not positive definite.
@@ -261,49 +234,25 @@ def least_trace(inequality: Inequality) -> SemidefiniteProgram:
 
 
 def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> SemidefiniteProgram:
-    """Minimise tr W P subject to F_i(P) ⪯ 0 for all cells and P ⪰ D; without D, F_i must make P ≻ 0.
-
-    Args:
-        inequality: From `weighted` or `lyapunov`, with stable matrices.
-        W: (n, n), positive semidefinite.
-        above: D (n, n), positive semidefinite.
-    """
+    """Minimise tr W P, W ⪰ 0, subject to F_i(P) ⪯ 0 for all cells and P ⪰ D; without D, F_i must make P ≻ 0."""
     more = () if above is None else (of_P(inequality, -1.0, constant=above),)
     return SemidefiniteProgram(constraints=(inequality, *more), price=0.0, cost=W)
 
 
 def least_cost(inequality: Inequality, weight: Array) -> SemidefiniteProgram:
-    """Minimise tr V P⁻¹ Vᵀ subject to F_i(P) ⪯ 0 for all cells and P ⪰ 0.
-
-    Args:
-        inequality: From `quadratic_cost`.
-        weight: V (n, n): its rows are the initial states whose costs are added up.
-    """
-    return SemidefiniteProgram(
-        constraints=(inequality, of_P(inequality, -1.0)),
-        price=0.0,
-        weight=weight / np.linalg.norm(weight, 2),
-    )
+    """Minimise tr V P⁻¹ Vᵀ subject to a `quadratic_cost`, and P ⪰ 0: costs of initial states, rows of V, added up."""
+    V = weight / np.linalg.norm(weight, 2)
+    return SemidefiniteProgram(constraints=(inequality, of_P(inequality, -1.0)), price=0.0, weight=V)
 
 
 def smallest_gain(inequality: Inequality, metric_root: Array, input_root: Array) -> SemidefiniteProgram:
     """Minimise κ² subject to F_i(P, Y) ⪯ 0 for all cells, P ⪰ G and [κ² I, E Y; Yᵀ Eᵀ, P] ⪰ 0.
 
-    Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm.
-
-    Args:
-        inequality: From `state_feedback`.
-        metric_root: H (n, n), invertible, with G = H Hᵀ; it is scaled to a norm of 1.
-        input_root: E (m, m).
+    Then K = Y P⁻¹ has E K G Kᵀ Eᵀ ⪯ E Y P⁻¹ Yᵀ Eᵀ ⪯ κ² I, since P⁻¹ G P⁻¹ ⪯ P⁻¹: κ bounds its norm. H (n, n), the root
+    of the metric, is invertible, and G = H Hᵀ scaled to a norm of 1.
     """
-    return SemidefiniteProgram(
-        constraints=(
-            inequality,
-            of_P(inequality, -1.0, constant=_metric(metric_root)),
-            bound_of_gain(inequality, input_root),
-        ),
-        price=1.0,
-    )
+    above = of_P(inequality, -1.0, constant=metric_root @ metric_root.T / np.linalg.norm(metric_root, 2) ** 2)
+    return SemidefiniteProgram(constraints=(inequality, above, bound_of_gain(inequality, input_root)), price=1.0)
 
 
 def smaller_gain(
@@ -322,9 +271,7 @@ def smaller_gain(
     last block is I and κ is 1, and all programs of the sequence are in the same numbers.
 
     Args:
-        inequality: From `state_feedback`.
-        metric_root: H (n, n), invertible, with G = H Hᵀ.
-        input_root: E (m, m).
+        inequality, metric_root, input_root: As for `smallest_gain`; H is not scaled.
         last: P₀ ≻ 0 and a Y that satisfy the inequality strictly.
         first: P₁ and its Y, where P₀ is an answer to an earlier program of the sequence.
     """
@@ -341,15 +288,7 @@ def smaller_gain(
         factors=(columns.T, np.asarray(np.linalg.solve(metric_root.T, tangent), dtype=np.float64)),
         constant=tangent.T @ tangent,
     )
-    return SemidefiniteProgram(
-        constraints=(inequality, of_P(inequality, -1.0), gain),
-        price=1.0,
-    )
-
-
-def _metric(root: Array) -> Array:
-    """Return G = H Hᵀ with a norm of 1."""
-    return np.asarray(root @ root.T / np.linalg.norm(root, 2) ** 2)
+    return SemidefiniteProgram(constraints=(inequality, of_P(inequality, -1.0), gain), price=1.0)
 
 
 def bound_of_gain(

@@ -14,8 +14,8 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import tracking_dynamics
 from pwatrack.control.goal import Given
 from pwatrack.lmi.audit.reading import FORMAT, number
+from pwatrack.lmi.dichotomy import NoDichotomy
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.no_dichotomy import NoDichotomy
 from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.spec.spec import Spec

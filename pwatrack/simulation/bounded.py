@@ -12,7 +12,7 @@ from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, Infeasible, Problem, Undecided
-from pwatrack.lmi.exact_polynomial import exactly
+from pwatrack.lmi.polynomial import exactly
 from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms

@@ -14,12 +14,10 @@ from pwatrack.control.goal import Given
 from pwatrack.control.task import Task
 from pwatrack.errors import PwatrackError
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.dichotomy import prove_dichotomy
+from pwatrack.lmi.dichotomy import NoDichotomy, prove_dichotomy
 from pwatrack.lmi.exact import Proof, prove_exactly
-from pwatrack.lmi.exact_polynomial import PolynomialProof, prove_polynomial
 from pwatrack.lmi.infeasibility import Impossibility, seems_impossible
-from pwatrack.lmi.no_dichotomy import NoDichotomy
-from pwatrack.lmi.polynomial import best_polynomial, degrees
+from pwatrack.lmi.polynomial import PolynomialProof, best_polynomial, degrees, prove_polynomial
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.normal_form import normal_form

@@ -3,7 +3,7 @@
 This folder runs alone, on Python's standard library, wherever it is copied to. Read it from certificate.py on.
 
 Nothing is taken from the file but the plant, the gains and the proofs; all between them is worked out again. An object
-has the keys of `shape.py` and no others, each once, and by its keys a proof is one claim; a number is written in one
+has the keys of `reading.py` and no others, each once, and by its keys a proof is one claim; a number is written in one
 way. Steps are counted, longer numbers as more of them: a file that asks for more than its size is worth is refused.
 
 - The cells cover R^n without overlap, and the field is continuous: no two hyperplanes are one, and two cells on
@@ -49,7 +49,7 @@ way. Steps are counted, longer numbers as more of them: a file that asks for mor
   meet; |f - g| <= largest, as it is so at all breakpoints and the outer slopes are the same. The design is that of the
   plant, and g of a bound is (E, -E), E the direction of an element; or (E, 0) where the observer runs the true cells,
   which (9) is then about. A signal ends below the sum of largest times its bound. A bound of one matrix M may be
-  a peak gain, the integral of |c exp(M t) g|, see peaks.py.
+  a peak gain, the integral of |c exp(M t) g|, see peak_gain.py.
 - A cost has X M_i + M_i^T X + Q + K^T R K < 0 and X > 0; for the observer with A_i^T, C^T, L^T.
 - An impossibility has Z_i with sum Z_i B = 0 and sum Z_i (M_i + rate I) + transpose >= 0, where all Z_i >= 0 and not
   all are 0, or there is one alone and it is not <= 0: so no P > 0 and Y have M_i P + P M_i^T + B Y + Y^T B^T + 2 rate P

@@ -3,11 +3,9 @@
 from fractions import Fraction
 from typing import Any
 
-from .balls import enlarge, flipped, times
 from .bounds import SIGNALS, Loop
-from .matrices import AuditFault, added, definite, product, sizes, transposed
-from .reading import distinct, matrix, number, packed
-from .shape import NUMBER, PACKED, ROWS, TEXT, of
+from .matrices import AuditFault, Ball, added, definite, falls, identity, product, transposed
+from .reading import NUMBER, PACKED, ROWS, TEXT, distinct, matrix, number, of, packed
 
 KEY = "limits"
 SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]
@@ -32,18 +30,14 @@ def near(loop: Loop, entry: Any) -> list[str]:
     widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
     around = product(widened, transposed(G))
     faults = [] if definite(Q) and definite(added(Q, around, -1)) else ["a start is not in the ellipsoid"]
-    for X, R in loop.matrices(name):
-        half = product(X, Q)
-        left = added(half, transposed(half))
-        enlarge(left, product(R, sizes(Q)) if R else [], powers)
-        if not definite(left, sign=-1):
-            faults.append("an ellipsoid can be left")
+    nothing = identity(len(Q), 0)
+    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, nothing)]
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
     for kind, k, size in entry["signals"]:
         if kind != wanted:
             raise AuditFault(f"limits of inputs are said of '{wanted}' here")
         c = loop.row(name, kind, k)
-        value, radius = times(times(c, (Q, [])), flipped(c))
+        value, radius = c @ Ball(Q) @ c.T
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
         if number(size) < 0 or largest > number(size) ** 2:
             faults.append(f"{kind} {k} is not bounded by {size}")
