@@ -111,12 +111,10 @@ class SampledController:
 
 
 def program(controller: ProvedController, conditions: Conditions, *, given: bool = False) -> SampledController:
-    """Return the program of a controller that is sampled.
+    """Return the program of a controller that is sampled, within `conditions`: limits, rates and steps of inputs too.
 
-    Args:
-        conditions: Sample time, method and delay; limits, rates and steps of the inputs.
-        given: Whether w is given at each tick: y_d and its derivatives up to the relative degree, between ticks a
-            Taylor polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
+    Where w is `given` at each tick it is y_d and its derivatives up to the relative degree, between ticks a Taylor
+    polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
 
     Example: the paper's example, 500 times a second.
 

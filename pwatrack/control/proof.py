@@ -55,7 +55,7 @@ def prove_design(
         proofs += prove_inequality(role, closed, certificate, hull=hull, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1] and not isinstance(generator.certificate, Dichotomy):
         form, M = generator.form, each(GENERATOR.exact, generator.form.exact.A_eta)
-        internal = np.sqrt((form.T[0, generator.r :] ** 2) @ sizes.state**2)
+        internal = np.sqrt((form.T[0, form.r :] ** 2) @ sizes.state**2)
         proofs += prove_inequality(GENERATOR, M, generator.certificate, hull=form.hull, sizes=1 / internal)
     return tuple(proofs)
 
