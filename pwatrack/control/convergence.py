@@ -142,7 +142,7 @@ def least_overshoot_certificate(
     """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P), P in sizes.
 
     Its root is the overshoot: how many times its first size an error can reach on its way to 0. None if none is found.
-    The rate (1/s) is one below the best; `start` is a P (n, n) to begin near.
+    The rate (1/s) is one below the best; sizes are 1 by default; `start` is a P (n, n) to begin near.
 
     Example: by itself each of the two turns any error towards 0 at once.
 
@@ -202,15 +202,15 @@ def prove_convergence(
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     doubtful = (abscissa > -_DOUBTFUL * np.linalg.norm(M, axis=(1, 2))).any()
-    exact = [BallMatrix.of(M_i) for M_i in M] if exact is None else exact
     no_input = np.zeros((M.shape[1], 0))
-    refuted = partial(refute, M, no_input, exact=([M_i.centre for M_i in exact], decimals(no_input)))
+    centres = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
+    refuted = partial(refute, M, no_input, exact=centres)
     refutation, tried = refuted() if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
         best = best_certificate(M, sizes=sizes)
         if best is not None:
             return best
-        numbers = different(exact)
+        numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
         best = _precisely(role, numbers, np.ones(len(M[0])) if sizes is None else sizes)
         if best is not None:
             return best
@@ -262,7 +262,10 @@ def _polynomial(
 
 
 def near_polynomial(A: Array, sizes: Array | None = None) -> Coordinates:
-    """Return the coordinates in which `best_polynomial` looks, for A (l, n, n) by which errors change."""
+    """Return the coordinates in which `best_polynomial` looks, for A (l, n, n) by which errors change.
+
+    Sizes (n,) are those of the states of M_i = A_iᵀ, by default those that balance it.
+    """
     return _near(A.swapaxes(1, 2), None, sizes)
 
 
