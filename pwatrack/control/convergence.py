@@ -34,11 +34,7 @@ _SOON = 1  # the same for one gain of many
 
 
 def best_certificate(
-    M: Array,
-    *,
-    start: Array | None = None,
-    sizes: Array | None = None,
-    soon: bool = False,
+    M: Array, *, start: Array | None = None, sizes: Array | None = None, soon: bool = False
 ) -> Certificate | None:
     """Return the proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found, or None.
 

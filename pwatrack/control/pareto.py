@@ -65,11 +65,7 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
     points = [(a, float(found[found[:, 0] >= a * (1 - _SAME_RATE), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
     return Front(
-        role=task.role,
-        rates=readonly(columns[:, 0]),
-        norms=readonly(columns[:, 1]),
-        limit=limit,
-        chosen=chosen,
+        role=task.role, rates=readonly(columns[:, 0]), norms=readonly(columns[:, 1]), limit=limit, chosen=chosen
     )
 
 

@@ -216,12 +216,7 @@ def _follows(exosystem: Exosystem, h: float) -> Follows:
                 break  # what grows has an end
             turn.append(after)
     end = None if exosystem.end is None else int(exosystem.end / h * (1 + 1e-12))
-    return Follows(
-        turn=np.array(turn),
-        w0=exosystem.w0,
-        pieces=tuple(latest[key] for key in sorted(latest)),
-        end=end,
-    )
+    return Follows(turn=np.array(turn), w0=exosystem.w0, pieces=tuple(latest[key] for key in sorted(latest)), end=end)
 
 
 def _given_trajectory(controller: ProvedController) -> tuple[DesiredTrajectory, tuple[str, ...]]:

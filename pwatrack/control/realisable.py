@@ -73,10 +73,7 @@ def left_over(plant: PWASystem, trajectory: DesiredTrajectory) -> LeftOver:
     """Return what u_ff of a trajectory in closed form leaves over of (3)."""
     Q, Q_rate = trajectory.exosystem.derivative_rows(1)
     needed = needed_inputs(plant, Q, Q_rate)
-    terms = np.concatenate(
-        [np.abs(Q_rate) + np.abs(plant.A) @ np.abs(Q), np.abs(plant.b)[:, :, None]],
-        axis=2,
-    )
+    terms = np.concatenate([np.abs(Q_rate) + np.abs(plant.A) @ np.abs(Q), np.abs(plant.b)[:, :, None]], axis=2)
     mixed = np.abs(plant.B) @ np.abs(pseudo_inverse(plant.B))  # u_ff carries the rounding of the other equations
     return LeftOver(rows=needed - plant.B @ trajectory.u_ff, terms=terms + mixed @ terms, trajectory=trajectory)
 
