@@ -317,7 +317,7 @@ def test_neither_verdict_nor_output_depends_on_how_the_plant_is_written(change: 
     gains = loop.controller.design
     again = track(other, f"sin({2 * speed!r}*t) - ({y_shift!r})")  # designed afresh: still proved
     assert again.controller.generator is not None
-    assert again.controller.generator.r == r
+    assert again.controller.generator.form.r == r
     same = track(
         other,
         f"sin({2 * speed!r}*t) - ({y_shift!r})",

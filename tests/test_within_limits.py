@@ -20,8 +20,7 @@ from pwatrack.claims.limits import NoSaturation, StartGuarantee, promises
 from pwatrack.commands.verify import verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import AtLeast, Fastest
-from pwatrack.control.headroom import Headroom, Peak, Starts
-from pwatrack.control.input_constraint import InputConstraint
+from pwatrack.control.headroom import Headroom, InputConstraint, Peak, Starts
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed

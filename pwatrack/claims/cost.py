@@ -21,9 +21,9 @@ from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import least_trace
-from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
+from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import decimals, is_positive_definite, scalar
+from pwatrack.rational import decimals, fraction_of, is_positive_definite, scalar
 
 _SLACK = 1e-9  # of the mean weight, beside weights that may be 0: what is minimised is then definite
 _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until it is proved
@@ -46,12 +46,11 @@ class Costs(Claim):
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
         """Yield the bounds where a gain was asked for by its cost."""
-        goals = _least(asked)
-        gains = {CONTROLLER: controller.K, OBSERVER: controller.L}
-        X = {
-            role: cost_bound(_task(role, controller, asked), role.oriented(gains[role]), goal.Q, goal.R)
-            for role, goal in goals.items()
-        }
+        goals, X = _least(asked), dict[Role, Array]()
+        for role, goal in goals.items():
+            task = Task.of(asked.words.plant, role, sizes=controller.sizes)
+            gain = controller.K if role is CONTROLLER else controller.L
+            X[role] = cost_bound(task, role.oriented(gain), goal.Q, goal.R)
         if goals:
             yield cls(goals=goals, X=X)
 
@@ -64,18 +63,9 @@ class Costs(Claim):
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return X, beside the weights that it is for."""
-        goals = self.goals
-        return {
-            "proofs": [
-                {
-                    "of": role.name,
-                    "X": decimal_texts(X),
-                    "Q": decimal_texts(goals[role].Q),
-                    "R": decimal_texts(goals[role].R),
-                }
-                for role, X in self.X.items()
-            ]
-        }
+        matrices = {role: {"X": X, "Q": self.goals[role].Q, "R": self.goals[role].R} for role, X in self.X.items()}
+        texts = {role: {name: decimal_texts(Y) for name, Y in found.items()} for role, found in matrices.items()}
+        return {"proofs": [{"of": role.name, **found} for role, found in texts.items()]}
 
     def texts(self, role: Role, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield what the bound of the cost of one gain means."""
@@ -106,10 +96,6 @@ def _least(asked: Asked) -> dict[Role, LeastCost]:
     return {role: goal for role, goal in asked.words.goals.items() if isinstance(goal, LeastCost)}
 
 
-def _task(role: Role, controller: ProvedController, asked: Asked) -> Task:
-    return Task.of(asked.words.plant, role, sizes=controller.sizes)
-
-
 def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
@@ -131,11 +117,6 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     covariance is at most X follows only where all M_i are the same: else switching rectifies noise into a bias, and a
     case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds.
 
-    Args:
-        task: A (l, n, n) and B (n, m).
-        K: (m, n), as printed.
-        Q, R: (n, n) and (m, m).
-
     Raises:
         Undecided: If no X could be proved.
 
@@ -144,9 +125,8 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
         >>> cost_bound(task, -np.eye(1), np.eye(1), np.eye(1)).round(4).tolist()
         [[1.0]]
     """
-    closed, weight = task.closed(K), Q + K.T @ R @ K
-    exact = task.exactly_closed(K)
-    matrices = np.swapaxes(extreme(closed), 1, 2)
+    weight, exact = Q + K.T @ R @ K, task.exactly_closed(K)
+    matrices = np.swapaxes(extreme(task.closed(K)), 1, 2)
     slack = _SLACK * float(np.trace(weight)) / len(Q) * np.eye(len(Q))
     at = Coordinates.balanced(matrices)
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))
@@ -171,11 +151,6 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
 def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
     """Return tr(X⁻¹ W), W = Q + L R Lᵀ, rounded up: the bound of E[Δᵀ X⁻¹ W X⁻¹ Δ], see `cost_bound`.
 
-    Args:
-        X: What `cost_bound` returned for the observer, (n, n).
-        L: (n, q), as printed.
-        Q, R: Densities of the noise on ẋ and on y, (n, n) and (q, q).
-
     Example:
         >>> one = np.eye(1)
         >>> 8.0 <= noise_level(one / 4, one, one, one) < 8.0 + 1e-12
@@ -185,17 +160,14 @@ def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
     W = decimals(Q) + exact * decimals(R) * exact.transpose()
     level = decimals(X).inv() * W
     total = sum((level[k, k] for k in range(len(X))), scalar(0.0))
-    value = Fraction(int(total.p), int(total.q))
+    value = fraction_of(total)
     near = float(value)
     return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
 
 
 def _proved(M: Sequence[BallMatrix], K: Array, Q: Array, R: Array, X: Array) -> bool:
-    exact, gain, unit = (
-        decimals(X),
-        decimals(K),
-        [Fraction(v) for v in np.sqrt(np.maximum(np.diag(X), 1e-300)).tolist()],
-    )
+    exact, gain = decimals(X), decimals(K)
+    unit = [Fraction(v) for v in np.sqrt(np.maximum(np.diag(X), 1e-300)).tolist()]
     weight = decimals(Q) + gain.transpose() * decimals(R) * gain
     if not is_positive_definite(exact):
         return False

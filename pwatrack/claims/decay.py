@@ -49,12 +49,7 @@ class Decay(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        """Yield the claim: a controller has its proofs."""
-        yield cls()
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        """Yield the claim; `read_proofs` gives the proofs."""
+        """Yield the claim: a controller has its proofs; `read_proofs` gives those of a certificate."""
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -236,16 +231,8 @@ def _matrix(X: Array) -> str:
 def _content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
     P = packed(proof.integers, proof.exponents)
     if isinstance(proof, PolynomialProof):
-        N = [packed(N, proof.N_exponents) for N in proof.N]
-        rate = decimal(proof.rate)
-        return {
-            "of": proof.role.name,
-            "degree": proof.degree,
-            "rate": rate,
-            "T": decimal_texts(proof.T),
-            "P": P,
-            "N": N,
-        }
+        N, told = [packed(N, proof.N_exponents) for N in proof.N], {"degree": proof.degree, "rate": decimal(proof.rate)}
+        return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
     if isinstance(proof, Dichotomy):
         return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
     told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}

@@ -1,4 +1,4 @@
-"""Exact numbers as a certificate has them, written and read again: decimals, integers with exponents, signals."""
+"""What a certificate holds in exact numbers, written and read again: matrices, signals, a plant, its form (11)."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -8,10 +8,15 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
-from pwatrack.control.bounds import Bounds, Channel, Form, ProvedPeak, SignalEllipsoid
+from pwatrack.control.bounds import Bounds, Channel, Form, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.ellipsoid import InvariantEllipsoid
 from pwatrack.lmi.peak_gain import PeakGain
+from pwatrack.model.loads import Loads
+from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
+from pwatrack.model.normal_form import NormalForm
+from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.real import Real
 
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
@@ -77,13 +82,13 @@ def bounds_content(bounds: Bounds) -> dict[str, Any]:
     ]
     peaks = [
         {
-            "part": peak.part,
-            "unit": peak.gain.unit,
-            "steps": [list(run) for run in peak.gain.steps],
-            "P": packed(peak.gain.integers, peak.gain.exponents),
-            "size": decimal(peak.gain.size),
+            "part": part,
+            "unit": gain.unit,
+            "steps": [list(run) for run in gain.steps],
+            "P": packed(gain.integers, gain.exponents),
+            "size": decimal(gain.size),
         }
-        for peak in bounds.proved
+        for part, gain in bounds.proved.items()
     ]
     found = {"channel": list(bounds.channel), "signals": signals(bounds.certified.items()), "parts": parts}
     return found | ({"peaks": peaks} if peaks else {})
@@ -102,18 +107,15 @@ def read_bounds(entry: Any) -> Bounds:
         )
         for part in entry["parts"]
     )
-    proved = tuple(
-        ProvedPeak(
-            part=peak["part"],
-            gain=PeakGain(
-                unit=peak["unit"],
-                steps=tuple((k, count) for k, count in peak["steps"]),
-                size=double(peak["size"]),
-                **whole(peak["P"]),
-            ),
+    proved = {
+        peak["part"]: PeakGain(
+            unit=peak["unit"],
+            steps=tuple((k, count) for k, count in peak["steps"]),
+            size=double(peak["size"]),
+            **whole(peak["P"]),
         )
         for peak in entry.get("peaks", [])
-    )
+    }
     sizes = dict(read_signals(entry["signals"]))
     return Bounds(channel=read_channel(entry["channel"]), sizes=sizes, parts=parts, proved=proved)
 
@@ -121,3 +123,97 @@ def read_bounds(entry: Any) -> Bounds:
 def read_channel(channel: Any) -> Channel:
     """Return a channel that was written as a list."""
     return channel[0], channel[1]
+
+
+def plant_content(plant: PWASystem) -> dict[str, Any]:
+    """Return a plant by its cells."""
+    exact, partition = plant.exact, plant.partition
+    return _ports(plant) | {
+        "cells": list(plant.cell_names),
+        "H": [[text(v) for v in row] for row in partition.exact_H],
+        "h": [text(v) for v in partition.exact_h],
+        "signs": partition.signs.tolist(),
+        "A": [X.texts for X in exact.A],
+        "b": [X.texts for X in exact.b],
+        "radius": {"A": radii(exact.A), "b": radii(exact.b), **_port_radii(exact)},
+    }
+
+
+def elements_content(plant: PWASystem) -> dict[str, Any]:
+    """Return a plant as it was written: its cells are all combinations of segments."""
+    assert plant.written is not None
+    return _ports(plant) | {
+        "A": plant.written.A.texts,
+        "b": plant.written.b.texts,
+        "elements": [
+            term_content(one) | {"segments": [f"{one.name} {segment}" for segment in one.function.segments]}
+            for one in plant.written.elements
+        ],
+        "radius": {"A": None, "b": None, **_port_radii(plant.exact)},
+    }
+
+
+def term_content(element: Nonlinearity) -> dict[str, Any]:
+    """Return direction function(row x + constant)."""
+    return {
+        "row": [_centre(v) for v in element.row],
+        "constant": _centre(element.constant),
+        "direction": [_centre(v) for v in element.direction],
+        "function": function_content(element.function),
+    }
+
+
+def function_content(function: PiecewiseLinear) -> dict[str, Any]:
+    """Return a piecewise linear function."""
+    return {
+        "breakpoints": [_centre(v) for v in function.breakpoints],
+        "slopes": [_centre(v) for v in function.slopes],
+        "value": _centre(function.value),
+    }
+
+
+def form_content(form: NormalForm, *, listed: bool) -> dict[str, Any]:
+    """Return the form (11), of each cell where they are listed."""
+    by_cell: dict[str, Any] = {"T": [form.exact.T[0].texts]}
+    if listed:
+        by_cell = {"T": [T.texts for T in form.exact.T], "A_eta": [X.texts for X in form.exact.A_eta]}
+    return {
+        "relative_degrees": list(form.degrees),
+        "directions": form.exact.directions.texts,
+        "scales": [text(Fraction(v)) for v in form.exact.scales],
+        "internal": list(form.exact.internal),
+        "eta": list(form.eta_names),
+        **by_cell,
+    }
+
+
+def _ports(plant: PWASystem) -> dict[str, Any]:
+    """Return what all ways of writing a plant have in common."""
+    return {
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "tracked": list(plant.tracked_names),
+        "B": plant.exact.B.texts,
+        "C": plant.exact.C.texts,
+        "tracked_rows": plant.exact.tracked.texts,
+        "loads": None if plant.loads is None else _loads(plant.loads),
+    }
+
+
+def _port_radii(exact: Matrices) -> dict[str, Any]:
+    return {"B": exact.B.radius_texts, "C": exact.C.radius_texts, "tracked_rows": exact.tracked.radius_texts}
+
+
+def _loads(loads: Loads) -> dict[str, Any]:
+    return {
+        "names": list(loads.names),
+        "where": list(loads.where),
+        "E": loads.E.texts,
+        "S": loads.S.texts,
+        "radius": {"E": loads.E.radius_texts, "S": loads.S.radius_texts},
+    }
+
+
+def _centre(value: Number) -> str:
+    return text(Real.of(value).centre)

@@ -53,11 +53,7 @@ class StartGuarantee:
     loads: tuple[float, ...]
 
     def scale(self, left: Array) -> float:
-        """Return how many times as large the errors of the start may be, so that no limit is reached, rounded down.
-
-        Args:
-            left: How far each input may be from its feedforward, (m,).
-        """
+        """Return how many times as large a start may be, so that each |u − u_ff| ≤ left, (m,); rounded down."""
         sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
         moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
         ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
@@ -207,7 +203,6 @@ def promises(
         u − u_ff = K (e + Δ) − ŝ = (K (e + Δ) − σ) − s,    u_ff without estimates.
 
     Args:
-        controller: With its proofs.
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
         known: What was proved of starts before, by their kind: then nothing is searched.

@@ -24,9 +24,15 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, text
-from pwatrack.claims.exact_text import bounds_content, read_bounds, signals
-from pwatrack.claims.subject import function_content, plant_content, term_content
-from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, ProvedPeak, SignalEllipsoid, of_loop
+from pwatrack.claims.exact_text import (
+    bounds_content,
+    function_content,
+    plant_content,
+    read_bounds,
+    signals,
+    term_content,
+)
+from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
@@ -177,17 +183,11 @@ def least_merges(
 ) -> dict[int, Simplification] | None:
     """Return how each element is merged such that none of them can be merged less while the others stay.
 
-    It begins with all of them merged whole. One after the other, that of the largest deviation first, is then left as
-    it is or merged in the way of the least deviation that will do. Less merged is harder in every way, since (8), (9)
-    and (17) then speak of more cells: so what was found for one element stays the least while others are merged less.
-
-    Args:
-        form: The field as a sum of elements.
-        sizes: Those of the states: what deviations are compared in.
-        works: Whether a design is found for a merging. It is asked 40 times at most; what is left then stays merged.
-
-    Returns:
-        By element, or None where even all merged does not work, or nothing can be merged.
+    It begins with all of them merged whole. One after the other, that of the largest deviation first (in sizes of the
+    states), is then left as it is or merged in the way of the least deviation that will do. Less merged is harder in
+    every way, since (8), (9) and (17) then speak of more cells: so what was found for one element stays the least while
+    others are merged less. `works` says whether a design is found; it is asked 40 times at most, what is left then
+    stays merged. None where even all merged does not work, or nothing can be merged.
     """
     chosen = widest(form)
     ways = {k: merges(form, k) for k in chosen}
@@ -221,39 +221,30 @@ def deviation_bounds(
     output: bool,
     states: Sequence[int],
 ) -> tuple[Bounds, ...] | None:
-    """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it.
+    """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it; None if one cannot.
 
     Args:
         plant: f̃; if the observer runs another plant, that one has no deviation.
-        design: Its gains.
-        proofs: What `prove_design` returned for them.
+        design, proofs: Its gains, and what `prove_design` returned for them.
         X: Of the `Compensation` of loads.
         columns: E_k (n, 1).
         output: Whether outputs are tracked, else states.
         states: Which states are to be bounded beside.
-
-    Returns:
-        One for each deviation, or None where some signal could not be bounded.
     """
     K, L = design.exact
     loops = _Loops(plant, K, L, proofs, X, output=output)
     loops.columns, loops.seen = columns, plant.watched is None
     extra: list[Form] = [("state", k) for k in states if output]
     signals = loops.tracked + loops.inputs + extra
-    found = [loops.ended(k, signals) for k in range(len(columns))]
-    return tuple(bounds for bounds in found if bounds is not None) if None not in found else None
+    found = [bounds for k in range(len(columns)) if (bounds := loops.ended(k, signals)) is not None]
+    return tuple(found) if len(found) == len(columns) else None
 
 
 class _Loops(Loops):
-    """The loops, driven by deviations.
+    """The loops, driven by deviations."""
 
-    Attributes:
-        columns: E_k.
-        seen: Whether they drive the observer's error too.
-    """
-
-    columns: Sequence[BallMatrix]
-    seen: bool
+    columns: Sequence[BallMatrix]  # E_k
+    seen: bool  # whether they drive the observer's error too
 
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
         """Return g, (N, 1)."""
@@ -270,13 +261,13 @@ class _Loops(Loops):
         loop: Loop = "joint" if self.seen else "controller"
         estimates = [form for form in self.estimates if form[1] < self.n]
         sizes, parts = self.sizes("observer", channel, estimates)
-        peaks = list[ProvedPeak]()
+        peaks = dict[int, PeakGain]()
         if loop in self.M:
             for signal in signals:
                 size, part = self.sizes(loop, channel, [signal], tries=_TRIES)
                 sizes, parts = sizes | size, parts + part
                 if part and (gain := self.proved_peak(part[0], signal)) is not None and gain.size < size[signal]:
-                    peaks.append(ProvedPeak(part=len(parts) - 1, gain=gain))
+                    peaks[len(parts) - 1] = gain
                     sizes[signal] = gain.size
         else:
             size, part = self.in_two_steps(channel)
@@ -284,7 +275,7 @@ class _Loops(Loops):
         if any(form not in sizes for form in (*signals, *estimates)):
             return None
         sizes = {form: sizes[form] for form in (*signals, *estimates)}
-        return Bounds(channel=channel, sizes=sizes, parts=parts, proved=tuple(peaks))
+        return Bounds(channel=channel, sizes=sizes, parts=parts, proved=peaks)
 
     def proved_peak(self, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
         """Return the peak gain, where the loop has one matrix."""
@@ -295,11 +286,7 @@ class _Loops(Loops):
 
 
 def merged_ways(told: Any, plant: PWASystem) -> tuple[Simplification, ...]:
-    """Return what a certificate says to be merged, as it would be in a plant.
-
-    Raises:
-        ValueError: If that is nothing of this plant.
-    """
+    """Return what a certificate says to be merged, as it would be in a plant, or refuse what is nothing of it."""
     form, found = scalar_form(plant), dict[tuple[int, int, int], Simplification]()
     if form is not None:
         each = (way for k in range(len(form.elements)) for way in merges(form, k))
@@ -337,18 +324,14 @@ def _merge_text(words: Words, merge: Simplification) -> str:
     slopes = merge.function.slopes
     straight = slopes[0].centre == slopes[-1].centre and len(slopes) == 2
     count = merge.last - merge.first + 1
-    became = "one line" if straight else f"with {count} corners fewer" if _gone(merge) == count else "with one corner"
+    gone = len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
+    became = "one line" if straight else f"with {count} corners fewer" if gone == count else "with one corner"
     parts = []
     for j, size in _deviations(merge).items():
         _, on, unit = words.cause(("disturbance", j))
         parts.append(f"{up(size)} {unit} on {on}".replace("  ", " "))
-    return (
-        f"{merge.nonlinearity.name}, of {_form_text(words, merge)}, {became}: it deviates by at most {', '.join(parts)}"
-    )
-
-
-def _gone(merge: Simplification) -> int:
-    return len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
+    of, most = _form_text(words, merge), ", ".join(parts)
+    return f"{merge.nonlinearity.name}, of {of}, {became}: it deviates by at most {most}"
 
 
 def _deviations(merge: Simplification) -> dict[int, float]:

@@ -26,11 +26,11 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
 from pwatrack.causes import ProblemPart, Remedy, Way
+from pwatrack.claims.bounds import from_start, with_acting
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.convergence import best_certificate
-from pwatrack.control.envelope import from_start, with_acting
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, Problem, Undecided
@@ -38,7 +38,6 @@ from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
 from pwatrack.model.pwa import Matrices, PWASystem
-from pwatrack.rational import identity
 
 _CLAIM = "the proof for the uncertain parameters"
 
@@ -145,7 +144,8 @@ class Robust(Claim):
         exact, n = self.plant.exact, self.plant.B.shape[0]
         found = list[Array]()
         for corner in self.corners:
-            A, b = (np.array([(X - Y).floats for X, Y in zip(*pair, strict=True)]) for pair in _pairs(corner, exact))
+            pairs = (corner.A, exact.A), (corner.b, exact.b)
+            A, b = (np.array([(X - Y).floats for X, Y in zip(*pair, strict=True)]) for pair in pairs)
             B = np.broadcast_to((corner.B - exact.B).floats, (len(A), *exact.B.shape))
             found.append(np.concatenate([A, b, B], axis=2))  # (l, n, n + 1 + m)
         rows, of = list[Array](), list[int]()
@@ -174,10 +174,6 @@ class Differences:
     of: IntArray
 
 
-def _pairs(corner: Matrices, exact: Matrices) -> list[tuple[Sequence[BallMatrix], Sequence[BallMatrix]]]:
-    return [(corner.A, exact.A), (corner.b, exact.b)]
-
-
 def prove_box(
     plant: PWASystem,
     design: Gains,
@@ -190,9 +186,7 @@ def prove_box(
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
     Args:
-        plant: The plant of the design.
-        design: Its gains.
-        proofs: What `prove_design` returned for them.
+        plant, design, proofs: What was designed, with what `prove_design` returned for it.
         corners: The matrices at the corners, with the same cells.
         output: Whether outputs are tracked, else states.
         box: The parameters that they are the corners of.
@@ -261,10 +255,9 @@ def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
 
 def joint_matrices(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:
     """Return the different M_cij."""
-    nothing = BallMatrix(identity(exact.B.shape[0]) * 0)
     observers, found = [A_j + L @ exact.C for A_j in different(exact.A)], list[BallMatrix]()
     for corner in corners:
-        BK, off = corner.B @ K, nothing - (corner.B - exact.B) @ K
+        BK, off = corner.B @ K, (exact.B - corner.B) @ K
         for A_c, A_i in zip(corner.A, exact.A, strict=True):
             upper, left = beside(A_c + BK, BK), A_i - A_c + off
             found += [above(upper, beside(left, A_j + off)) for A_j in observers]

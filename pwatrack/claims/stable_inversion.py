@@ -1,20 +1,19 @@
 """What is left by an x_d that was worked out beforehand, for zero dynamics with unstable modes: (17±)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, up
+from pwatrack.arrays import OVER_POWERS, Array, up
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.bounds import SignalBounds, in_ellipsoid
 from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import resting
 from pwatrack.control.controller import Asked, Claim, ProvedController
-from pwatrack.control.envelope import from_preview
 from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.control.words import Words, all_cells
 from pwatrack.model.normal_form import NormalForm
@@ -51,18 +50,21 @@ class StableInversion(Claim):
         error = controller.guarantees.left(_of_eta(form), preview)
         yield cls(preview=preview, form=form, error=error, bounds=bounds)
 
-    @classmethod
-    def read(
-        cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked
-    ) -> Iterator["StableInversion"]:
-        """Yield the same: it follows from x_d and the other proofs."""
-        yield from cls.prove(controller, asked)
-
     @cached_property
     def by_signal(self) -> dict[Form, float]:
-        """What is left of each signal, in its unit."""
-        bounds = self.bounds.bounds if isinstance(self.bounds, Robust) else self.bounds.acting
-        return from_preview(bounds, _of_eta(self.form), self.preview)
+        """What is left of each signal, in its unit, from error 0: it drives e, by any ellipsoid, and Δ stays 0."""
+        found = self.bounds.bounds if isinstance(self.bounds, Robust) else self.bounds.acting
+        columns, most = _of_eta(self.form), dict[Form, float]()
+        for part in (part for bounds in found for part in bounds.parts):
+            if part.loop == "observer":
+                most |= {signal: 0.0 for signal in part.signals if signal[0] == "estimate"}
+                continue
+            Q, rest = part.ellipsoid, [0.0] * (len(part.ellipsoid.exponents) - columns.shape[1])
+            each = [[in_ellipsoid(Q, np.append(column, rest)) for column in cell.T] for cell in columns]
+            size = self.preview.measured(np.array(each), Q.a / 2) * OVER_POWERS
+            for signal, bound in zip(part.signals, Q.sizes, strict=True):
+                most[signal] = 0.0 if signal[0] == "estimate" else min(most.get(signal, np.inf), bound * size)
+        return most
 
     def leaves(self, form: Form) -> float | None:
         """Return what is left of a signal."""

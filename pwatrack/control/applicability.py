@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -18,20 +19,19 @@ from pwatrack.model.simplification import merged, widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import is_hurwitz
 
-Tracking = Literal["output", "state", "practical"]
+Tracking = Literal["output", "state"]
 _ROUNDING = 1e-12  # of the largest eigenvalue, up to which a real part may be 0
 _OUTPUT: frozenset[Tracking] = frozenset({"output"})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Facts:
-    """What routes are judged by.
+class Applicability:
+    """Which routes there are for a plant, why not where there are none, and what they are judged by.
 
     Attributes:
         plant: The system (1); that it is one has been proved.
         form: Its normal form (11), or None.
         refusal: Why there is no normal form, else None.
-        zero_dynamics: Eigenvalues of A_η in each cell, (l, n − r); None without a normal form.
         stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
         tracking: What was asked for.
         asked: Whether practical tracking is asked for, after any refusal of the theory.
@@ -43,13 +43,43 @@ class Facts:
     plant: PWASystem
     form: NormalForm | None
     refusal: OutsideTheory | None
-    zero_dynamics: NDArray[np.complex128] | None
-    stuck: str = ""
-    tracking: Tracking = "output"
+    stuck: str
+    tracking: Tracking
     asked: bool = False
     uncertain: bool = False
     known: bool = True
-    merged: "Facts | None" = None
+    merged: "Applicability | None" = None
+
+    @cached_property
+    def zero_dynamics(self) -> NDArray[np.complex128] | None:
+        """Eigenvalues of A_η in each cell, (l, n − r); None without a normal form."""
+        return None if self.form is None else np.linalg.eigvals(self.form.Psi).astype(complex)
+
+    @cached_property
+    def answers(self) -> "tuple[tuple[Route, Answer], ...]":
+        """What can be said of each of the routes."""
+        return tuple((route, route.judge(self)) for route in ROUTES)
+
+    def routes(self) -> dict[str, str]:
+        """Say of each route whether it can be gone, and under which inequalities.
+
+        Example:
+            >>> from pwatrack import load_spec
+            >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
+            >>> applicability(plant).routes()["Theorem 3"]
+            'needs (8), (9) and (17); every cell by itself is minimum phase'
+        """
+        return {route.name: answer.text for route, answer in self.answers}
+
+    @property
+    def open(self) -> "list[Route]":
+        """Those that `design` may take: nothing rules them out before an inequality is solved."""
+        return [route for route, answer in self.answers if self.tracking in route.takes and not isinstance(answer, No)]
+
+    @property
+    def taken(self) -> str:
+        """Which of them `design` takes, the next one where the inequalities of the one before are refused."""
+        return ", else ".join(route.name for route in self.open) or "none: design refuses, with the reason"
 
 
 @dataclass(frozen=True)
@@ -96,25 +126,25 @@ class Route:
 
     name: str
     takes: frozenset[Tracking] = frozenset()
-    judge: Callable[[Facts], Answer]
+    judge: Callable[[Applicability], Answer]
 
 
-def stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
+def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
     """Return `then` if all eigenvalues (l, k) are in the left half plane, else no, with the worst one and its cell."""
     abscissa = eigenvalues.real.max(axis=1, initial=-np.inf)
     worst = int(np.argmax(abscissa))
     if abscissa[worst] < 0:
         return then
-    is_rounding = sides(eigenvalues[worst]).max() == 0
+    is_rounding = _sides(eigenvalues[worst]).max() == 0
     size = "0 to rounding" if is_rounding else number_text(abscissa[worst], "+.4g")
     return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")
 
 
-def sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
+def _sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
     """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it.
 
     Example:
-        >>> sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
+        >>> _sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
         [-1, 0, 1]
     """
     real = eigenvalues.real
@@ -122,36 +152,32 @@ def sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
     return np.where(near, 0, np.sign(real)).astype(np.int64)
 
 
-def _alone(facts: Facts) -> Answer:
+def _alone(facts: Applicability) -> Answer:
     if len(facts.plant.A) == 1 and is_hurwitz(facts.plant.exact.A[0].centre):
         return Yes(remark="its one cell is stable")
     eigenvalues = np.linalg.eigvals(facts.plant.A).astype(complex)
     then = Needs("(7)", "every cell by itself is stable")
-    return stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
+    return _stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
 
 
-def _state(facts: Facts) -> Answer:
+def _state(facts: Applicability) -> Answer:
     return No(facts.stuck) if facts.stuck else Needs("(8) and (9), and an x_d that satisfies (3)")
 
 
-def _theorem_3(facts: Facts) -> Answer:
-    if facts.form is not None and (facts.plant.B.shape[1] > 1 or len(facts.plant.tracked) > 1):
-        m, p = facts.plant.B.shape[1], len(facts.plant.tracked)
+def _theorem_3(facts: Applicability) -> Answer:
+    m, p = facts.plant.B.shape[1], len(facts.plant.tracked)
+    if facts.form is not None and (m > 1 or p > 1):
         return No(f"it is about one input and one output, the plant has {m} and tracks {p}")
-    return _kinked_or(facts, kinked=False)
+    return _output(facts, kinked=False)
 
 
-def _several(facts: Facts) -> Answer:
+def _several(facts: Applicability) -> Answer:
     if facts.plant.B.shape[1] == 1 and len(facts.plant.tracked) == 1:
         return No("there is one input and one tracked output")
-    return _kinked_or(facts, kinked=False)
+    return _output(facts, kinked=False)
 
 
-def _kinked(facts: Facts) -> Answer:
-    return _kinked_or(facts, kinked=True)
-
-
-def _kinked_or(facts: Facts, *, kinked: bool) -> Answer:
+def _output(facts: Applicability, *, kinked: bool) -> Answer:
     """Judge output tracking with last derivatives that depend on the cell, or with none that does."""
     if facts.form is None:
         assert facts.refusal is not None
@@ -168,10 +194,10 @@ def _kinked_or(facts: Facts, *, kinked: bool) -> Answer:
     if not facts.zero_dynamics.shape[1]:
         return Needs("(8) and (9)", "there are no zero dynamics")
     then = Needs("(8), (9) and (17)", "every cell by itself is minimum phase")
-    return stable(facts.plant, facts.zero_dynamics, then, "the zero dynamics do not converge")
+    return _stable(facts.plant, facts.zero_dynamics, then, "the zero dynamics do not converge")
 
 
-def _preview(facts: Facts) -> Answer:
+def _preview(facts: Applicability) -> Answer:
     """Judge whether x_d can be worked out beforehand: see `lmi.dichotomy`."""
     if facts.form is None:
         assert facts.refusal is not None
@@ -179,7 +205,7 @@ def _preview(facts: Facts) -> Answer:
     if facts.stuck:
         return No(facts.stuck)
     assert facts.zero_dynamics is not None
-    side, names = sides(facts.zero_dynamics), facts.plant.cell_names
+    side, names = _sides(facts.zero_dynamics), facts.plant.cell_names
     still = (side == 0).any(axis=1)
     if still.any():
         where = names[int(still.argmax())]
@@ -198,7 +224,7 @@ def _preview(facts: Facts) -> Answer:
     return Needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
 
 
-def _practical(facts: Facts) -> Answer:
+def _practical(facts: Applicability) -> Answer:
     """Judge whether merging cells leaves a plant that can be tracked exactly: see `claims.practical`."""
     if facts.uncertain:
         return No("its bounds are not proved with uncertain parameters")
@@ -208,63 +234,23 @@ def _practical(facts: Facts) -> Answer:
         return No("it is not asked for, and by itself it is tried only where an inequality is proved impossible")
     form = facts.merged.form
     bent = form is not None and any(form.piecewise)
-    exact = _state(facts.merged) if facts.tracking == "state" else _kinked_or(facts.merged, kinked=bent)
+    exact = _state(facts.merged) if facts.tracking == "state" else _output(facts.merged, kinked=bent)
     if isinstance(exact, No):
         return No(f"with all cells merged that can be: {exact.reason}")
     return Needs(f"{exact.reason}, with cells merged", "errors end below a bound")
 
 
+PRACTICAL = Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"}))
 ROUTES: tuple[Route, ...] = (
     Route(name="Theorem 1", judge=_alone),
     Route(name="Theorem 2", judge=_state, takes=frozenset({"state"})),
     Route(name="Theorem 3", judge=_theorem_3, takes=_OUTPUT),
     Route(name="several outputs", judge=_several, takes=_OUTPUT),
-    Route(name="kinked derivative", judge=_kinked, takes=_OUTPUT),
+    Route(name="kinked derivative", judge=partial(_output, kinked=True), takes=_OUTPUT),
     Route(name="preview", judge=_preview, takes=_OUTPUT),
-    Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"})),
+    PRACTICAL,
 )
 """In the order in which `design` tries them. A new one is a line here."""
-
-
-def exact_is_open(facts: Facts) -> bool:
-    """Say whether exact tracking is not ruled out before an inequality is solved."""
-    exact = (route.judge for route in ROUTES if facts.tracking in route.takes and route.judge is not _practical)
-    return any(not isinstance(judge(facts), No) for judge in exact)
-
-
-def practical_is_open(facts: Facts) -> bool:
-    """Say whether practical tracking is not ruled out before an inequality is solved."""
-    return not isinstance(_practical(facts), No)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Applicability(Facts):
-    """Which routes there are for a plant, and why not where there are none.
-
-    Attributes:
-        answers: Of each of the routes.
-    """
-
-    answers: tuple[tuple[Route, Answer], ...]
-
-    def routes(self) -> dict[str, str]:
-        """Say of each route whether it can be gone, and under which inequalities.
-
-        Example:
-            >>> from pwatrack import load_spec
-            >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-            >>> applicability(plant).routes()["Theorem 3"]
-            'needs (8), (9) and (17); every cell by itself is minimum phase'
-        """
-        return {route.name: answer.text for route, answer in self.answers}
-
-    @property
-    def taken(self) -> str:
-        """Which of them `design` takes, the next one where the inequalities of the one before are refused."""
-        open_ = [
-            route.name for route, answer in self.answers if self.tracking in route.takes and not isinstance(answer, No)
-        ]
-        return ", else ".join(open_) or "none: design refuses, with the reason"
 
 
 def applicability(
@@ -288,26 +274,23 @@ def applicability(
     scalar = scalar_form(plant)
     ways = {} if scalar is None else widest(scalar)
     less = merged(plant, scalar, ways) if scalar is not None and ways else None
-    facts = replace(
+    return replace(
         _facts(plant, sizes, tracking),
         asked=asked,
         uncertain=uncertain,
         known=known,
         merged=None if less is None else _facts(less, sizes, tracking),
     )
-    answers = tuple((route, route.judge(facts)) for route in ROUTES)
-    return Applicability(**vars(facts), answers=answers)
 
 
-def _facts(plant: PWASystem, sizes: Sizes, tracking: Tracking) -> Facts:
-    stuck = ""
+def _facts(plant: PWASystem, sizes: Sizes, tracking: Tracking) -> Applicability:
+    stuck, form, refusal = "", None, None
     try:
         check_modes(plant, DEFAULT, DEFAULT, sizes)
-    except PwatrackError as refusal:
-        stuck = refusal.problems[0].message
+    except PwatrackError as error:
+        stuck = error.problems[0].message
     try:
         form = normal_form(plant, input_sizes=sizes.input)
-        zeros = np.linalg.eigvals(form.Psi).astype(complex)
-        return Facts(plant=plant, form=form, refusal=None, zero_dynamics=zeros, stuck=stuck, tracking=tracking)
-    except OutsideTheory as refusal:
-        return Facts(plant=plant, form=None, refusal=refusal, zero_dynamics=None, stuck=stuck, tracking=tracking)
+    except OutsideTheory as error:
+        refusal = error
+    return Applicability(plant=plant, form=form, refusal=refusal, stuck=stuck, tracking=tracking)

@@ -84,19 +84,6 @@ class SignalEllipsoid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProvedPeak:
-    """A peak gain that is less than what the ellipsoid says: where a loop has one matrix.
-
-    Attributes:
-        part: Which of the parts has the ellipsoid for the same loop, channel and signal, counted from 0.
-        gain: What is proved.
-    """
-
-    part: int
-    gain: PeakGain
-
-
-@dataclass(frozen=True, kw_only=True)
 class Bounds:
     """What one channel can do to each signal, per sup |d|, or per 1 of an entry of the start.
 
@@ -108,14 +95,15 @@ class Bounds:
         parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
             controller's loop with this channel and all inputs, where a size is their sum.
         peaks: Where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound.
-        proved: Peak gains, with their proofs, that stand for the sizes of some of them.
+        proved: Peak gains, with their proofs, that stand for sizes where a loop has one matrix: they are less than what
+            the ellipsoid says. By the place in `parts` of the ellipsoid for the same loop, channel and signal.
     """
 
     channel: Channel
     sizes: dict[Form, float]
     parts: tuple[SignalEllipsoid, ...]
     peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
-    proved: tuple[ProvedPeak, ...] = ()
+    proved: Mapping[int, PeakGain] = field(default_factory=dict)
 
     @property
     def certified(self) -> dict[Form, float]:
@@ -124,42 +112,7 @@ class Bounds:
         return self.sizes | by_peak
 
 
-def signal_bounds(loops: "Loops") -> tuple[Bounds, ...]:
-    """Bound every signal for every disturbance and noise by itself, each proved exactly.
-
-    Returns:
-        One for each state equation, then one for each measured output.
-
-    Example: the paper's example. A push of 1 N on the first mass, 1 m/s² there, moves it by 1 m at most.
-
-        >>> from pwatrack import design, load_spec
-        >>> push = design(load_spec("specs/two_mass_backlash.yaml")).bounds[1]
-        >>> push.channel, 0.9 < push.sizes["output", 0] < 1.1
-        (('disturbance', 1), True)
-    """
-    channels: list[Channel] = [("disturbance", k) for k in range(loops.n)]
-    channels += [("noise", k) for k in range(loops.L.shape[1])]
-    return tuple(loops.bounds(channel) for channel in channels)
-
-
-def start_bounds(loops: "Loops") -> tuple[Bounds, ...]:
-    """Bound every signal at all times for 1 of each entry of the start by itself, each proved exactly.
-
-    Returns:
-        One for each entry of x − x_d, then of x̂ − x, then for the estimate of each load: a load that steps by 1 is an
-        estimate that is off by 1.
-
-    Example: the first mass of the paper's example starts 1 m off.
-
-        >>> from pwatrack import design, load_spec
-        >>> first = design(load_spec("specs/two_mass_backlash.yaml")).starts[0]
-        >>> first.channel, 1.0 < first.sizes["output", 0] < 1.1
-        (('start', 0), True)
-    """
-    return tuple(loops.bounds(("start", group[0])) for group in loops.starts)
-
-
-Sized = tuple[dict[Form, float], tuple["SignalEllipsoid", ...]]  # of signals, and what proves it
+Sized = tuple[dict[Form, float], tuple[SignalEllipsoid, ...]]  # of signals, and what proves it
 
 
 class Loops:
@@ -168,6 +121,10 @@ class Loops:
     Args:
         K, L: The gains.
         X: Of the `Compensation` of loads.
+
+    Attributes:
+        acting: A disturbance of each state equation, then the noise of each measured output.
+        starts: The entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a sinusoidal load.
     """
 
     def __init__(
@@ -184,8 +141,8 @@ class Loops:
         }
         self.at_inputs = () if plant.loads is None else plant.loads.inputs(exact.B) or ()
         cells, watched = len(A), len(self.M["observer"])
-        few = cells * watched * (n + N) ** 4 <= MOST_WORK
-        self.few_pairs, self.few_cells = few, max(cells, watched) * N**4 <= MOST_WORK
+        self.few_pairs = cells * watched * (n + N) ** 4 <= MOST_WORK
+        self.few_cells = max(cells, watched) * N**4 <= MOST_WORK
         self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
@@ -196,14 +153,14 @@ class Loops:
         loads = () if plant.loads is None else plant.loads.groups
         self.estimates: list[Form] = [("estimate", k) for k in (*range(n), *(n + group[0] for group in loads))]
         self.starts = [(k,) for k in range(2 * n)] + [tuple(2 * n + k for k in group) for group in loads]
-        quadratic = [
-            proof for proof in proofs if isinstance(proof, Proof)
-        ]  # where (8) or (9) has none, no ellipsoid is
+        self.acting: list[Channel] = [("disturbance", k) for k in range(n)]
+        self.acting += [("noise", k) for k in range(L.shape[1])]
+        quadratic = [proof for proof in proofs if isinstance(proof, Proof)]  # where there is none, no ellipsoid is
         self.inners: dict[Loop, list[Inner]] = {
             "controller": [_inner(proof, invert=False) for proof in quadratic if proof.role is CONTROLLER],
             "observer": [_inner(proof, invert=True) for proof in quadratic if proof.role is OBSERVER],
         }
-        if few:
+        if self.few_pairs:
             nothing = BallMatrix.of(np.zeros((N, n)))
             self.M["joint"] = [
                 above(beside(Z, drive), beside(nothing, Y)) for Z in self.M["controller"] for Y in self.M["observer"]
@@ -285,9 +242,8 @@ class Loops:
         if kind == "start":
             entries = next(group for group in self.starts if k == group[0])
             both = BallMatrix(identity(self.n + self.N)).part(range(self.n + self.N), entries)
-            e, delta = (
-                both.part(rows, range(len(entries))) for rows in (range(self.n), range(self.n, self.n + self.N))
-            )
+            columns = range(len(entries))
+            e, delta = (both.part(rows, columns) for rows in (range(self.n), range(self.n, self.n + self.N)))
         elif kind == "disturbance":
             unit = _column(BallMatrix(identity(self.N)), k)
             e, delta = unit.part(range(self.n), [0]), nothing - unit

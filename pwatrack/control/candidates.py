@@ -51,7 +51,6 @@ class Candidate:
     margin: float = np.nan
 
 
-@dataclass(frozen=True, kw_only=True)
 class Candidates:
     """Ways to look for a gain.
 
@@ -61,19 +60,9 @@ class Candidates:
         at: Sizes, in which the weights of a cost are one.
     """
 
-    task: Task
-    A: Array
-    at: Coordinates
-
-    @classmethod
-    def of(cls, task: Task) -> "Candidates":
-        """Prepare the search for a task."""
-        at = Coordinates.sized(task.A, task.scale.state, task.scale.input, tempo=task.scale.speed)
-        return cls(task=task, A=extreme(task.A), at=at)
-
-    def nothing(self) -> Candidate:
-        """Return the gain 0."""
-        return Candidate(K=np.zeros((self.task.B.shape[1], self.A.shape[1])))
+    def __init__(self, task: Task) -> None:
+        self.task, self.A = task, extreme(task.A)
+        self.at = Coordinates.sized(task.A, task.scale.state, task.scale.input, tempo=task.scale.speed)
 
     def regulator(self, rate: float) -> Iterator[Candidate]:
         """Yield the gain of the least cost with unit weights in sizes, then those of lighter ones."""
@@ -83,11 +72,7 @@ class Candidates:
             yield from self._least_cost(rows, R, self.at.T, self._shift(rate, FASTER))
 
     def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
-        """Yield the gain of the least sum of the costs from all states that are off by one size.
-
-        Args:
-            Q, R: Weights (n, n) and (m, m) in the units given.
-        """
+        """Yield the gain of the least sum of the costs from all states off by one size; Q, R in the units given."""
         rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
         yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
 
@@ -148,11 +133,7 @@ class Candidates:
                 at = at.centred(solution.P)
 
     def smallest(self, rate: float, *, soon: bool = False) -> Iterator[Iterator[Candidate]]:
-        """Yield sequences of gains, each smaller than the one before it; a sequence may end with one that fails.
-
-        Args:
-            rate: In 1/s.
-        """
+        """Yield sequences of gains for a rate (1/s), each smaller than the one before; the last of one may fail."""
         for faster in (FASTER,) if soon else (FASTER, _HARDLY_FASTER):
             shift = self._shift(rate, faster)
             at = self._regulated(shift)
@@ -245,10 +226,8 @@ class _Box:
     def program(self, inequality: Inequality, *, largest: bool) -> SemidefiniteProgram:
         """Maximise t with P ⪰ t Σ, the multiple of the ellipsoid, or minimise t, the worst cost, with P ⪰ Σ.
 
-        [ū², r Y; ·, P] ⪰ 0 keeps |r Y P⁻¹ z| ≤ ū from there, for inputs r with a bound ū.
-
-        Args:
-            inequality: From `state_feedback`, or from `bounded_cost`.
+        [ū², r Y; ·, P] ⪰ 0 keeps |r Y P⁻¹ z| ≤ ū from there, for inputs r with a bound ū. The inequality is one from
+        `state_feedback`, or from `bounded_cost`.
         """
         kept = (bound_of_gain(inequality, row[None], most=bound**2) for row, bound in self.limits)
         around = of_P(inequality, -1.0, **{"T" if largest else "constant": self.around})

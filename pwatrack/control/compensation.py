@@ -52,29 +52,20 @@ class Compensation:
 def compensation(
     plant: PWASystem, form: NormalForm | None, filtered: int, *, played_back: bool = False
 ) -> Compensation:
-    """Return what makes up for the loads.
-
-    Args:
-        form: Its normal form, for output tracking.
-        filtered: How many η̂ there are.
-        played_back: Whether η was worked out beforehand.
+    """Return what makes up for the loads, for output tracking with the normal form and so many η̂.
 
     Raises:
         OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]
+    nothing = BallMatrix.of(np.zeros((n, p)), (n, p))
     if loads is None or form is None:
         needed = np.zeros((m, p)) if loads is None else -pseudo_inverse(plant.B) @ loads.E.floats
+        guards = np.zeros((len(plant.partition.h if form is None else form.boundary.h), p))
         u_ff = np.broadcast_to(needed, (cells, m, p))
-        hyperplanes = len(plant.partition.h if form is None else form.boundary.h)
-        return Compensation(
-            X=BallMatrix.of(np.zeros((n, p)), (n, p)),
-            u_ff=u_ff,
-            rate=np.zeros((cells, filtered, p)),
-            guards=np.zeros((hyperplanes, p)),
-        )
-    T, exact, nothing = form.exact.T, form.plant.exact, BallMatrix.of(np.zeros((n, p)), (n, p))
+        return Compensation(X=nothing, u_ff=u_ff, rate=np.zeros((cells, filtered, p)), guards=guards)
+    T, exact = form.exact.T, form.plant.exact
     G = loads_in_derivatives(loads, form)
     if played_back:
         G = above(G.part(range(form.r), range(p)), BallMatrix(-resting(loads, form)))
@@ -110,11 +101,7 @@ def beside_given(plant: PWASystem, X: BallMatrix) -> Compensation:
 
 
 def check_played_back(form: NormalForm) -> None:
-    """Refuse loads that act on an η that is worked out beforehand, in other ways in other cells.
-
-    Raises:
-        OutsideTheory: Naming the load and the η.
-    """
+    """Refuse loads that act on an η that is worked out beforehand, in other ways in other cells."""
     loads = form.plant.loads
     if loads is None:
         return

@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
 from pwatrack.causes import Remedy, Subject
-from pwatrack.control.refusal import conflict_text, eigenvalue_text
+from pwatrack.control.refusal import conflict_text, eigenvalue_text, joined
 from pwatrack.errors import Infeasible, Problem, Undecided, listed
 from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
 from pwatrack.lmi.inequality import lyapunov
@@ -33,11 +33,7 @@ _SOON = 1  # the same for one gain of many
 
 
 def best_certificate(
-    M: Array,
-    *,
-    start: Array | None = None,
-    sizes: Array | None = None,
-    soon: bool = False,
+    M: Array, *, start: Array | None = None, sizes: Array | None = None, soon: bool = False
 ) -> Certificate | None:
     """Return the proof of M_i P + P M_iᵀ ≺ 0 for all cells with the largest rate that is found, or None.
 
@@ -93,9 +89,7 @@ def first_certificate(M: Array, *, sizes: Array | None = None) -> Certificate | 
 def precise_certificate(at: Precise, role: Role, M: Sequence[BallMatrix], start: Array) -> Certificate | None:
     """Return what `best_certificate` finds in coordinates to hundreds of bits, proved in exact numbers.
 
-    Args:
-        M: The matrices M_i, each different.
-        start: A P (n, n) in these coordinates that may prove something.
+    The M_i are each different; `start` is a P (n, n) in these coordinates that may prove something.
     """
     inside = at.system([M_i.centre for M_i in M])
     if not (np.isfinite(inside).all() and np.linalg.eigvals(inside).real.max() < 0):
@@ -143,12 +137,7 @@ def least_overshoot_certificate(
     """Return a proof of M_i P + P M_iᵀ + 2 rate P ⪯ 0 for all cells with the smallest λmax(P) / λmin(P), P in sizes.
 
     Its root is the overshoot: how many times its first size an error can reach on its way to 0. None if none is found.
-
-    Args:
-        M: (l, n, n).
-        rate: In 1/s, below the best one.
-        sizes: Of the states, (n,); 1 by default.
-        start: A P (n, n) to begin near.
+    The rate (1/s) is one below the best; sizes are 1 by default; `start` is a P (n, n) to begin near.
 
     Example: by itself each of the two turns any error towards 0 at once.
 
@@ -193,8 +182,6 @@ def prove_convergence(
         M: (l, n, n).
         claim: What is to be proved, for messages: `"(17)"`.
         exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
-        sizes: Of the states, (n,); as for `best_certificate`.
-        subject: What in the description a refusal is about.
         hint, remedy: What to do where a cell is unstable by itself.
 
     Raises:
@@ -211,16 +198,21 @@ def prove_convergence(
     abscissa = np.linalg.eigvals(M).real.max(axis=1)
     doubtful = (abscissa > -_DOUBTFUL * np.linalg.norm(M, axis=(1, 2))).any()
     no_input = np.zeros((M.shape[1], 0))
-    numbers = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
-    refutation, tried = refute(M, no_input, exact=numbers) if doubtful else None, tuple[int, ...]()
+    centres = None if exact is None else ([M_i.centre for M_i in exact], decimals(no_input))
+    refuted = partial(refute, M, no_input, exact=centres)
+    refutation, tried = refuted() if doubtful else None, tuple[int, ...]()
     if refutation is None or not refutation.eigenvalues:
-        best = best_certificate(M, sizes=sizes) or _precisely(M, role, exact, sizes)
+        best = best_certificate(M, sizes=sizes)
         if best is not None:
             return best
-        instead, tried = _polynomial(M, role, exact, sizes)
+        numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
+        best = _precisely(role, numbers, np.ones(len(M[0])) if sizes is None else sizes)
+        if best is not None:
+            return best
+        instead, tried = _polynomial(M, role, numbers, sizes)
         if instead is not None:
             return instead
-        refutation = refutation or refute(M, no_input, exact=numbers)
+        refutation = refutation or refuted()
     if refutation is None:
         raise _undecided(claim, abscissa, cells, subject, tried)
     if not refutation.eigenvalues:
@@ -231,19 +223,17 @@ def prove_convergence(
     raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
 
 
-def _precisely(M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None) -> Certificate | None:
+def _precisely(role: Role, numbers: Sequence[BallMatrix], sizes: Array) -> Certificate | None:
     """Look for a P of all cells where that of the mean is so ill-conditioned that doubles do not hold it."""
-    numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
     mean = sum((M_i.centre for M_i in numbers[1:]), numbers[0].centre) / len(numbers)
     if not is_hurwitz(mean):
         return None
-    unit = np.ones(len(M[0])) if sizes is None else sizes
-    at = Precise.of_stable(mean, square(unit))
-    return None if at is None else precise_certificate(at, role, numbers, np.eye(len(unit)))
+    at = Precise.of_stable(mean, square(sizes))
+    return None if at is None else precise_certificate(at, role, numbers, np.eye(len(sizes)))
 
 
 def _polynomial(
-    M: Array, role: Role, exact: Sequence[BallMatrix] | None, sizes: Array | None
+    M: Array, role: Role, numbers: Sequence[BallMatrix], sizes: Array | None
 ) -> tuple[PolynomialLyapunov | None, tuple[int, ...]]:
     """Return the polynomial of the lowest degree that is proved for all cells, and the degrees that were tried.
 
@@ -253,7 +243,6 @@ def _polynomial(
     A = distinct(role.oriented(M))[0]
     if not np.linalg.eigvals(A).real.max() < 0:
         return None, ()
-    numbers = different([BallMatrix.of(M_i) for M_i in distinct(M)[0]] if exact is None else exact)
     near, tried = near_polynomial(A, sizes if sizes is None or role.transposed else 1 / sizes), list[int]()
     best, small = None, degrees(A.shape[1], len(A), FEW_ROWS)
     for degree in degrees(A.shape[1], len(A)):
@@ -268,11 +257,9 @@ def _polynomial(
 
 
 def near_polynomial(A: Array, sizes: Array | None = None) -> Coordinates:
-    """Return the coordinates in which `best_polynomial` looks.
+    """Return the coordinates in which `best_polynomial` looks, for A (l, n, n) by which errors change.
 
-    Args:
-        A: The matrices by which errors change, (l, n, n).
-        sizes: Of the states of M_i = A_iᵀ, (n,); those that balance it by default.
+    Sizes (n,) are those of the states of M_i = A_iᵀ, by default those that balance it.
     """
     return _near(A.swapaxes(1, 2), None, sizes)
 
@@ -312,6 +299,4 @@ def _tried_text(degrees: tuple[int, ...]) -> str:
     """
     if not degrees:
         return ""
-    *some, last = map(str, degrees)
-    named = f"{', '.join(some)} or {last}" if some else last
-    return f", and no polynomial of degree {named} was found to take its place"
+    return f", and no polynomial of degree {joined([*map(str, degrees)], 'or')} was found to take its place"

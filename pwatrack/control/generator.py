@@ -49,51 +49,29 @@ class TrajectoryGenerator:
         assert not isinstance(self.certificate, Dichotomy)
         return self.certificate.rate
 
-    @property
-    def r(self) -> int:
-        """How many ξ there are: the sum of the relative degrees."""
-        return self.form.r
-
-    def feedforward(self) -> tuple[Array, Array, Array]:
-        """Return F_ξ (l, m, r + p), F_η (l, m, n − r), f (l, m) with û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f: (16)."""
-        form, X = self.form, self.form.right_inverse
-        return (
-            np.concatenate([-X @ form.alpha, X], axis=2),
-            -X @ form.beta,
-            -np.einsum("lmp,lp->lm", X, form.gamma),
-        )
-
-    def state(self) -> tuple[Array, Array, Array]:
-        """Return X_ξ (l, n, r), X_η (l, n, n − r), x_0 (l, n) with x̂_d = X_ξ ξ_d + X_η η̂ + x_0 for the plant."""
-        T = self.form.T_inverse
-        return T[:, :, : self.r], T[:, :, self.r :], -np.einsum("lij,lj->li", T, self.form.offset)
-
 
 def trajectory_generator(form: NormalForm, *, preview: bool = True) -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17); or (17±), for a reference known beforehand.
 
-    Raises:
-        Infeasible: If (17) is proved to have no solution, the zero dynamics do not converge; and, for a reference
-            known beforehand, (17±) too.
-        Undecided: If one of them is neither proved nor proved impossible.
+    Infeasible where (17), or then both, are proved to have no solution; undecided where neither is proved.
     """
-    A_eta, B_eta, b_eta = tracking_dynamics(form)
+    unused = np.zeros((*form.chi.shape[:2], len(form.degrees)))  # in this form u does not enter η̇: of (14)
     return TrajectoryGenerator(
         form=form,
-        A_eta=A_eta,
-        b_eta=b_eta,
-        B_eta=B_eta,
-        shift=assumption_2_shift(A_eta, B_eta[:, :, : form.r]),
-        certificate=_proved(form, A_eta, preview=preview),
+        A_eta=form.Psi,
+        b_eta=form.sigma,
+        B_eta=readonly(np.concatenate([form.chi, unused], axis=2)),
+        shift=assumption_2_shift(form.Psi, form.chi),
+        certificate=_proved(form, preview=preview),
     )
 
 
-def _proved(form: NormalForm, A_eta: Array, *, preview: bool) -> Found | Dichotomy:
+def _proved(form: NormalForm, *, preview: bool) -> Found | Dichotomy:
     """Return a proof of (17), or where cells are not stable by themselves of (17±); if all are, that is (17)."""
     exact = [GENERATOR.exact(X) for X in form.exact.A_eta]
     try:
         return prove_convergence(
-            GENERATOR.oriented(A_eta),
+            GENERATOR.oriented(form.Psi),
             exact=exact,
             claim="(17), convergence of the zero dynamics,",
             cells=form.plant.cell_names,
@@ -140,24 +118,12 @@ def _no_preview(against: NoDichotomy | None, cells: Sequence[str]) -> str:
     return f"{said}{conflict_text(against, cells)}"
 
 
-def tracking_dynamics(form: NormalForm) -> tuple[Array, Array, Array]:
-    """Return A_η (l, n − r, n − r), B_η (l, n − r, r + p) and b_η (l, n − r) of (14).
-
-    Because u does not enter η̇ in `form`, it reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i.
-    """
-    unused = np.zeros((*form.chi.shape[:2], len(form.degrees)))
-    return form.Psi, readonly(np.concatenate([form.chi, unused], axis=2)), form.sigma
-
-
 def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
     """Return the least M with A_ηi M + B_ηi equal in all cells, or None if there is none.
 
     With η = η̄ + M ξ_d the input matrices of (14) become A_ηi M + B_ηi^ξ (and
     −M on ξ̇_d), so Assumption 2 holds for η̄; the paper's (21) is the case M = [1 0; 0 0].
-
-    Args:
-        A_eta: (l, p, p).
-        B_xi: The part of B_η that acts on ξ_d, (l, p, r).
+    B_xi is the part of B_η that acts on ξ_d, (l, p, r).
 
     Example:
         >>> assumption_2_shift(np.array([[[-1.0]], [[-3.0]]]), np.array([[[0.5]], [[2.5]]])).tolist()

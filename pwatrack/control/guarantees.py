@@ -72,12 +72,7 @@ class Guarantees:
     loads: int = 0
 
     def observer_error(self, t: Array, start: Array) -> Array:
-        """Return a bound of |x̂ − x|, in sizes where there are several states, at the times t.
-
-        Args:
-            t: Times in s, (K,).
-            start: x̂(0) − x(0), (n,).
-        """
+        """Return a bound of |x̂ − x|, in sizes if there are several states, at times t (K,) from x̂(0) − x(0) (n,)."""
         start = np.pad(start, (0, self.loads))
         bounds = [o.from_norm * o.gauge.above(start) * np.exp(-o.rate * t) for o in self.observer]
         return np.asarray(np.min(bounds, axis=0) * OVER_POWERS)
@@ -85,16 +80,12 @@ class Guarantees:
     def tracking_error(self, t: Array, start: Array, observer_start: Array, *, output: bool) -> Array:
         """Return a bound of |x − x_d| or |y − y_d|, in sizes where there are several states or outputs, at the times t.
 
-        ‖e(t)‖_c ≤ e^(−αt) ‖e(0)‖_c + drive ‖Δ(0)‖_o ∫ e^(−α(t−s)) e^(−βs) ds with the rates α of (8), β of (9).
-
-        Args:
-            t: Times in s, (K,).
-            start: x(0) − x_d(0), (n,).
-            observer_start: x̂(0) − x(0), (n,).
-            output: Whether to bound y − y_d.
+        ‖e(t)‖_c ≤ e^(−αt) ‖e(0)‖_c + drive ‖Δ(0)‖_o ∫ e^(−α(t−s)) e^(−βs) ds with the rates α of (8), β of (9), from
+        x(0) − x_d(0) and x̂(0) − x(0), (n,) each.
         """
         bounds, observer_start = [], np.pad(observer_start, (0, self.loads))
-        for c, size, drives in zip(self.controller, self._sizes(output), self.drive, strict=True):
+        sizes = self.output if output else [c.from_norm for c in self.controller]
+        for c, size, drives in zip(self.controller, sizes, self.drive, strict=True):
             own = c.gauge.above(start) * np.exp(-c.rate * t)
             for o, drive in zip(self.observer, drives, strict=True):
                 bounds.append(size * (own + drive * o.gauge.above(observer_start) * _convolution(c.rate, o.rate, t)))
@@ -103,9 +94,7 @@ class Guarantees:
     def left(self, columns: Array, preview: NoncausalTrajectory) -> float:
         """Return a bound of ‖y − y_d‖ where η is off by what is played back, from error 0.
 
-        Args:
-            columns: What 1 of each η is of e, in each cell, (l, n, p).
-            preview: By how much η is off.
+        Of e, 1 of each η makes `columns` in each cell, (l, n, p).
         """
         found = []
         for c, size in zip(self.controller, self.output, strict=True):
@@ -133,16 +122,9 @@ class Guarantees:
         loops = [max(loop, key=lambda part: part.share) for loop in (self.controller, self.observer)]
         return min(part.rate for part in loops), loops[0].share, loops[1].share
 
-    def _sizes(self, output: bool) -> tuple[float, ...]:
-        return self.output if output else tuple(c.from_norm for c in self.controller)
-
 
 def guarantees(plant: PWASystem, design: Gains, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
-    """Read off the exact proofs what they promise. Every number is rounded to the safe side.
-
-    Args:
-        sizes: Those of the states, in which errors of all of them are counted together.
-        X: Of the `Compensation` of loads.
+    """Read off the exact proofs what they promise; X is of the `Compensation`. All is rounded to the safe side.
 
     Example: the paper's example. With every entry of L up to 1.5 % off, the observer still converges as e^(−0.0681 t).
 

@@ -1,4 +1,9 @@
-"""What limits of the inputs leave for the controller: the feedforward's peak, and errors with which a run may begin."""
+"""What limits of the inputs leave for the controller: the feedforward's peak, and errors with which a run may begin.
+
+With P ⪰ z zᵀ for all these errors z, the inequality of the decay and [ū_j², Y_j; Y_jᵀ, P] ⪰ 0, the gain K = Y P⁻¹ has
+|K_j e| ≤ ū_j √(eᵀ P⁻¹ e) ≤ ū_j at all times (Boyd et al., Linear Matrix Inequalities in System and Control Theory,
+1994, section 7.2.3).
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,7 +11,10 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.input_constraint import InputConstraint
+from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.control.task import Task
+from pwatrack.lmi.ellipsoid import Inner, held
+from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
@@ -28,10 +36,7 @@ class Peak:
     times: Array
 
     def left(self, limits: Array) -> Array:
-        """Return how far each input may be from its feedforward, (m,): what is left on the smaller side of its limits.
-
-        Args:
-            limits: (m, 2); infinite where there is none.
+        """Return how far each input may be from its feedforward, (m,): the smaller side of its limits (m, 2).
 
         Example:
             >>> peak = Peak(low=np.array([-1.0]), high=np.array([3.0]), times=np.zeros((1, 2)))
@@ -93,6 +98,39 @@ class Starts:
         box = np.diag(np.concatenate([sizes.state, sizes.state, sizes.load]))
         both = cls(kind="sizes", e=box[:n], delta=box[n : 2 * n], load=box[2 * n :] if p else None)
         return cls(kind="exact", e=np.diag(sizes.state)), both
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputConstraint:
+    """Errors e = G ζ, |ζ_k| ≤ 1, from which |K e| is to stay within bounds.
+
+    Attributes:
+        starts: G (n, k), of rank n.
+        left: ū (m,), positive; infinite where an input has no limit.
+    """
+
+    starts: Array
+    left: Array
+
+    def share(self, task: Task, K: Array, proof: Certificate) -> float:
+        """Return how many times as large these errors may be for a gain K (m, n), by an exact proof; 0 for none.
+
+        Example: |e| ≤ 2 at the start and u = −e / 2 is at most 1, of 3 that there are.
+
+            >>> task = Task(A=np.zeros((1, 1, 1)), B=np.eye(1), cells=["all"])
+            >>> K = np.array([[-0.5]])
+            >>> within = InputConstraint(starts=np.array([[2.0]]), left=np.array([3.0]))
+            >>> 2.999 < within.share(task, K, task.reached(K, np.eye(1), 0.0)) <= 3
+            True
+        """
+        if not K.any():
+            return np.inf
+        limited = np.flatnonzero(np.isfinite(self.left))
+        rows = BallMatrix.of(K[limited], (len(limited), K.shape[1]))
+        closed, inner = different(task.exactly_closed(K)), Inner.proved(proof.P, proof.rate)
+        found = held(closed, self.starts, rows, self.left[limited], inner)
+        sizes = np.zeros(0) if found is None else np.array(found.sizes)
+        return 0.0 if found is None else float(1 / (sizes / self.left[limited]).max())
 
 
 @dataclass(frozen=True, kw_only=True)

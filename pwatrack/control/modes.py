@@ -26,11 +26,7 @@ _HARDLY = 1e-6  # of the size of a cell: a mode that is reached by less, or deca
 
 
 def check_modes(plant: PWASystem, controller: Goal, observer: Goal, sizes: Sizes) -> None:
-    """Refuse goals that a single cell rules out: exactly, and in no time.
-
-    Raises:
-        Infeasible: With the modes, of (8) and (9) together.
-    """
+    """Refuse goals that a single cell rules out, of (8) and (9) together: exactly, and in no time."""
     found = list[PwatrackError]()
     for role, goal in ((CONTROLLER, controller), (OBSERVER, observer)):
         task = Task.of(plant, role, sizes=sizes)
@@ -40,17 +36,14 @@ def check_modes(plant: PWASystem, controller: Goal, observer: Goal, sizes: Sizes
                 if np.linalg.eigvals(task.unlike(K)).real.max() >= 0:
                     given(task, K)
             else:
-                _check(task, demands(goal)[0])
+                rate = demands(goal)[0]
+                proof = refute_by_modes(task.A, task.B, _looked_at(task, rate), rate=rate, exact=task.centres)
+                if proof is not None:
+                    raise refusal.no_gain(task, rate, proof, np.nan)
         except PwatrackError as error:
             found.append(error)
     if found:
         raise type(found[0])(*(p for error in found for p in error.problems), evidence=found[0].evidence)
-
-
-def _check(task: Task, rate: float) -> None:
-    proof = refute_by_modes(task.A, task.B, _looked_at(task, rate), rate=rate, exact=task.centres)
-    if proof is not None:
-        raise refusal.no_gain(task, rate, proof, np.nan)
 
 
 def _looked_at(task: Task, rate: float) -> list[int]:
@@ -99,8 +92,10 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
     for load, k in zip(loads.each, loads.where, strict=True):
         column = loads.E.part(range(len(plant.states)), [k]).centre
         if column_space(beside([B, column])).ncols() > rank:
-            message = f"load '{load.name}' cannot be compensated in state tracking: it enters where no input does, and "
-            message += "x_d is given"
+            message = (
+                f"load '{load.name}' cannot be compensated in state tracking: it enters where no input does, and x_d "
+                "is given"
+            )
             hint = "track an output instead: there x_d follows from the reference and the load"
             raise OutsideTheory(Problem(message=message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint))
 

@@ -35,11 +35,7 @@ class Front:
 
 
 def pareto(task: Task, K: Array, rate: float) -> Front:
-    """Return the smallest gains at rates around that of a design.
-
-    Args:
-        K: The gain of the design, (m, n).
-        rate: Its certified rate in 1/s.
+    """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n).
 
     Example: for ẋ = x + u the rate α needs |K| = 1 + α.
 
@@ -69,11 +65,7 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
     points = [(a, float(found[found[:, 0] >= a * (1 - _SAME_RATE), 1].min())) for a, _ in points]
     columns = np.array(points).reshape(-1, 2)
     return Front(
-        role=task.role,
-        rates=readonly(columns[:, 0]),
-        norms=readonly(columns[:, 1]),
-        limit=limit,
-        chosen=chosen,
+        role=task.role, rates=readonly(columns[:, 0]), norms=readonly(columns[:, 1]), limit=limit, chosen=chosen
     )
 
 

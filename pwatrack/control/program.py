@@ -111,12 +111,10 @@ class SampledController:
 
 
 def program(controller: ProvedController, conditions: Conditions, *, given: bool = False) -> SampledController:
-    """Return the program of a controller that is sampled.
+    """Return the program of a controller that is sampled, within `conditions`: limits, rates and steps of inputs too.
 
-    Args:
-        conditions: Sample time, method and delay; limits, rates and steps of the inputs.
-        given: Whether w is given at each tick: y_d and its derivatives up to the relative degree, between ticks a
-            Taylor polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
+    Where w is `given` at each tick it is y_d and its derivatives up to the relative degree, between ticks a Taylor
+    polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
 
     Example: the paper's example, 500 times a second.
 
@@ -218,12 +216,7 @@ def _follows(exosystem: Exosystem, h: float) -> Follows:
                 break  # what grows has an end
             turn.append(after)
     end = None if exosystem.end is None else int(exosystem.end / h * (1 + 1e-12))
-    return Follows(
-        turn=np.array(turn),
-        w0=exosystem.w0,
-        pieces=tuple(latest[key] for key in sorted(latest)),
-        end=end,
-    )
+    return Follows(turn=np.array(turn), w0=exosystem.w0, pieces=tuple(latest[key] for key in sorted(latest)), end=end)
 
 
 def _given_trajectory(controller: ProvedController) -> tuple[DesiredTrajectory, tuple[str, ...]]:

@@ -24,11 +24,7 @@ _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturban
 
 
 def prove_design(
-    plant: PWASystem,
-    design: Gains,
-    generator: TrajectoryGenerator | None,
-    *,
-    sizes: Sizes | None = None,
+    plant: PWASystem, design: Gains, generator: TrajectoryGenerator | None, *, sizes: Sizes | None = None
 ) -> tuple[AnyProof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
@@ -45,16 +41,13 @@ def prove_design(
         ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
     sizes, proofs = sizes or Sizes.of(plant), []
-    for role, gain, certificate in (
-        (CONTROLLER, design.K, design.controller),
-        (OBSERVER, design.L, design.observer),
-    ):
+    for role, gain, certificate in ((CONTROLLER, design.K, design.controller), (OBSERVER, design.L, design.observer)):
         task = Task.of(plant, role, sizes=sizes)
         closed, hull = task.exactly_closed(role.oriented(gain)), (plant if role is CONTROLLER else plant.model).hull
         proofs += prove_inequality(role, closed, certificate, hull=hull, sizes=task.scale.state)
     if generator is not None and generator.A_eta.shape[1] and not isinstance(generator.certificate, Dichotomy):
         form, M = generator.form, each(GENERATOR.exact, generator.form.exact.A_eta)
-        internal = np.sqrt((form.T[0, generator.r :] ** 2) @ sizes.state**2)
+        internal = np.sqrt((form.T[0, form.r :] ** 2) @ sizes.state**2)
         proofs += prove_inequality(GENERATOR, M, generator.certificate, hull=form.hull, sizes=1 / internal)
     return tuple(proofs)
 

@@ -15,16 +15,17 @@ import scipy
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
+from pwatrack.ball_matrix import absolute
 from pwatrack.causes import Subject
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import Exosystem, exosystem, spectral_terms
-from pwatrack.rational import Rational, beside, decimals, floats, pivots, stacked
+from pwatrack.rational import Rational, beside, decimals, floats, left_null_space, on_entries, pivots, stacked
 
 ROUNDING = 1e-11  # of the largest terms of an equation of (3) over the run: what is left over is more
 _LARGEST_EXPONENT = 600.0  # e^{λT} is not followed further
-_AGREES = 1e-12  # of its terms: an equation or inequality that is missed by less holds
+_LITTLE = flint.fmpq(1, 10**12)  # of its terms: an equation or inequality that is missed by less holds
 _MOST_SAID = 6  # cells in a refusal
 
 
@@ -46,12 +47,7 @@ class LeftOver:
     trajectory: DesiredTrajectory
 
     def sizes(self, starts: Array, lengths: Array) -> tuple[Array, Array]:
-        """Return bounds of |r_i| on pieces of x_d and of their terms, both (l, pieces, n), from all coefficients.
-
-        Args:
-            starts: Of the pieces, in s, (pieces,).
-            lengths: In s, (pieces,).
-        """
+        """Return bounds of |r_i| on pieces of x_d and of their terms, both (l, pieces, n), from all coefficients."""
         system = self.trajectory.exosystem
         w = np.column_stack([system.states(starts), np.ones(len(starts))])
         S, rates = block_diag(system.S, np.zeros((1, 1))), np.append(system.rates, 0.0)
@@ -77,10 +73,7 @@ def left_over(plant: PWASystem, trajectory: DesiredTrajectory) -> LeftOver:
     """Return what u_ff of a trajectory in closed form leaves over of (3)."""
     Q, Q_rate = trajectory.exosystem.derivative_rows(1)
     needed = needed_inputs(plant, Q, Q_rate)
-    terms = np.concatenate(
-        [np.abs(Q_rate) + np.abs(plant.A) @ np.abs(Q), np.abs(plant.b)[:, :, None]],
-        axis=2,
-    )
+    terms = np.concatenate([np.abs(Q_rate) + np.abs(plant.A) @ np.abs(Q), np.abs(plant.b)[:, :, None]], axis=2)
     mixed = np.abs(plant.B) @ np.abs(pseudo_inverse(plant.B))  # u_ff carries the rounding of the other equations
     return LeftOver(rows=needed - plant.B @ trajectory.u_ff, terms=terms + mixed @ terms, trajectory=trajectory)
 
@@ -97,11 +90,17 @@ def pseudo_inverse(B: Array) -> Array:
         >>> pseudo_inverse(np.array([[0.0, 0.0], [2e-9, 0.0]])).round(6).tolist()
         [[0.0, 500000000.0], [0.0, 0.0]]
     """
-    rows, columns = np.ones(len(B)), np.ones(B.shape[1])
-    for _ in range(3):
-        rows = rows * _inverse(np.abs(rows[:, None] * B * columns).max(axis=1, initial=0.0))
-        columns = columns * _inverse(np.abs(rows[:, None] * B * columns).max(axis=0, initial=0.0))
+    rows, columns = _scales(B, 3)
     return np.asarray(columns[:, None] * np.linalg.pinv(rows[:, None] * B * columns) * rows)
+
+
+def _scales(X: Array, times: int) -> tuple[Array, Array]:
+    """Return powers of two for rows and columns that bring entries to size 1, rows and columns in turn."""
+    rows, columns = np.ones(len(X)), np.ones(X.shape[1])
+    for _ in range(times):
+        rows = rows * _inverse(np.abs(rows[:, None] * X * columns).max(axis=1, initial=0.0))
+        columns = columns * _inverse(np.abs(rows[:, None] * X * columns).max(axis=0, initial=0.0))
+    return rows, columns
 
 
 def _inverse(size: Array) -> Array:
@@ -112,21 +111,13 @@ def _inverse(size: Array) -> Array:
 def state_trajectory(plant: PWASystem, x_d: Exosystem) -> DesiredTrajectory:
     """Return the trajectory for x_d in closed form, with u_ff solved from (3): B u_ff = ẋ_d − A_i x_d − b_i.
 
-    Where no u_ff solves it, something is left over: see `control.realisable` and `simulation.desired`.
-
-    Args:
-        x_d: One signal per state.
+    Where no u_ff solves it, something is left over: see `left_over` and `simulation.desired`.
     """
-    cells, n = plant.A.shape[:2]
     Q, Q_rate = x_d.derivative_rows(1)
     return DesiredTrajectory.linear(
         plant,
         exosystem=x_d,
-        names=(),
-        to_eta=np.zeros((0, n)),
-        eta_offset=np.zeros(0),
-        rate=np.zeros((cells, 0, len(x_d.w0) + 1)),
-        x_d=np.hstack([Q, np.zeros((n, 1))]),
+        x_d=np.hstack([Q, np.zeros((len(Q), 1))]),
         u_ff=pseudo_inverse(plant.B) @ needed_inputs(plant, Q, Q_rate),
     )
 
@@ -156,8 +147,7 @@ def input_trajectory(plant: PWASystem, u_ff: Exosystem, start: Array | None) -> 
 def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTrajectory:
     """Return the constant trajectory with c x_d = y for the tracked rows c: A_i x_d + b_i + B u_ff = 0, x_d in cell i.
 
-    Raises:
-        OutsideTheory: If no cell holds such an equilibrium.
+    If no cell holds such an equilibrium, it is refused.
     """
     misses = []
     for i in range(len(plant.A)):
@@ -166,7 +156,13 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
         except OverflowError:  # beyond what a double holds
             point = f"that of cell '{plant.cell_names[i]}' is out of range"
         if not isinstance(point, str):
-            return _constant(plant, *point)
+            x_d, u_ff = (values[:, None] for values in point)
+            return DesiredTrajectory.linear(
+                plant,
+                exosystem=exosystem([]),
+                x_d=readonly(x_d),
+                u_ff=np.broadcast_to(u_ff, (len(plant.A), *u_ff.shape)),
+            )
         misses.append(point)
     more = [f"and none in {len(misses) - _MOST_SAID} more cells"] if len(misses) > _MOST_SAID else []
     raise OutsideTheory(
@@ -178,12 +174,7 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
     )
 
 
-@dataclass(frozen=True)
-class _Solutions:
-    """All z = start + directions s of some linear equations, in fractions: (k, 1) and (k, free)."""
-
-    start: Rational
-    directions: Rational
+_Solutions = tuple[Rational, Rational]  # all z = start + directions s of some linear equations: (k, 1) and (k, free)
 
 
 def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | str:
@@ -201,10 +192,9 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
     H = np.column_stack([side * plant.partition.H[bounding], np.zeros((len(bounding), m))])
     h = side * plant.partition.h[bounding, None]
     sides, offsets = decimals(H), decimals(h)
-    z = found.start
-    free = found.directions.ncols()
+    z, free = found[0], found[1].ncols()
     if free:
-        units = _units(E)
+        units = _scales(E, 8)[1]
         z = _moved(found, _least(found, units))
         if not _inside(sides, offsets, z):
             z = _moved(found, _deepest(found, units, sides, offsets))
@@ -221,65 +211,38 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
 
 def _solved(E: Rational, r: Rational) -> _Solutions | None:
     """Return all solutions of E z = r; equations that follow from the others need to agree to rounding only."""
-    count, k = E.nrows(), E.ncols()
-    kept = pivots(E.transpose())
-    rows, right = E.tolist(), r.tolist()
-    joint, rank = flint.fmpq_mat(len(kept), k + 1, [v for j in kept for v in [*rows[j], *right[j]]]).rref()
-    table = joint.tolist()
-    tied = [next(c for c, v in enumerate(row) if v != 0) for row in table[:rank]]
-    free = [c for c in range(k) if c not in tied]
-    start, directions = [flint.fmpq(0)] * k, [[flint.fmpq(int(c == f)) for f in free] for c in range(k)]
-    for row, pivot in zip(table, tied, strict=False):
-        start[pivot], directions[pivot] = row[k], [-row[f] for f in free]
-    z = flint.fmpq_mat(k, 1, start)
-    rest = (E * z).tolist()
-    for j in range(count):
-        terms = sum((abs(a * b) for a, b in zip(rows[j], start, strict=True)), abs(right[j][0]))
-        if abs(rest[j][0] - right[j][0]) > terms * flint.fmpq(1, round(1 / _AGREES)):
-            return None
-    return _Solutions(z, flint.fmpq_mat(k, len(free), [v for row in directions for v in row]))
+    kept, tied = pivots(E.transpose()), pivots(E)
+    z = flint.fmpq_mat(E.ncols(), 1)
+    for place, value in zip(tied, on_entries(E, kept, tied).solve(on_entries(r, kept, [0])).entries(), strict=True):
+        z[place, 0] = value
+    left, terms = E * z - r, absolute(E) * absolute(z) + absolute(r)
+    if any(abs(v) > size * _LITTLE for v, size in zip(left.entries(), terms.entries(), strict=True)):
+        return None
+    return z, left_null_space(E.transpose()).transpose()
 
 
 def _inside(rows: Rational, offsets: Rational, z: Rational) -> bool:
     """Decide rows z + offsets ≥ 0, to rounding."""
-    entries, point = rows.tolist(), z.entries()
-    tolerance = flint.fmpq(1, round(1 / _AGREES))
-    for row, offset in zip(entries, offsets.entries(), strict=True):
-        parts = [a * b for a, b in zip(row, point, strict=True)]
-        if sum(parts, offset) < -tolerance * sum(map(abs, parts), abs(offset)):
-            return False
-    return True
-
-
-def _units(E: Array) -> Array:
-    """Return powers of two d such that the entries of D_r E diag(d) are of size 1."""
-    scaled, d = np.abs(E), np.ones(E.shape[1])
-    for _ in range(8):
-        size = scaled.max(axis=1, initial=0.0)
-        scaled = np.ldexp(scaled, -np.where(size > 0, np.frexp(size)[1], 0)[:, None])
-        size = scaled.max(axis=0, initial=0.0)
-        exponents = np.where(size > 0, np.frexp(size)[1], 0)
-        scaled, d = np.ldexp(scaled, -exponents), np.ldexp(d, -exponents)
-    return d
+    depth, terms = rows * z + offsets, absolute(rows) * absolute(z) + absolute(offsets)
+    return all(v >= -size * _LITTLE for v, size in zip(depth.entries(), terms.entries(), strict=True))
 
 
 def _least(found: _Solutions, d: Array) -> Array:
     """Return s where z is least in units d."""
-    directions, start = floats(found.directions) / d[:, None], floats(found.start)[:, 0] / d
+    start, directions = floats(found[0])[:, 0] / d, floats(found[1]) / d[:, None]
     size = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
     return np.asarray(np.linalg.lstsq(directions / size, -start, rcond=None)[0] / size)
 
 
 def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> Array:
     """Return s where z is deepest inside a cell, in units d, up to the size of the solution; 0 if none is found."""
-    start = floats(found.start)[:, 0] / d
-    directions = floats(found.directions) / d[:, None]
+    start, directions = floats(found[0])[:, 0] / d, floats(found[1]) / d[:, None]
     size = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
     sides = floats(rows) * d
     length = np.linalg.norm(sides, axis=1)
-    value = (floats(rows * found.start + offsets)[:, 0]) / length
+    value = (floats(rows * found[0] + offsets)[:, 0]) / length
     unit = max(float(np.abs(value).max(initial=0.0)), float(np.abs(start).max(initial=0.0)), 1e-300)
-    slopes = floats(rows * found.directions) / length[:, None] / size
+    slopes = floats(rows * found[1]) / length[:, None] / size
     solution: Any = scipy.optimize.linprog(
         np.append(np.zeros(len(size)), -1.0),
         A_ub=np.column_stack([-slopes, np.ones(len(slopes))]),
@@ -293,18 +256,4 @@ def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> 
 
 def _moved(found: _Solutions, s: Array) -> Rational:
     """Return start + directions s: a solution for every s, so that s may be rounded."""
-    return found.start + found.directions * decimals(s[:, None])
-
-
-def _constant(plant: PWASystem, x_d: Array, u_ff: Array) -> DesiredTrajectory:
-    cells, n = plant.A.shape[:2]
-    return DesiredTrajectory.linear(
-        plant,
-        exosystem=exosystem([]),
-        names=(),
-        to_eta=np.zeros((0, n)),
-        eta_offset=np.zeros(0),
-        rate=np.zeros((cells, 0, 1)),
-        x_d=readonly(x_d[:, None]),
-        u_ff=np.broadcast_to(u_ff[:, None], (cells, len(u_ff), 1)),
-    )
+    return found[0] + found[1] * decimals(s[:, None])

@@ -12,7 +12,6 @@ from pwatrack.lmi.dichotomy import NoDichotomy
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.role import CONTROLLER
 from pwatrack.lmi.solve import asked
-from pwatrack.lmi.uncontrollable import Between
 from pwatrack.rational import floats, unreachable
 
 _SEEN = 1e-9  # of the largest entry of a mode: what is smaller is rounding
@@ -22,13 +21,12 @@ _NAMED = 3  # states that a mode is reached by, the best first
 def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: float) -> PwatrackError:
     """Return the refusal with the proof that no gain reaches the rate (1/s), or say that there is neither.
 
-    Args:
-        rate: What was asked; 0 where any would do.
-        refutation: The proof, if there is one.
-        margin: The best that was found, relative to the largest entries.
+    The margin is the best that was found, relative to the largest entries.
     """
     claim = f"{task.role.claim} at a rate of {rate:g} 1/s" if rate else task.role.claim
-    subject = (task.role.part, ProblemPart.RATE) if rate else task.subject
+    subject = (
+        (task.role.part, ProblemPart.RATE) if rate else (ProblemPart.B if task.role is CONTROLLER else ProblemPart.C,)
+    )
     if refutation is None:
         message = f"{claim} is undecided: no gain with a proof was found, and no proof that there is none"
         if np.isfinite(margin):
@@ -52,9 +50,10 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         if refutation.eigenvalues:
             return f"{claim} is infeasible: no gain moves the eigenvalue {listed(modes, most)}"
         if (mean := refutation.between) is not None:
+            parts = [f"{number_text(float(share))} of cell '{task.cells[i]}'" for i, share in mean.weights.items()]
             return (
                 f"{claim} is infeasible: it is about every mean of cells, and no gain moves the eigenvalue "
-                f"{number_text(float(mean.eigenvalue) - rate)} of {_mean_text(mean, task)}, though each {able}"
+                f"{number_text(float(mean.eigenvalue) - rate)} of {joined(parts)}, though each {able}"
             )
         return (
             f"{claim} is infeasible: {conflict_text(refutation, task.cells, most)}, no gain with a common P "
@@ -72,18 +71,14 @@ def reached_by(task: Task, cell: int, eigenvalue: complex, rate: float) -> str:
 
     A mode v with vᵀ A_i = λ vᵀ and vᵀ B = 0 moves with each further input b that has vᵀ b ≠ 0. The states are named in
     the order of |v_k|, counted in sizes; for (9) all is transposed, and v is what a sensor c must see, c v ≠ 0.
-
-    Args:
-        cell: That of the mode.
-        eigenvalue: λ, shifted by
-        rate: in 1/s.
+    The eigenvalue λ is shifted by the rate (1/s).
 
     Example:
         >>> task = Task(A=np.diag([3.0, -1.0])[None], B=np.array([[0.0], [1.0]]), cells=["all"], states=["p", "q"])
         >>> reached_by(task, 0, 3.0, 0.0)
         'another actuator must reach this mode: any that acts on dp/dt does'
     """
-    A, B = task.numbers
+    A, B = task.centres
     N, A_u = unreachable(A[cell], B)
     values, vectors = np.linalg.eig(floats(A_u).T)
     return _reaching(task, floats(N).T @ vectors[:, np.argmin(np.abs(values + rate - eigenvalue))])
@@ -98,15 +93,20 @@ def _reaching(task: Task, mode: Array) -> str:
     if not order:
         return wanted
     names = [f"d{task.states[k]}/dt" if acts else task.states[k] for k in order[:_NAMED]]
-    which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+    which = joined(names, "or")
     best = "" if len(names) == 1 else f", {'on' if acts else 'of'} the first most"
     return f"{wanted}: any that acts on {which} does{best}" if acts else f"{wanted}: a sensor of {which} does{best}"
 
 
-def _mean_text(mean: Between, task: Task) -> str:
-    """Name a mean of cells by the share of each."""
-    parts = [f"{number_text(float(share))} of cell '{task.cells[i]}'" for i, share in mean.weights.items()]
-    return f"{', '.join(parts[:-1])} and {parts[-1]}"
+def joined(names: Sequence[str], by: str = "and") -> str:
+    """Return names with commas, and a word before the last one.
+
+    Example:
+        >>> joined(["a", "b", "c"]), joined(["a"])
+        ('a, b and c', 'a')
+    """
+    *some, last = names
+    return f"{', '.join(some)} {by} {last}" if some else last
 
 
 def other_solver() -> Remedy:
@@ -155,7 +155,7 @@ def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], mo
     names = [f"'{cells[i]}'" for i in refutation.Z]
     if most is not None and len(names) > most + 1:
         return f"cells {listed(names, most)} conflict"
-    return f"cells {', '.join(names[:-1])} and {names[-1]} conflict"
+    return f"cells {joined(names)} conflict"
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:

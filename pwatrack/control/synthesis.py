@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
 from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
-from pwatrack.control.input_constraint import InputConstraint
+from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task, reaches
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.exact import Certificate
@@ -71,11 +72,6 @@ def synthesize(
 ) -> Gains:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
-    Args:
-        controller: What K is to achieve, in the sign convention of (10).
-        observer: What L is to achieve.
-        within: What the inputs may do and from which errors, see `gain`.
-
     Raises:
         Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
         Undecided: If neither is proved, or no gain within the bound was found.
@@ -107,10 +103,6 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
     from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
     one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
     gain is to be.
-
-    Args:
-        goal: What is asked.
-        within: Bounds of the inputs, and the errors from which they are to be kept; None for none.
 
     Raises:
         Infeasible: If no gain exists, proved.
@@ -150,11 +142,7 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
 
 
 def given(task: Task, K: Array) -> tuple[Array, Found]:
-    """Return a gain K (m, n), or Lᵀ, that is given, with what shows its best rate.
-
-    Raises:
-        Infeasible, Undecided: As for `prove_convergence`.
-    """
+    """Return a gain K (m, n), or Lᵀ, that is given, with what shows its best rate, or refuse it."""
     letter = task.role.letter
     certificate = prove_convergence(
         task.closed(K),
@@ -172,28 +160,24 @@ def given(task: Task, K: Array) -> tuple[Array, Found]:
 class Search:
     """The search for one gain. Each way returns a gain with its proof, or None.
 
-    Attributes:
-        task: The inequality.
-        candidates: What may do.
-        best_margin: The best margin that was found for (8), where A and P have size 1.
+    `best_margin` is the best that was found for (8), where A and P have size 1.
     """
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.candidates = Candidates.of(task)
+        self.candidates = Candidates(task)
         self.best_margin = -np.inf
         self._refutations = dict[float, Refutation | None]()
 
     @cached_property
     def _idle(self) -> Proved | None:
         """The gain 0 with the proof of its best rate."""
-        return self.proved(self.candidates.nothing(), 0.0)
+        return self.proved(Candidate(K=np.zeros(self.task.B.T.shape)), 0.0)
 
     def refuted(self, rate: float) -> Refutation | None:
         """Return a proof that no gain reaches a rate (1/s), if one is found."""
         if rate not in self._refutations:
-            task = self.task
-            self._refutations[rate] = refute(task.A, task.B, rate=rate, exact=task.centres)
+            self._refutations[rate] = refute(self.task.A, self.task.B, rate=rate, exact=self.task.centres)
         return self._refutations[rate]
 
     def first(self, candidates: Iterable[Candidate], rate: float, *, soon: bool = False) -> Proved | None:
@@ -216,7 +200,7 @@ class Search:
         if seems_impossible(self.candidates.A, self.task.B, rate=rate) and self.refuted(rate):
             return None
         costs = self.candidates.regulator(rate)
-        found = self.first((c for c in (next(costs, None),) if c is not None), rate)
+        found = self.first(islice(costs, 1), rate)
         scale = self.task.scale
         precise = self._of_mean(found, rate, square(scale.state).inv(), square(scale.input).inv())
         if precise is not None:
@@ -242,7 +226,7 @@ class Search:
 
         Not where one is found already that is proved in doubles.
         """
-        A, B = self.task.numbers
+        A, B = self.task.centres
         if not B.ncols() or (found is not None and found[1].precise is None):
             return None
         at = corners(self.task.A).tolist()
@@ -264,13 +248,10 @@ class Search:
 
     def _turned(self, at: Precise, rate: float) -> Proved | None:
         """Look for a gain of several cells in such coordinates."""
-        A, B = self.task.numbers
-        chosen = places(self.task.exactly_closed(self.candidates.nothing().K))
-        inside = Task(
-            A=at.system([A[i] for i in chosen]),
-            B=at.input(B),
-            cells=[self.task.cells[i] for i in chosen],
-        )
+        A, B = self.task.centres
+        chosen = places(self.task.balls[0])
+        cells = [self.task.cells[i] for i in chosen]
+        inside = Task(A=at.system([A[i] for i in chosen]), B=at.input(B), cells=cells)
         finite = np.isfinite(inside.A).all() and np.isfinite(inside.B).all()
         found = Search(inside).regulator(rate) if len(chosen) > 1 and finite else None
         return None if found is None else self._proved_precisely(at, at.gain(found[0]), rate, found[1].P)
@@ -289,10 +270,8 @@ class Search:
         """Bisect the rate, in its logarithm, for the fastest decay that a gain within the bound gives.
 
         All eigenvalues of A_i + B K are left of minus the rate, so n times the rate is at most −tr(A_i + B K), and
-        |tr(B K)| ≤ ‖K‖ ‖B‖⁎, the sum of the singular values of B, both in sizes.
-
-        Raises:
-            InvalidSpec: If there is no bound, and no largest rate.
+        |tr(B K)| ≤ ‖K‖ ‖B‖⁎, the sum of the singular values of B, both in sizes. Without a bound and without a largest
+        rate it is refused.
         """
         speed, best = self.candidates.at.speed, self.regulator(0.0)
         if best is None or self.task.norm(best[0]) > bound:
@@ -318,8 +297,7 @@ class Search:
     ) -> Proved | None:
         """Return a gain of least cost if it keeps bounds of the inputs, else one of least worst cost that does.
 
-        The ellipsoid by which it is found is more careful than the proof for the gain: so bounds are loosened by what
-        that leaves, as long as they are kept.
+        The ellipsoid by which it is found is more careful than the proof: so bounds are loosened by what that leaves.
         """
         if within.share(self.task, *found) >= 1:
             return found
@@ -409,9 +387,8 @@ def _fastest(best: Proved, slow: float, fast: float, at: Callable[[float], Prove
         found = at(rate)
         return None if found is None else (max(found[1].rate, rate), found)
 
-    rate, found, _ = bisected((slow, best), max(slow, fast), reached, near=_ENDED, most=_RATES, middle=_mean)
+    def mean(one: float, other: float) -> float:
+        return float(np.sqrt(one) * np.sqrt(other))
+
+    rate, found, _ = bisected((slow, best), max(slow, fast), reached, near=_ENDED, most=_RATES, middle=mean)
     return found, rate
-
-
-def _mean(one: float, other: float) -> float:
-    return float(np.sqrt(one) * np.sqrt(other))

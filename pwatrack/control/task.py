@@ -8,13 +8,12 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
-from pwatrack.causes import ProblemPart, Subject
 from pwatrack.lmi.exact import RATE_GIVEN, Certificate, likely_rate, of_proof, prove, prove_exactly
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import Rational, decimals
+from pwatrack.rational import Rational
 
 _SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried in exact numbers
 
@@ -56,11 +55,6 @@ class Task:
             sizes=sizes if role is CONTROLLER else sizes.dual(),
         )
 
-    @property
-    def subject(self) -> Subject:
-        """What a refusal of every gain is about."""
-        return (ProblemPart.B if self.role is CONTROLLER else ProblemPart.C,)
-
     @cached_property
     def scale(self) -> Sizes:
         """The sizes of states and inputs."""
@@ -82,15 +76,16 @@ class Task:
         """
         return float(np.linalg.norm(self.scale.gain(K), 2)) * self.gain_unit
 
-    @property
-    def centres(self) -> tuple[list[Rational], Rational] | None:
-        """The middle of each ball, about which a proof that there is no gain speaks."""
-        return None if self.exact is None else ([A_i.centre for A_i in self.exact[0]], self.exact[1].centre)
+    @cached_property
+    def balls(self) -> tuple[Sequence[BallMatrix], BallMatrix]:
+        """A_i and B in the numbers that proofs are about."""
+        n, m = self.B.shape
+        return self.exact or ([BallMatrix.of(A_i, (n, n)) for A_i in self.A], BallMatrix.of(self.B, (n, m)))
 
     @property
-    def numbers(self) -> tuple[list[Rational], Rational]:
-        """A_i and B as proofs that there is no gain see them: the middle of each ball, or the decimals of doubles."""
-        return self.centres or ([decimals(A_i) for A_i in self.A], decimals(self.B))
+    def centres(self) -> tuple[list[Rational], Rational]:
+        """The middle of each ball, about which a proof that there is no gain speaks."""
+        return [A_i.centre for A_i in self.balls[0]], self.balls[1].centre
 
     def closed(self, K: Array) -> Array:
         """Return A_i + B K, (l, n, n)."""
@@ -106,7 +101,7 @@ class Task:
 
     def exactly_closed(self, K: Array) -> list[BallMatrix]:
         """Return A_i + B K in the numbers that proofs are about, K as printed."""
-        A, B = self.exact or ([BallMatrix.of(A_i) for A_i in self.A], BallMatrix.of(self.B))
+        A, B = self.balls
         gain = B @ BallMatrix.of(K, (K.shape[0], K.shape[1]))
         return each(lambda A_i: A_i + gain, A)
 

@@ -45,11 +45,8 @@ class NoncausalTrajectory:
     def measured(self, each: Array, rate: float) -> float:
         """Return what residual and jumps leave of a measure W that has W' ≤ −rate W of what is off.
 
-        W' is at most Σ residual_k each_k more than that, and W grows by Σ jump_k each_k at most where η jumps.
-
-        Args:
-            each: W of what 1 of each η makes of x_d, in each cell, (l, p).
-            rate: In 1/s.
+        W' is at most Σ residual_k each_k more than that, and W grows by Σ jump_k each_k at most where η jumps; `each`
+        is W of what 1 of each η makes of x_d, in each cell, (l, p).
         """
         kicks = (self.jumps @ each.T).max(axis=1, initial=0.0)
         most = W = 0.0
@@ -106,17 +103,23 @@ class DesiredTrajectory:
         return np.asarray(self.x_d[int(np.argmax(inside))] @ s)
 
     @classmethod
-    def linear(cls, plant: PWASystem, *, x_d: Array, **rest: Any) -> "DesiredTrajectory":
-        """Return the trajectory whose x_d has the same rows (n, S) in all cells: then these are cut by the plant's."""
+    def linear(cls, plant: PWASystem, *, exosystem: Exosystem, x_d: Array, **rest: Any) -> "DesiredTrajectory":
+        """Return the trajectory whose x_d has the same rows (n, S) in all cells: then these are cut by the plant's.
+
+        Without more, nothing is filtered.
+        """
+        cells, n = plant.A.shape[:2]
+        rate = np.zeros((cells, 0, len(exosystem.w0) + 1))
+        nothing: dict[str, Any] = {"names": (), "to_eta": np.zeros((0, n)), "eta_offset": np.zeros(0), "rate": rate}
         guards = plant.partition.H @ x_d
         guards[:, -1] += plant.partition.h
-        rows = np.broadcast_to(x_d, (len(plant.A), *x_d.shape))
-        return cls(x_d=rows, guards=guards, signs=plant.partition.signs, **rest)
+        rows, signs = np.broadcast_to(x_d, (cells, *x_d.shape)), plant.partition.signs
+        return cls(exosystem=exosystem, x_d=rows, guards=guards, signs=signs, **(nothing | rest))
 
 
 def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> DesiredTrajectory:
     """Return x̂_d of (15) and û_ff of (16) for references y_d, one per tracked output, any η̂(0)."""
-    r, form = generator.r, generator.form
+    form, r = generator.form, generator.form.r
     p, n, s = generator.A_eta.shape[1], form.T.shape[1], len(y_d.w0)
     w, size = slice(p, p + s), p + s + 1
 
@@ -124,14 +127,13 @@ def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> Desired
     xi_d = np.zeros((r + len(form.degrees), size))  # ξ_d and y_d⁽ʳ⁾
     xi_d[:r, w] = np.vstack([rows[:degree, j] for j, degree in enumerate(form.degrees)])
     xi_d[r:, w] = [rows[degree, j] for j, degree in enumerate(form.degrees)]
-    X_xi, X_eta, x_0 = generator.state()
-    x_d = X_xi @ xi_d[:r]
-    x_d[:, :, :p] += X_eta
-    x_d[:, :, -1] += x_0
-    F_xi, F_eta, f = generator.feedforward()
-    u_ff = F_xi @ xi_d
-    u_ff[:, :, :p] += F_eta
-    u_ff[:, :, -1] += f
+    T, X = form.T_inverse, form.right_inverse
+    x_d = T[:, :, :r] @ xi_d[:r]
+    x_d[:, :, :p] += T[:, :, r:]
+    x_d[:, :, -1] -= np.einsum("lij,lj->li", T, form.offset)
+    u_ff = np.concatenate([-X @ form.alpha, X], axis=2) @ xi_d
+    u_ff[:, :, :p] -= X @ form.beta
+    u_ff[:, :, -1] -= np.einsum("lmp,lp->lm", X, form.gamma)
     rate = generator.B_eta @ xi_d
     rate[:, :, :p] += generator.A_eta
     rate[:, :, -1] += generator.b_eta
@@ -163,13 +165,8 @@ def check_timing(
 ) -> None:
     """Refuse a reference that changes so fast that the rounding of its break times can be seen.
 
-    Args:
-        plant, K, trajectory, outputs: As for `timing_error`.
-        smooth: The time (s) over which corners were rounded, and how many derivatives of the reference reach u_ff.
-        subject: What in the description the reference is.
-
-    Raises:
-        InvalidSpec: With the time, the error to expect, and the shortest rounding that would do.
+    `smooth` is the time (s) over which corners were rounded, with how many derivatives of the reference reach u_ff:
+    then the shortest rounding that would do is said.
     """
     worst, time = timing_error(plant, K, trajectory, outputs=outputs)
     if worst <= ALLOWED:
@@ -192,10 +189,7 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
 
     A break at t is known to ε t only. The plant follows the old piece for that much longer, and then is off by
     ẋ_d(t) ε t; from there the error runs as e^{(A_i + BK)t}, which is followed here at times 1, 2, 4, … of a fraction
-    of the fastest time constant.
-
-    Args:
-        outputs: What of x shall follow, (q, n): C, or I for state tracking.
+    of the fastest time constant. What of x shall follow is `outputs` (q, n): C, or I for state tracking.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if not system.resets:

@@ -5,13 +5,19 @@ from typing import Any
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import decimal, decimal_texts, packed
+from pwatrack.claims.exact_text import (
+    decimal,
+    decimal_texts,
+    elements_content,
+    form_content,
+    packed,
+    plant_content,
+)
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
-from pwatrack.claims.subject import elements_content, form_content, plant_content
 from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.generator import tracking_dynamics
+from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Given
 from pwatrack.lmi.audit.reading import FORMAT, number
 from pwatrack.lmi.dichotomy import NoDichotomy
@@ -79,30 +85,24 @@ def output_form(spec: Spec, directions: Any = None) -> NormalForm:
     return normal_form(plant, directions=BallMatrix.of([[number(v) for v in row] for row in directions], (m, p)))
 
 
-def generator_content(form: NormalForm, shift: Array | None, *, played_back: bool) -> dict[str, Any]:
-    """Return the content of generator.json: (15) and (16) in doubles.
-
-    Args:
-        form: The normal form (11).
-        shift: M of Assumption 2, or None if there is none.
-        played_back: Whether its bounded solution is, in place of a filter.
-    """
-    A_eta, B_eta, b_eta = tracking_dynamics(form)
+def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
+    """Return the content of generator.json: (15) and (16) in doubles."""
+    form, shift = generator.form, generator.shift
     return {
         "relative_degrees": list(form.degrees),
         "eta": list(form.eta_names),
         "T": form.T.tolist(),
         "offset": form.offset.tolist(),
         "cells": list(form.plant.cell_names),
-        "A_eta": A_eta.tolist(),
-        "b_eta": b_eta.tolist(),
-        "B_eta": B_eta.tolist(),
+        "A_eta": generator.A_eta.tolist(),
+        "b_eta": generator.b_eta.tolist(),
+        "B_eta": generator.B_eta.tolist(),
         "alpha": form.alpha.tolist(),
         "beta": form.beta.tolist(),
         "gamma": form.gamma.tolist(),
         "right_inverse": form.right_inverse.tolist(),
         "shift": None if shift is None else shift.tolist(),
-        "loads": _compensation_content(form, played_back=played_back),
+        "loads": _compensation_content(form, played_back=generator.played_back),
     }
 
 

@@ -40,7 +40,7 @@ def written(
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
     if not has_tables(controller):
         return Written(certificate, None, None)
-    generator = None if made is None else generator_content(made.form, made.shift, played_back=made.played_back)
+    generator = None if made is None else generator_content(made)
     proof = hashlib.sha256(certificate.encode()).hexdigest()
     known = None if start is None else dict(start)
     told = content(spec, controller, proof=proof, generator=generator, start=known, failed=failed)

@@ -325,7 +325,7 @@ def _some_gain(task: Task, rate: float) -> Array | None:
         >>> _some_gain(Task(A=-np.eye(2)[None], B=B, cells=["all"]), 3.0) is None
         True
     """
-    candidates = Candidates.of(task)
+    candidates = Candidates(task)
     if seems_impossible(candidates.A, task.B, rate=rate):
         return None
     for candidate in candidates.largest_margins(rate):

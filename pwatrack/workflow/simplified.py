@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from pwatrack.arrays import up
 from pwatrack.claims.practical import Practical, deviation_bounds, least_merges
-from pwatrack.control.applicability import Facts, exact_is_open, practical_is_open
+from pwatrack.control.applicability import PRACTICAL, Applicability
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import synthesize
@@ -35,7 +35,7 @@ def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
     return isinstance(refusal.evidence, Impossibility) and not refusal.evidence.rate
 
 
-def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
+def checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     """Check what can be known before gains are sought; of the merged plant where practical tracking is to be tried.
 
     Args:
@@ -51,7 +51,7 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
     try:
         return _checked(spec, facts)
     except PwatrackError as refusal:
-        if facts.merged is None or not practical_is_open(facts) or not may_merge(spec, refusal):
+        if facts.merged is None or PRACTICAL not in facts.open or not may_merge(spec, refusal):
             raise
         less = replace(spec, problem=replace(spec.problem, plant=facts.merged.plant))
         try:
@@ -62,11 +62,11 @@ def checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
         return f"{said}, with cells merged; exact tracking is refused: {why}", sizes
 
 
-def _checked(spec: Spec, facts: Facts) -> tuple[str, Sizes]:
+def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
-        if facts.form is not None and not exact_is_open(facts):  # by eigenvalues of the zero dynamics
+        if facts.form is not None and facts.open in ([], [PRACTICAL]):  # by eigenvalues of the zero dynamics
             spec_generator(spec, facts.form, known=facts.known)
     return said, sizes
 
