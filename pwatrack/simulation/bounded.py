@@ -17,7 +17,7 @@ from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
-from pwatrack.simulation.mode_sequence import STEPS, blocks
+from pwatrack.simulation.desired import STEPS, blocks
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import tenths
 

@@ -11,7 +11,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.closed_loop import ClosedLoop
-from pwatrack.simulation.mode_sequence import desired_flow
+from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
 
 _GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
