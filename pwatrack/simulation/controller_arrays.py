@@ -58,11 +58,7 @@ def memory(
 ) -> dict[str, NDArray[Any]]:
     """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
-    Args:
-        program: The program.
-        x_hat: x̂(0), then ŝ(0), (N,).
-        eta_hat: η̂(0), (p,).
-        real: Type of float.
+    It starts from x̂(0), then ŝ(0), (N,), and η̂(0), (p,).
     """
     at = program.places
     found = np.zeros(at["x_d"].stop, dtype=real)
@@ -74,18 +70,11 @@ def memory(
 
 NONE = SampledController(  # one that never runs
     sampling=Sampling(sample_time=1.0),
-    H=np.zeros((0, 0)),
-    h=np.zeros(0),
-    signs=np.zeros((0, 0), dtype=np.int64),
-    observer=np.zeros((0, 0, 1)),
-    generator=np.zeros((0, 0, 1)),
+    **dict.fromkeys(("H", "K"), np.zeros((0, 0))),
+    **dict.fromkeys(("h", "change", "quantum"), np.zeros(0)),
+    **dict.fromkeys(("signs", "sides"), np.zeros((0, 0), dtype=np.int64)),
+    **dict.fromkeys(("observer", "generator", "x_d", "u_ff"), np.zeros((0, 0, 1))),
     guards=np.zeros((0, 1)),
-    sides=np.zeros((0, 0), dtype=np.int64),
-    x_d=np.zeros((0, 0, 1)),
-    u_ff=np.zeros((0, 0, 1)),
-    K=np.zeros((0, 0)),
     limits=np.zeros((0, 2)),
-    change=np.zeros(0),
-    quantum=np.zeros(0),
     follows=None,
 )

@@ -7,8 +7,10 @@ short that its ends are one time in floating point, or the guard is within round
 in either cell, and the residual is enclosed in both. No stay beyond a facet is missed, however short.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from pwatrack.arrays import EPS, Array, IntArray
 from pwatrack.errors import Problem, Undecided
 from pwatrack.simulation.enclosure import bernstein
 
-MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
+_MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
 _DEGREE = 20  # of the Taylor polynomials: 1 / 21! is 2e-20, and 2^10.5 / 21! for what is damped as fast as it turns
 _UNIT = (_DEGREE + 4) * EPS  # of the sum of the sizes of all terms: what a coefficient may be off by
 _GRAZING = 4.0  # times what a guard may be off by: if it is nowhere larger it may be halved for ever
@@ -27,45 +29,46 @@ _AT_ONCE = 2**21  # numbers in an array of coefficients
 _TO_BERNSTEIN = bernstein(_DEGREE)
 _LEFT = np.array([[comb(k, j) / 2.0**k for j in range(_DEGREE + 1)] for k in range(_DEGREE + 1)])  # half, likewise
 _RIGHT = _LEFT[::-1, ::-1]
+_Kind = TypeVar("_Kind", "Pieces", "Looked")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """η = Σ c_k τᵏ, τ the time since the start, and w' = S w on each of N stretches.
+class Pieces:
+    """N polynomials η = Σ c_k τᵏ, τ the time since their starts."""
 
-    Attributes:
-        start, length: In s, (N,).
-        c: (N, p, K).
-        w, off: w at the start, and what it may be off by, (N, s).
-        of: A number that each is known by, (N,).
-    """
+    start: Array  # in s, (N,)
+    length: Array  # in s
+    c: Array  # (N, p, K)
+    of: IntArray  # the stay that each is in, or the piece that it is cut from
 
-    start: Array
-    length: Array
-    c: Array
-    w: Array
-    off: Array
-    of: IntArray
+    @staticmethod
+    def joined(parts: "Sequence[Pieces]") -> "Pieces":
+        """Return all of them, in order of time."""
+        return _in_order(Pieces, parts)
+
+    def cut(self, fastest: float) -> "Pieces":
+        """Return pieces so short that nothing of such a rate turns much on them; `of` is the piece each is from."""
+        count = np.maximum(1, np.ceil(self.length * fastest / _MOST_TURN)).astype(np.int64)
+        of = np.repeat(np.arange(len(count)), count)
+        length = self.length[of] / count[of]
+        since = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)) * length
+        c, moved = self.c[of].astype(np.longdouble), np.array(since, dtype=np.longdouble)[:, None]
+        for k in range(c.shape[2] - 1):  # Horner's rule for each derivative
+            for j in range(c.shape[2] - 2, k - 1, -1):
+                c[:, :, j] += moved * c[:, :, j + 1]
+        return Pieces(start=self.start[of] + since, length=length, c=c.astype(np.float64), of=of)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Looked:
-    """Stretches in order of time on each of which the cell of x_d is known, or cannot be told from others.
+    """Stretches in order of time on each of which the cell of x_d is known, or cannot be told from others."""
 
-    Attributes:
-        start, length: In s, (M,).
-        of: The number of the stretch that each is part of, (M,).
-        possible: Which cells x_d may be in, (M, l).
-        ends: η' − A_i η − B_i (w, 1) at both ends, (M, 2, l, p).
-        residual: Above its size in all cells that are possible, (M, p).
-    """
-
-    start: Array
-    length: Array
-    of: IntArray
-    possible: NDArray[np.bool_]
-    ends: Array
-    residual: Array
+    start: Array  # in s, (M,)
+    length: Array  # in s
+    of: IntArray  # the number of the polynomial that each is part of
+    possible: NDArray[np.bool_]  # which cells x_d may be in, (M, l)
+    ends: Array  # η' − A_i η − B_i (w, 1) at both ends, (M, 2, l, p)
+    residual: Array  # above its size in all cells that are possible, (M, p)
 
     def cells(self) -> IntArray:
         """Return one cell for each, (M,): that of before where there are several."""
@@ -75,31 +78,27 @@ class Looked:
         return np.asarray(self.possible[last].argmax(axis=1), dtype=np.int64)
 
 
+def _in_order(kind: type[_Kind], parts: Sequence[_Kind]) -> _Kind:
+    """Return all stretches of some parts as one, in order of time."""
+    found = {name: np.concatenate([getattr(part, name) for part in parts]) for name in kind.__annotations__}
+    order = np.argsort(found["start"], kind="stable")
+    return kind(**{name: values[order] for name, values in found.items()})
+
+
 @dataclass(frozen=True, kw_only=True)
 class InternalDynamics:
-    """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w.
+    """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w."""
 
-    Attributes:
-        rate: (l, p, p + s + 1).
-        guards: (G, p + s + 1).
-        signs: Side of each guard that each cell is on, 0 where that does not bound it, (l, G).
-        S: (s, s).
-    """
+    rate: Array  # (l, p, p + s + 1)
+    guards: Array  # (G, p + s + 1)
+    signs: IntArray  # side of each guard that each cell is on, 0 where that does not bound it, (l, G)
+    S: Array  # (s, s)
 
-    rate: Array
-    guards: Array
-    signs: IntArray
-    S: Array
+    def look(self, curve: Pieces, w: Array, off: Array, *, sharp: bool) -> Looked:
+        """Return where x_d is in which cell, and how well it satisfies its equation there, if sharp enclosed closely.
 
-    def look(self, curve: Curve, *, sharp: bool) -> Looked:
-        """Return where x_d is in which cell, and how well it satisfies its equation there.
-
-        Args:
-            curve: What x_d is made of; its stretches are short enough for `MOST_TURN`.
-            sharp: Whether the residual is enclosed closely.
-
-        Raises:
-            Undecided: If there are too many crossings.
+        It is made of polynomials that are cut short, of w at their starts, and what that may be off by, (N, s). Refused
+        as undecided if there are too many crossings.
         """
         cells, p, columns = self.rate.shape
         step = max(1, _AT_ONCE // ((_DEGREE + 1) * (cells * p + len(self.guards) + columns)))
@@ -107,16 +106,14 @@ class InternalDynamics:
         found = [
             part
             for first in range(0, len(curve.start), step)
-            for part in self._halved(curve, slice(first, first + step), attained, sharp=sharp)
+            for part in self._halved(curve, w, off, slice(first, first + step), attained, sharp=sharp)
         ]
-        looked = {name: np.concatenate([getattr(part, name) for part in found]) for name in Looked.__annotations__}
-        order = np.argsort(looked["start"], kind="stable")
-        return Looked(**{name: values[order] for name, values in looked.items()})
+        return _in_order(Looked, found)
 
-    def _halved(self, curve: Curve, at: slice, attained: Array, *, sharp: bool) -> list[Looked]:
+    def _halved(self, curve: Pieces, w: Array, off: Array, at: slice, attained: Array, *, sharp: bool) -> list[Looked]:
         """Return stretches that need not be halved any more; what is attained is noted."""
-        start, length, of = curve.start[at], curve.length[at], curve.of[at]
-        b, slack = self._coefficients(curve, at)
+        start, length, of = curve.start[at], curve.length[at], np.arange(len(curve.start))[at]
+        b, slack = self._coefficients(length, curve.c[at], w[at], off[at])
         found, depth, total = list[Looked](), 0, 0
         shape, G = (-1, *self.rate.shape[:2]), len(self.guards)
         while len(start):
@@ -145,29 +142,22 @@ class InternalDynamics:
             if total > _MOST:
                 raise Undecided(Problem(message="x_d crosses facets too often to be followed"))
             half = length[open_] / 2
-            start, length, of = (
-                np.concatenate(pair)
-                for pair in ((start[open_], start[open_] + half), (half, half), (of[open_], of[open_]))
-            )
-            slack = slack[open_] + _DEGREE * EPS * np.abs(b[open_]).max(axis=2, initial=0.0)
-            b, slack, depth = (
-                np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T]),
-                np.tile(slack, (2, 1)),
-                depth + 1,
-            )
+            start = np.concatenate([start[open_], start[open_] + half])
+            length, of, depth = np.tile(half, 2), np.tile(of[open_], 2), depth + 1
+            slack = np.tile(slack[open_] + _DEGREE * EPS * np.abs(b[open_]).max(axis=2, initial=0.0), (2, 1))
+            b = np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T])
         return found
 
-    def _coefficients(self, curve: Curve, at: slice) -> tuple[Array, Array]:
+    def _coefficients(self, h: Array, c: Array, w: Array, off: Array) -> tuple[Array, Array]:
         """Return Bernstein coefficients of guards and residuals, (N, G + l p, degree + 1), and what they may be off by.
 
         Both are sums of terms that are known order by order, in powers of time over length.
         """
-        h, c, off = curve.length[at], curve.c[at], curve.off[at]
         rate = self.rate.reshape(-1, self.rate.shape[2])
         rows, p = np.vstack([self.guards, -rate]), c.shape[1]
         G, size, turn = len(self.guards), np.abs(rows), np.abs(self.S)
         powers, slack = np.zeros((len(h), len(rows), _DEGREE + 1)), np.zeros((len(h), len(rows)))
-        w, most, wide = curve.w[at], np.abs(curve.w[at]), off
+        most, wide = np.abs(w), off
         of_w = slice(p, p + w.shape[1])
         for k in range(2 * _DEGREE):
             if k <= _DEGREE:

@@ -1,99 +1,51 @@
 """What is played back: polynomials beside an exosystem, the cells x_d visits on them, and what is left over of (15)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
-from pwatrack.arrays import EPS, Array, IntArray
-from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.arrays import EPS, Array
+from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.model.reference import Exosystem, exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
-from pwatrack.simulation.curve import MOST_TURN, Curve, InternalDynamics, Looked
+from pwatrack.simulation.curve import InternalDynamics, Looked, Pieces
 
 DEGREE = 9  # of the polynomials that are played back
 _INSTANT = 1e-9  # of a piece: a shorter stay beyond a facet adds nothing that a simulation could show
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pieces:
-    """N polynomials in time since their starts in s, (N, p, degree + 1), each of so long and in the stay `of`."""
+def played(
+    trajectory: DesiredTrajectory, pieces: Pieces, turns: int, period: float
+) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
+    """Return pieces as they are played back, some turns of them, in units given, one signal per η, and their measures.
 
-    start: Array
-    length: Array
-    c: Array
-    of: IntArray
-
-    @staticmethod
-    def joined(parts: "Sequence[Pieces]") -> "Pieces":
-        """Return all of them, in order of time."""
-        found = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Pieces.__annotations__}
-        order = np.argsort(found["start"], kind="stable")
-        return Pieces(**{name: values[order] for name, values in found.items()})
-
-    def cut(self, fastest: float) -> "Pieces":
-        """Return pieces so short that nothing of such a rate turns much on them; `of` is the piece each is from."""
-        count = np.maximum(1, np.ceil(self.length * fastest / MOST_TURN)).astype(np.int64)
-        of = np.repeat(np.arange(len(count)), count)
-        length = self.length[of] / count[of]
-        since = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)) * length
-        c, moved = self.c[of].astype(np.longdouble), np.array(since, dtype=np.longdouble)[:, None]
-        for k in range(c.shape[2] - 1):  # Horner's rule for each derivative
-            for j in range(c.shape[2] - 2, k - 1, -1):
-                c[:, :, j] += moved * c[:, :, j + 1]
-        return Pieces(start=self.start[of] + since, length=length, c=c.astype(np.float64), of=of)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Played:
-    """Pieces as they are played back, some turns of them, in units given.
-
-    Attributes:
-        signals: One per η.
-        start: When each piece begins, of all turns, in s.
-        looked: In which cells x_d is on the pieces of one turn, and how well (15) is satisfied, in the worst turn.
-        terms: The largest sum of the sizes of the terms of (15) at starts of pieces, (p,).
-        left: ρ = η' − (15) over time, one signal per η, in polynomials.
+    In which cells x_d is on them is looked for in one turn, and how well (15) is satisfied in the worst one.
     """
-
-    signals: tuple[Signal, ...]
-    start: Array
-    looked: Looked
-    terms: Array
-    left: Exosystem
-
-    @staticmethod
-    def of(trajectory: DesiredTrajectory, pieces: Pieces, turns: int, period: float) -> "Played":
-        """Look at what is played back of a trajectory."""
-        system, p = trajectory.exosystem, trajectory.rate.shape[1]
-        field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
-        start = np.concatenate([k * period + pieces.start for k in range(turns)])
-        cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
-        w = states_at(system, cut.start)
-        off = np.zeros(w.shape)
-        for k in range(turns):
-            begin = (k * period + pieces.start)[cut.of] + (cut.start - pieces.start[cut.of]).astype(np.longdouble)
-            true = states_at(system, begin)
-            phase = np.multiply.outer(np.abs(begin), np.abs(system.rates)) * np.finfo(np.longdouble).eps
-            apart = np.abs(true - w) + EPS * np.abs(true) + phase * np.abs(true).max(initial=0.0)
-            off = np.maximum(off, apart.astype(np.float64))
-        number = np.arange(len(cut.start))
-        looked = field.look(
-            Curve(start=cut.start, length=cut.length, c=cut.c, w=w.astype(np.float64), off=off, of=number), sharp=True
-        )
-        z = np.hstack([cut.c[:, :, 0], w.astype(np.float64), np.ones((len(cut.c), 1))])
-        cells = looked.cells()
-        at = np.searchsorted(looked.start, cut.start)
-        terms = np.einsum("nps,ns->np", np.abs(trajectory.rate[cells[at]]), np.abs(z)).max(axis=0)
-        return Played(
-            signals=tuple(_signal(start, np.tile(pieces.c[:, k], (turns, 1))) for k in range(p)),
-            start=start,
-            looked=looked,
-            terms=terms,
-            left=_left(trajectory, pieces, cut, looked, turns, period),
-        )
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
+    start = np.concatenate([k * period + pieces.start for k in range(turns)])
+    cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
+    w = states_at(system, cut.start)
+    off = np.zeros(w.shape)
+    for k in range(turns):
+        begin = (k * period + pieces.start)[cut.of] + (cut.start - pieces.start[cut.of]).astype(np.longdouble)
+        true = states_at(system, begin)
+        phase = np.multiply.outer(np.abs(begin), np.abs(system.rates)) * np.finfo(np.longdouble).eps
+        apart = np.abs(true - w) + EPS * np.abs(true) + phase * np.abs(true).max(initial=0.0)
+        off = np.maximum(off, apart.astype(np.float64))
+    looked = field.look(cut, w.astype(np.float64), off, sharp=True)
+    z = np.hstack([cut.c[:, :, 0], w.astype(np.float64), np.ones((len(cut.c), 1))])
+    cells = looked.cells()[np.searchsorted(looked.start, cut.start)]
+    return tuple(_signal(start, np.tile(pieces.c[:, k], (turns, 1))) for k in range(p)), NoncausalTrajectory(
+        names=trajectory.names,
+        residual=looked.residual.max(axis=0),
+        terms=np.einsum("nps,ns->np", np.abs(trajectory.rate[cells]), np.abs(z)).max(axis=0),
+        left=_left(trajectory, pieces, cut, looked, turns, period),
+        times=start[1:],
+        jumps=_jumps(pieces, turns),
+        lead=None,
+    )
 
 
 def states_at(system: Exosystem, t: Array) -> Any:
@@ -143,7 +95,7 @@ def _left(
     return exosystem([_signal(np.concatenate(starts), all_[:, k]) for k in range(all_.shape[1])])
 
 
-def jumps_of(pieces: Pieces, turns: int) -> Array:
+def _jumps(pieces: Pieces, turns: int) -> Array:
     """Return by how much polynomials that follow each other, some turns of them, jump from one to the next, (K, p)."""
     c, span = pieces.c, pieces.length[:, None]
     last = (c * span[:, :, None] ** np.arange(c.shape[2])).sum(axis=2)

@@ -1,4 +1,4 @@
-"""Sample times: what one sample does to errors in each cell by itself, which times are refused, and which are offered."""
+"""Sample times: what one sample does to errors in each cell by itself; which times are refused, and which offered."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -18,12 +18,7 @@ _GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
 
 
 def measured_start(loop: ClosedLoop, x: Array) -> Array:
-    """Return x̂(0) from what is measured at t = 0, with its noise: in sizes the smallest x̂ with C x̂ nearest to it.
-
-    Args:
-        loop: What runs.
-        x: x(0), (n,).
-    """
+    """Return x̂(0) from what is measured at x(0), with its noise: in sizes the smallest x̂ with C x̂ nearest to it."""
     y, C = loop.plant.C @ x, loop.controller.plant.C
     if loop.conditions.noise is not None:
         (drawn,) = (reset.values[0] for reset in loop.resets(0.0) if reset.where == loop.at.v)
