@@ -26,9 +26,8 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.reference import beside, exosystem
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import InternalDynamics, Looked, Pieces
+from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at
 from pwatrack.simulation.driven import ReferenceTransition, SplitModes
-from pwatrack.simulation.played import DEGREE, FIT, played, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -314,7 +313,7 @@ class _Solution:
                 total += sum(len(part.start) for part in found[-1:])
                 if total > _MOST_PIECES:
                     raise _unsettled("the reference turns too fast for its length")
-        return Pieces.joined(found)
+        return joined(found)
 
     def _fitted_to(self, k: int, size: float, until: float) -> list[Pieces]:
         """Return polynomials of a stay: halves, until they are near enough, all those of one length at once.
