@@ -70,11 +70,18 @@ def memory(
 
 NONE = SampledController(  # one that never runs
     sampling=Sampling(sample_time=1.0),
-    **dict.fromkeys(("H", "K"), np.zeros((0, 0))),
-    **dict.fromkeys(("h", "change", "quantum"), np.zeros(0)),
-    **dict.fromkeys(("signs", "sides"), np.zeros((0, 0), dtype=np.int64)),
-    **dict.fromkeys(("observer", "generator", "x_d", "u_ff"), np.zeros((0, 0, 1))),
+    H=np.zeros((0, 0)),
+    h=np.zeros(0),
+    signs=np.zeros((0, 0), dtype=np.int64),
+    observer=np.zeros((0, 0, 1)),
+    generator=np.zeros((0, 0, 1)),
     guards=np.zeros((0, 1)),
+    sides=np.zeros((0, 0), dtype=np.int64),
+    x_d=np.zeros((0, 0, 1)),
+    u_ff=np.zeros((0, 0, 1)),
+    K=np.zeros((0, 0)),
     limits=np.zeros((0, 2)),
+    change=np.zeros(0),
+    quantum=np.zeros(0),
     follows=None,
 )
