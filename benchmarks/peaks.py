@@ -23,8 +23,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import PwatrackError
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.mode_sequence import desired_flow
-from pwatrack.simulation.peak import feedforward_peak
+from pwatrack.simulation.desired import desired_flow, feedforward_peak
 from pwatrack.workflow.starting import generator_start
 from pwatrack.workflow.tracking import desired_trajectory
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
-from pwatrack.simulation.enclosure import CLOSE, Range, Rows, Segments, enclosed, largest_norm
+from pwatrack.simulation.enclosure import CLOSE, Range, Rows, Segments, enclosed
 from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
 from pwatrack.simulation.propagate import StateResets, simulate_flow, trace_blocks
 
@@ -88,7 +88,7 @@ def test_random_signals_are_within_their_bounds_which_are_close(seed: int, sampl
     values = by_exponentials(flow, z0, 4.0, rows, resets)
     blocks = walked(flow, z0, 4.0, samples, resets)
     check(enclosed(blocks, rows), values)
-    norm = largest_norm(blocks, rows)
+    norm = enclosed(blocks, rows, norm=True)
     most = np.linalg.norm(values, axis=1).max()
     assert most * (1 - ROUNDING) <= norm.high[0] <= most * (1 + 1e-3)
     assert norm.high[0] - norm.inner[0, 1] <= 1.001 * CLOSE * norm.high[0]
@@ -125,5 +125,5 @@ def test_of_equal_peaks_the_first_counts_and_a_constant_is_its_own_bound() -> No
 def test_what_is_seen_since_a_sample_is_the_end_of_a_run() -> None:
     flow = sprung(np.array([[-1.0, 10.0], [-10, -1.0]]), np.zeros(2))
     blocks = walked(flow, np.array([1.0, 0, 1]), 5.0, 50, [])
-    late = largest_norm([block.since(blocks[-1].t[-1] - 0.5) for block in blocks], always(np.eye(3)[:2]))
+    late = enclosed([block.since(blocks[-1].t[-1] - 0.5) for block in blocks], always(np.eye(3)[:2]), norm=True)
     assert late.high[0] == pytest.approx(np.exp(-4.5), rel=2e-6)

@@ -27,11 +27,11 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.report.figures import figure_content, measures
 from pwatrack.report.files import write_result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
+from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 from pwatrack.simulation.steady_state import period_map_derivative, periodic_state
-from pwatrack.simulation.trace import Unresolved
-from pwatrack.simulation.trace_on_disk import TraceOnDisk
+from pwatrack.simulation.trace import TraceOnDisk, Unresolved
 from pwatrack.spec.expression import formula
 from pwatrack.spec.spec import InitialStates
 from tests.grazing import near_grazing
@@ -310,7 +310,7 @@ def test_a_feedforward_that_is_wrong_is_seen(paper: Result) -> None:
 
 
 def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> None:
-    flow = paper.loop.generator_flow()
+    flow = desired_flow(paper.controller.plant, paper.controller.trajectory)
     ends = []
     for guess in ([0.0, 0.0], [0.5, -3.0]):
         z0 = np.concatenate([guess, paper.controller.trajectory.exosystem.w0, [1.0]])
@@ -320,7 +320,7 @@ def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> N
 
 def test_the_steady_state_repeats_and_has_the_multipliers_of_its_period_map(paper: Result) -> None:
     """Both are held against plain simulations of one period: the state itself, and the period map by differences."""
-    steady, flow = paper.steady_state, paper.loop.generator_flow()
+    steady, flow = paper.steady_state, desired_flow(paper.controller.plant, paper.controller.trajectory)
     assert steady is not None
     assert steady.residual <= 1e-11
     period = simulate_flow(flow, steady.z[0], duration=1.0, sample_time=0.01)

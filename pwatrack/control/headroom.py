@@ -18,7 +18,7 @@ from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
-OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.peak`
+OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.desired`
 _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
 
 

@@ -12,27 +12,17 @@ from pwatrack.simulation.layout import Layout
 
 @dataclass(frozen=True, kw_only=True)
 class Actuator(SwitchedPart):
-    """The part of a limited input, whose cells are its segments.
+    """The part of a limited input, whose cells are its segments."""
 
-    Attributes:
-        input: Which input it is, from 0.
-        levels: The limit at which it holds the input in each of its cells; None where it lets the input through.
-    """
-
-    input: int
-    levels: tuple[float | None, ...]
+    input: int  # which one it is, from 0
+    levels: tuple[float | None, ...]  # at which limit it holds the input in each cell; None where it lets it through
 
 
 @dataclass(frozen=True, kw_only=True)
 class RateLimit(SwitchedPart):
-    """The part of an input that may change by so much from one sample to the next.
+    """The part of an input that may change by so much from one sample to the next."""
 
-    Attributes:
-        input: Which input it is, from 0.
-        most: By how much it may change.
-    """
-
-    input: int
+    input: int  # which one it is, from 0
     most: float
 
 
@@ -41,18 +31,14 @@ def actuators(
 ) -> list[Actuator]:
     """Return one part for each limited input; beyond a limit it replaces the input by the limit.
 
-    Args:
-        limits: Lower and upper limit of each input, (m, 2); infinite where there is none.
-        u: Rows of the input before its limits, u = u[cell of x_d] z, (l, m, N).
-        generator: The part that has these l cells. Where u depends on them, so do the guards, and the
-            segments of the actuator are told apart within each of these cells.
-        plant, model: What u drives: the plant that runs, and the one in the observer.
-        at: Where x and x̂ sit in z.
+    The limits are lower and upper ones, (m, 2), infinite where there is none; u are the rows of the input before them,
+    u = u[cell of x_d] z, (l, m, N). Where these depend on the cell of the generator, so do the guards, and the segments
+    of the actuator are told apart within each cell. u drives the plant that runs, and its model in the observer.
     """
     parts = list[Actuator]()
     for k, (low, high) in enumerate(limits.tolist()):
-        segments: list[tuple[str, float | None]] = [("linear", None)]
-        segments = [("low", low)] * bool(np.isfinite(low)) + segments + [("high", high)] * bool(np.isfinite(high))
+        all_: list[tuple[str, float | None]] = [("low", low), ("linear", None), ("high", high)]
+        segments = [one for one in all_ if one[1] is None or np.isfinite(one[1])]
         if len(segments) == 1:
             continue
         switched = bool((u[:, k] != u[0, k]).any())
@@ -87,25 +73,18 @@ def actuators(
 
 
 def rate_limits(steps: Array, model: PWASystem, at: Layout) -> list[RateLimit]:
-    """Return one part for each input of a sampled controller whose changes are limited.
-
-    Args:
-        steps: By how much each input may change from one sample to the next, (m,); infinite where there is no limit.
-        model: It has the names.
-        at: Where everything sits in z.
-    """
-    parts, z = list[RateLimit](), np.eye(at.order)
-    for k in np.flatnonzero(np.isfinite(steps)).tolist():
-        change, most = z[at.change.start + k], float(steps[k])
-        parts.append(
-            RateLimit(
-                name=f"rate {model.inputs[k]}",
-                cells=("falls", "free", "rises"),
-                guards=np.array([change + most * z[-1], change - most * z[-1]]),
-                signs=np.array([[-1, -1], [1, -1], [1, 1]]),
-                F=np.zeros((3, at.order, at.order)),
-                input=k,
-                most=most,
-            )
+    """Return one part for each input of a sampled controller that may change by so much in a sample only, (m,)."""
+    change, one = np.eye(at.order)[at.change], np.eye(at.order)[-1]
+    return [
+        RateLimit(
+            name=f"rate {model.inputs[k]}",
+            cells=("falls", "free", "rises"),
+            guards=np.array([change[k] + most * one, change[k] - most * one]),
+            signs=np.array([[-1, -1], [1, -1], [1, 1]]),
+            F=np.zeros((3, at.order, at.order)),
+            input=k,
+            most=most,
         )
-    return parts
+        for k, most in enumerate(steps.tolist())
+        if np.isfinite(most)
+    ]

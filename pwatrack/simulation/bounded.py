@@ -1,7 +1,8 @@
 """Whether the plant's own response x_d(t) to given inputs stays bounded: Theorem 2 needs that."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import e, factorial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
@@ -17,7 +18,7 @@ from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz
-from pwatrack.simulation.mode_sequence import STEPS, blocks
+from pwatrack.simulation.desired import STEPS, blocks
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import tenths
 
@@ -28,32 +29,23 @@ _SOLVED = 1e-9  # of the terms of an equation: what is missed by less is roundin
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
 
-@dataclass(frozen=True)
-class _Walked:
-    """Largest |x_d| in each tenth of a time by state, (10, n), inf beyond bounds; cell and (x_d, w, 1) at the end."""
+class _Walked(NamedTuple):
+    """What was seen of x_d in a time."""
 
-    tenths: Array
-    cell: int
-    z: Array
+    tenths: Array  # largest |x_d| in each tenth by state, (10, n), inf beyond bounds
+    cell: int  # at the end
+    z: Array  # (x_d, w, 1) at the end
 
 
 def bounded_response(
-    plant: PWASystem,
-    trajectory: DesiredTrajectory,
-    *,
-    horizon: float,
-    subject: Subject = (),
+    plant: PWASystem, trajectory: DesiredTrajectory, *, horizon: float, subject: Subject = ()
 ) -> DesiredTrajectory:
     """Return the trajectory with whether x_d is proved bounded, or refuse it where x_d is seen to grow.
 
     It is bounded if (7) holds (Theorem 1); or if from the end of the run on it never leaves a cell that is stable by
-    itself, where it is a sum of exponentials. Of a periodic solution that is still to be found only (7) is asked.
-
-    Args:
-        plant: The system (1).
-        trajectory: From `input_trajectory`, with a start or, for the periodic solution, without.
-        horizon: Duration of the run in s.
-        subject: What in the description the start is.
+    itself, where it is a sum of exponentials. Of a periodic solution that is still to be found, a trajectory without a
+    start, only (7) is asked. The horizon is the duration of the run in s, `subject` what in the description the start
+    is.
 
     Raises:
         CheckFailed: If neither is proved, |x_d| in the last tenth of the run is above that of every tenth before it
@@ -80,12 +72,8 @@ def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = 
     """Say that x_d, started on a periodic solution, is not on it to the end of a run, or return None.
 
     What differs from an unstable one is multiplied in each period by the largest of its multipliers; all that there is
-    of it in floating point is a start that is off by its rounding.
-
-    Args:
-        found: The solution.
-        duration: Of the run, in s.
-        subject: What in the description asks for it.
+    of it in floating point is a start that is off by its rounding. The duration is in s; `subject` is what in the
+    description asks for the solution.
     """
     period, largest = float(found.t[-1]), float(np.abs(found.multipliers).max(initial=0.0))
     if largest <= 1:

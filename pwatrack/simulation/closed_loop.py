@@ -8,14 +8,13 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
-from pwatrack.model.conditions import NOMINAL, Conditions, Noise
+from pwatrack.model.conditions import NOMINAL, Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
-from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
+from pwatrack.simulation.flow import Clock, Flow, Mode, SwitchedPart
 from pwatrack.simulation.layout import Layout
 from pwatrack.simulation.propagate import StateResets, pieces, sample_count
-from pwatrack.simulation.sampling import sampled
 from pwatrack.simulation.trace import Trace
 
 
@@ -23,24 +22,18 @@ from pwatrack.simulation.trace import Trace
 class ClosedLoop:
     """The closed loop of Theorem 2 or 3.
 
-    Where loads are estimated, ŝ drives x_d, u_ff and η̂ beside the reference: see `control.compensation`.
-
-    Attributes:
-        controller: The design.
-        conditions: What is not as the theorems assume.
-        at: Where everything sits in z.
-        flow: ζ' = F(mode) ζ, mode = (cell of x, cell of x̂, cell of x_d, segment of each limited actuator); in ζ x is
-            counted from x_d of the first cell and x̂ from x, but for a sampled controller.
-        x_d, u_ff, u: Rows with x_d = x_d[cell of x_d] z, (l, n, N); likewise u_ff, and u before its limits, (l, m, N).
+    Where loads are estimated, ŝ drives x_d, u_ff and η̂ beside the reference: see `control.compensation`. The modes of
+    the flow are (cell of x, cell of x̂, cell of x_d, segment of each limited actuator); in its ζ x is counted from x_d
+    of the first cell and x̂ from x, but for a sampled controller.
     """
 
     controller: ProvedController
     conditions: Conditions
     at: Layout
     flow: Flow
-    x_d: Array
-    u_ff: Array
-    u: Array
+    x_d: Array  # rows with x_d = x_d[cell of x_d] z, (l, n, N)
+    u_ff: Array  # likewise, (l, m, N)
+    u: Array  # before its limits
 
     @property
     def plant(self) -> PWASystem:
@@ -68,8 +61,10 @@ class ClosedLoop:
             found += pieces(trajectory.preview.left, at.rho)
         if conditions.disturbance is not None:
             found += pieces(conditions.disturbance, at.d)
-        if conditions.noise is not None:
-            found.append(_draws(conditions.noise, at.v, duration))
+        if (noise := conditions.noise) is not None:
+            t = noise.sample_time * np.arange(sample_count(duration, noise.sample_time), dtype=np.float64)
+            values = np.random.default_rng(noise.seed).normal(size=(len(t), len(noise.std))) * noise.std
+            found.append(StateResets(t=t, where=at.v, values=values))
         return found
 
     def response(self, trace: Trace) -> "Response":
@@ -154,11 +149,6 @@ class ClosedLoop:
                 rows[part.input, -1] = level
         return rows
 
-    def generator_flow(self) -> Flow:
-        """Return the flow of (η̂, w, 1) alone, of a controller that is not sampled and with no load estimated."""
-        keep = np.r_[self.at.eta_hat, self.at.w, self.at.order - 1]
-        return self.flow.subsystem("generator", keep)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
@@ -218,10 +208,7 @@ def closed_loop(
 ) -> ClosedLoop:
     """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
-    Args:
-        controller: The design.
-        conditions: What is not as the theorems assume.
-        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
+    Where the controller is sampled, `runs` is the program of it, if it was kept; else it is made.
 
     Example: a limited input has segments of its own, in each cell of x_d.
 
@@ -259,7 +246,7 @@ def closed_loop(
     parts += _limits(conditions, switched + steady, parts[-1], model, at)
     flow = Flow(F0=F0, parts=tuple(parts))
     if sampling:
-        flow = sampled(flow, runs or program(controller, conditions), conditions, at, measured=y)
+        flow = _sampled(flow, runs or program(controller, conditions), conditions, at, measured=y)
     else:
         flow = _counted(flow, controller, at, reference, x_d=x_d, u_ff=u_ff, off=off)
     return ClosedLoop(
@@ -320,15 +307,7 @@ def _counted(
     The derivative of x_d is f(x_d) + B u_ff + E ŝ + X L_s (ŷ − y), see `control.compensation`, less what is left over
     of (3); that is 0 where rounding explains it, so that of x only its error is left. In other cells rows of x_d may
     differ. Of an η that is played back what is left over of (15) is a signal by itself: as a difference of large rows
-    it would be lost in rounding.
-
-    Args:
-        flow: Reads x and x̂ from ζ, and has their own rates.
-        controller: The design.
-        at: Where everything sits.
-        reference: Rows of what x_d reads but for ŝ, (S, N).
-        x_d, u_ff: Rows by the cell of x_d.
-        off: ŷ − y, (q, N).
+    it would be lost in rounding. `reference` are the rows of what x_d reads but for ŝ, (S, N), `off` those of ŷ − y.
     """
     plant, trajectory, X = controller.plant, controller.trajectory, controller.compensation.X.floats
     F0, parts, rows = flow.F0.copy(), {part.name: part.F.copy() for part in flow.parts}, trajectory.x_d
@@ -348,11 +327,37 @@ def _counted(
     parts["generator"][:, at.x] -= plant.B @ u_ff
     parts["generator"][:, at.x] -= field
     parts["generator"][:, at.x] += left - (rows[0] - rows) @ turns
-    return Flow(
-        F0=F0,
-        parts=tuple(replace(part, F=parts[part.name]) for part in flow.parts),
-        counted=at.counted(x_d[0]),
+    counted = np.zeros_like(F0)
+    counted[at.x], counted[at.x_hat, at.x] = x_d[0], np.eye(len(x_d[0]))
+    return Flow(F0=F0, parts=tuple(replace(part, F=parts[part.name]) for part in flow.parts), counted=counted)
+
+
+def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at: Layout, *, measured: Array) -> Flow:
+    """Return a closed loop whose controller runs at every multiple of a sample time: the program of docs/arithmetic.md.
+
+    At each tick the program steps observer and generator on from the last tick, in the cells they were in then,
+    with the input and the measured output that it holds. Then it measures and computes the new input, keeps it from
+    changing too fast, and cuts it off at the limits of the actuator; where it is late, the input goes behind those
+    that wait, and the first of them is put out. What is measured and what is put out are whole multiples of their
+    quanta. The first tick, at t = 0, has no step. In the given flow observer and generator move in continuous time
+    under held u, y and w.
+    """
+    F0 = flow.F0.copy()
+    F0[at.observer], F0[at.w_held] = 0.0, 0.0
+    still = [replace(part, F=np.zeros_like(part.F)) for part in flow.parts[1:]]
+    names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat, "eta_hat": at.eta_hat, "w": at.w_held}
+    names |= {"late": at.late, "before": at.before, "wanted": at.wanted, "change": at.change}
+    pairs = [(program.places[name], where) for name, where in names.items() if where.stop > where.start]
+    source, place = (np.r_[side] for side in zip(*pairs, strict=True))
+    clock = Clock(
+        program=program,
+        measured=measured,
+        quantum=np.zeros(len(measured)) if conditions.quanta is None else conditions.quanta.outputs,
+        source=source,
+        place=place,
+        scale=np.ones(len(place)),
     )
+    return Flow(F0=F0, parts=(flow.parts[0], *still), clock=clock)
 
 
 def _placed(rates: Array, where: slice) -> Array:
@@ -360,13 +365,6 @@ def _placed(rates: Array, where: slice) -> Array:
     F = np.zeros((len(rates), rates.shape[2], rates.shape[2]))
     F[:, where] = rates
     return F
-
-
-def _draws(noise: Noise, where: slice, duration: float) -> StateResets:
-    """Draw the noise up to a time in s."""
-    count = sample_count(duration, noise.sample_time)
-    values = np.random.default_rng(noise.seed).normal(size=(count, len(noise.std))) * noise.std
-    return StateResets(t=noise.sample_time * np.arange(count, dtype=np.float64), where=where, values=values)
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:

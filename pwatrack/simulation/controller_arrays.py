@@ -58,11 +58,7 @@ def memory(
 ) -> dict[str, NDArray[Any]]:
     """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
-    Args:
-        program: The program.
-        x_hat: x̂(0), then ŝ(0), (N,).
-        eta_hat: η̂(0), (p,).
-        real: Type of float.
+    It starts from x̂(0), then ŝ(0), (N,), and η̂(0), (p,).
     """
     at = program.places
     found = np.zeros(at["x_d"].stop, dtype=real)

@@ -1,4 +1,4 @@
-"""The cells that a curve in polynomials visits, and how well it satisfies η' = A_i η + B_i (w, 1) there: enclosed.
+"""A curve in polynomials: its cells, how well it satisfies η' = A_i η + B_i (w, 1) there, how it is played back.
 
 On each stretch of time η is a polynomial and w' = S w turns so little that its Taylor polynomial is exact to rounding.
 So guards and residuals are polynomials, whose Bernstein coefficients enclose them. What w, arithmetic and Taylor's
@@ -7,65 +7,69 @@ short that its ends are one time in floating point, or the guard is within round
 in either cell, and the residual is enclosed in both. No stay beyond a facet is missed, however short.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from numpy.typing import NDArray
 
 from pwatrack.arrays import EPS, Array, IntArray
+from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Problem, Undecided
+from pwatrack.model.reference import Exosystem, exosystem
+from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.simulation.enclosure import bernstein
 
-MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
-_DEGREE = 20  # of the Taylor polynomials: 1 / 21! is 2e-20, and 2^10.5 / 21! for what is damped as fast as it turns
-_UNIT = (_DEGREE + 4) * EPS  # of the sum of the sizes of all terms: what a coefficient may be off by
+DEGREE = 9  # of the polynomials that are played back
+_INSTANT = 1e-9  # of a piece: a shorter stay beyond a facet adds nothing that a simulation could show
+_MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
+_TAYLOR = 20  # of the Taylor polynomials: 1 / 21! is 2e-20, and 2^10.5 / 21! for what is damped as fast as it turns
+_UNIT = (_TAYLOR + 4) * EPS  # of the sum of the sizes of all terms: what a coefficient may be off by
 _GRAZING = 4.0  # times what a guard may be off by: if it is nowhere larger it may be halved for ever
 _SHARP, _DEEP = 1.25, 6  # a residual that is said is at most so many times one attained, after so many halvings
 _MOST = 4_000_000  # stretches in all
 _AT_ONCE = 2**21  # numbers in an array of coefficients
-_TO_BERNSTEIN = bernstein(_DEGREE)
-_LEFT = np.array([[comb(k, j) / 2.0**k for j in range(_DEGREE + 1)] for k in range(_DEGREE + 1)])  # half, likewise
+_TO_BERNSTEIN = bernstein(_TAYLOR)
+_LEFT = np.array([[comb(k, j) / 2.0**k for j in range(_TAYLOR + 1)] for k in range(_TAYLOR + 1)])  # half, likewise
 _RIGHT = _LEFT[::-1, ::-1]
+_Stretches = TypeVar("_Stretches", "Pieces", "Looked")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """η = Σ c_k τᵏ, τ the time since the start, and w' = S w on each of N stretches.
+class Pieces:
+    """N polynomials η = Σ c_k τᵏ, τ the time since their starts."""
 
-    Attributes:
-        start, length: In s, (N,).
-        c: (N, p, K).
-        w, off: w at the start, and what it may be off by, (N, s).
-        of: A number that each is known by, (N,).
-    """
+    start: Array  # in s, (N,)
+    length: Array  # in s
+    c: Array  # (N, p, K)
+    of: IntArray  # the stay that each is in, or the piece that it is cut from
 
-    start: Array
-    length: Array
-    c: Array
-    w: Array
-    off: Array
-    of: IntArray
+    def cut(self, fastest: float) -> "Pieces":
+        """Return pieces so short that nothing of such a rate turns much on them; `of` is the piece each is from."""
+        count = np.maximum(1, np.ceil(self.length * fastest / _MOST_TURN)).astype(np.int64)
+        of = np.repeat(np.arange(len(count)), count)
+        length = self.length[of] / count[of]
+        since = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)) * length
+        c, moved = self.c[of].astype(np.longdouble), np.array(since, dtype=np.longdouble)[:, None]
+        for k in range(c.shape[2] - 1):  # Horner's rule for each derivative
+            for j in range(c.shape[2] - 2, k - 1, -1):
+                c[:, :, j] += moved * c[:, :, j + 1]
+        return Pieces(start=self.start[of] + since, length=length, c=c.astype(np.float64), of=of)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Looked:
-    """Stretches in order of time on each of which the cell of x_d is known, or cannot be told from others.
+    """Stretches in order of time on each of which the cell of x_d is known, or cannot be told from others."""
 
-    Attributes:
-        start, length: In s, (M,).
-        of: The number of the stretch that each is part of, (M,).
-        possible: Which cells x_d may be in, (M, l).
-        ends: η' − A_i η − B_i (w, 1) at both ends, (M, 2, l, p).
-        residual: Above its size in all cells that are possible, (M, p).
-    """
-
-    start: Array
-    length: Array
-    of: IntArray
-    possible: NDArray[np.bool_]
-    ends: Array
-    residual: Array
+    start: Array  # in s, (M,)
+    length: Array  # in s
+    of: IntArray  # the number of the polynomial that each is part of
+    possible: NDArray[np.bool_]  # which cells x_d may be in, (M, l)
+    ends: Array  # η' − A_i η − B_i (w, 1) at both ends, (M, 2, l, p)
+    residual: Array  # above its size in all cells that are possible, (M, p)
 
     def cells(self) -> IntArray:
         """Return one cell for each, (M,): that of before where there are several."""
@@ -75,48 +79,43 @@ class Looked:
         return np.asarray(self.possible[last].argmax(axis=1), dtype=np.int64)
 
 
+def joined(parts: Sequence[_Stretches]) -> _Stretches:
+    """Return all stretches of some parts as one, in order of time."""
+    kind = type(parts[0])
+    found = {name: np.concatenate([getattr(part, name) for part in parts]) for name in kind.__annotations__}
+    order = np.argsort(found["start"], kind="stable")
+    return kind(**{name: values[order] for name, values in found.items()})
+
+
 @dataclass(frozen=True, kw_only=True)
 class InternalDynamics:
-    """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w.
+    """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w."""
 
-    Attributes:
-        rate: (l, p, p + s + 1).
-        guards: (G, p + s + 1).
-        signs: Side of each guard that each cell is on, 0 where that does not bound it, (l, G).
-        S: (s, s).
-    """
+    rate: Array  # (l, p, p + s + 1)
+    guards: Array  # (G, p + s + 1)
+    signs: IntArray  # side of each guard that each cell is on, 0 where that does not bound it, (l, G)
+    S: Array  # (s, s)
 
-    rate: Array
-    guards: Array
-    signs: IntArray
-    S: Array
+    def look(self, curve: Pieces, w: Array, off: Array, *, sharp: bool) -> Looked:
+        """Return where x_d is in which cell, and how well it satisfies its equation there, if sharp enclosed closely.
 
-    def look(self, curve: Curve, *, sharp: bool) -> Looked:
-        """Return where x_d is in which cell, and how well it satisfies its equation there.
-
-        Args:
-            curve: What x_d is made of; its stretches are short enough for `MOST_TURN`.
-            sharp: Whether the residual is enclosed closely.
-
-        Raises:
-            Undecided: If there are too many crossings.
+        It is made of polynomials that are cut short, of w at their starts, and what that may be off by, (N, s). Refused
+        as undecided if there are too many crossings.
         """
         cells, p, columns = self.rate.shape
-        step = max(1, _AT_ONCE // ((_DEGREE + 1) * (cells * p + len(self.guards) + columns)))
+        step = max(1, _AT_ONCE // ((_TAYLOR + 1) * (cells * p + len(self.guards) + columns)))
         attained = np.zeros(p)
         found = [
             part
             for first in range(0, len(curve.start), step)
-            for part in self._halved(curve, slice(first, first + step), attained, sharp=sharp)
+            for part in self._halved(curve, w, off, slice(first, first + step), attained, sharp=sharp)
         ]
-        looked = {name: np.concatenate([getattr(part, name) for part in found]) for name in Looked.__annotations__}
-        order = np.argsort(looked["start"], kind="stable")
-        return Looked(**{name: values[order] for name, values in looked.items()})
+        return joined(found)
 
-    def _halved(self, curve: Curve, at: slice, attained: Array, *, sharp: bool) -> list[Looked]:
+    def _halved(self, curve: Pieces, w: Array, off: Array, at: slice, attained: Array, *, sharp: bool) -> list[Looked]:
         """Return stretches that need not be halved any more; what is attained is noted."""
-        start, length, of = curve.start[at], curve.length[at], curve.of[at]
-        b, slack = self._coefficients(curve, at)
+        start, length, of = curve.start[at], curve.length[at], np.arange(len(curve.start))[at]
+        b, slack = self._coefficients(length, curve.c[at], w[at], off[at])
         found, depth, total = list[Looked](), 0, 0
         shape, G = (-1, *self.rate.shape[:2]), len(self.guards)
         while len(start):
@@ -145,32 +144,25 @@ class InternalDynamics:
             if total > _MOST:
                 raise Undecided(Problem(message="x_d crosses facets too often to be followed"))
             half = length[open_] / 2
-            start, length, of = (
-                np.concatenate(pair)
-                for pair in ((start[open_], start[open_] + half), (half, half), (of[open_], of[open_]))
-            )
-            slack = slack[open_] + _DEGREE * EPS * np.abs(b[open_]).max(axis=2, initial=0.0)
-            b, slack, depth = (
-                np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T]),
-                np.tile(slack, (2, 1)),
-                depth + 1,
-            )
+            start = np.concatenate([start[open_], start[open_] + half])
+            length, of, depth = np.tile(half, 2), np.tile(of[open_], 2), depth + 1
+            slack = np.tile(slack[open_] + _TAYLOR * EPS * np.abs(b[open_]).max(axis=2, initial=0.0), (2, 1))
+            b = np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T])
         return found
 
-    def _coefficients(self, curve: Curve, at: slice) -> tuple[Array, Array]:
+    def _coefficients(self, h: Array, c: Array, w: Array, off: Array) -> tuple[Array, Array]:
         """Return Bernstein coefficients of guards and residuals, (N, G + l p, degree + 1), and what they may be off by.
 
         Both are sums of terms that are known order by order, in powers of time over length.
         """
-        h, c, off = curve.length[at], curve.c[at], curve.off[at]
         rate = self.rate.reshape(-1, self.rate.shape[2])
         rows, p = np.vstack([self.guards, -rate]), c.shape[1]
         G, size, turn = len(self.guards), np.abs(rows), np.abs(self.S)
-        powers, slack = np.zeros((len(h), len(rows), _DEGREE + 1)), np.zeros((len(h), len(rows)))
-        w, most, wide = curve.w[at], np.abs(curve.w[at]), off
+        powers, slack = np.zeros((len(h), len(rows), _TAYLOR + 1)), np.zeros((len(h), len(rows)))
+        most, wide = np.abs(w), off
         of_w = slice(p, p + w.shape[1])
-        for k in range(2 * _DEGREE):
-            if k <= _DEGREE:
+        for k in range(2 * _TAYLOR):
+            if k <= _TAYLOR:
                 powers[:, :, k] = w @ rows[:, of_w].T
                 slack += (_UNIT * most + wide) @ size[:, of_w].T
             else:  # the remainder: its terms fall faster than by halves from here on
@@ -188,3 +180,118 @@ class InternalDynamics:
                 powers[:, G:, k - 1] += slope
                 slack[:, G:] += _UNIT * np.abs(slope)
         return powers @ _TO_BERNSTEIN.T, slack
+
+
+def played(
+    trajectory: DesiredTrajectory, pieces: Pieces, turns: int, period: float
+) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
+    """Return pieces as they are played back, some turns of them, in units given, one signal per η, and their measures.
+
+    In which cells x_d is on them is looked for in one turn, and how well (15) is satisfied in the worst one.
+    """
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
+    start = np.concatenate([k * period + pieces.start for k in range(turns)])
+    cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
+    w = states_at(system, cut.start)
+    off = np.zeros(w.shape)
+    for k in range(turns):
+        begin = (k * period + pieces.start)[cut.of] + (cut.start - pieces.start[cut.of]).astype(np.longdouble)
+        true = states_at(system, begin)
+        phase = np.multiply.outer(np.abs(begin), np.abs(system.rates)) * np.finfo(np.longdouble).eps
+        apart = np.abs(true - w) + EPS * np.abs(true) + phase * np.abs(true).max(initial=0.0)
+        off = np.maximum(off, apart.astype(np.float64))
+    looked = field.look(cut, w.astype(np.float64), off, sharp=True)
+    z = np.hstack([cut.c[:, :, 0], w.astype(np.float64), np.ones((len(cut.c), 1))])
+    cells = looked.cells()[np.searchsorted(looked.start, cut.start)]
+    return tuple(_signal(start, np.tile(pieces.c[:, k], (turns, 1))) for k in range(p)), NoncausalTrajectory(
+        names=trajectory.names,
+        residual=looked.residual.max(axis=0),
+        terms=np.einsum("nps,ns->np", np.abs(trajectory.rate[cells]), np.abs(z)).max(axis=0),
+        left=_left(trajectory, pieces, cut, looked, turns, period),
+        times=start[1:],
+        jumps=_jumps(pieces, turns),
+        lead=None,
+    )
+
+
+def states_at(system: Exosystem, t: Array) -> Any:
+    """Return w at some times in s in extended precision, (K, s)."""
+    return system.states(np.asarray(t, dtype=np.longdouble))
+
+
+def _signal(starts: Array, c: Array) -> Signal:
+    """Return the signal of polynomials, (N, degree + 1), from such times on."""
+    return Signal(tuple(starts.tolist()), tuple(ExponentialPolynomial.polynomial(row) for row in c))
+
+
+def _left(
+    trajectory: DesiredTrajectory, pieces: Pieces, cut: Pieces, looked: Looked, turns: int, period: float
+) -> Exosystem:
+    """Return ρ = η' − (15) over time, in polynomials between the times at which x_d changes its cell or polynomial.
+
+    It is a difference of large terms, so it is taken with more digits, at Chebyshev points.
+    """
+    system, cells, interpolation = trajectory.exosystem, looked.cells(), FIT
+    piece = cut.of[looked.of]
+    long = looked.length > _INSTANT * pieces.length[piece]
+    cells, piece, begin = cells[long], piece[long], looked.start[long]
+    new = np.append(True, (np.diff(cells) != 0) | (np.diff(piece) != 0))
+    cells, piece, begin = cells[new], piece[new], begin[new]
+    since = np.where(np.append(True, np.diff(piece) != 0), 0.0, begin - pieces.start[piece])
+    until = np.append(since[1:], 0.0)
+    until = np.where(np.append(np.diff(piece) != 0, True), pieces.length[piece], until)
+    half = (until - since) / 2  # where a polynomial of the next degree is nearly one of this
+    since, piece, cells, half = (np.repeat(v, 2) for v in (since, piece, cells, half))
+    since[1::2] += half[1::2]
+    points = interpolation.points[: interpolation.count]
+    tau = since[:, None].astype(np.longdouble) + half[:, None] * points
+    eta = slope = np.zeros((*tau.shape, pieces.c.shape[1]), dtype=np.longdouble)
+    for c in pieces.c[piece].transpose(2, 0, 1)[::-1]:  # Horner's rule
+        slope, eta = slope * tau[:, :, None] + eta, eta * tau[:, :, None] + c[:, None]
+    starts, found = [], []
+    for k in range(turns):
+        begin = k * period + pieces.start
+        t = begin[piece, None] + tau
+        w = states_at(system, t.ravel()).reshape(*t.shape, -1)
+        z = np.concatenate([eta, w, np.ones((*t.shape, 1))], axis=2)
+        rho = slope - np.einsum("nps,nts->ntp", trajectory.rate[cells], z)
+        found.append(interpolation.through(rho.astype(np.float64), half))
+        starts.append(begin[piece] + since)
+    all_ = np.concatenate(found)
+    return exosystem([_signal(np.concatenate(starts), all_[:, k]) for k in range(all_.shape[1])])
+
+
+def _jumps(pieces: Pieces, turns: int) -> Array:
+    """Return by how much polynomials that follow each other, some turns of them, jump from one to the next, (K, p)."""
+    c, span = pieces.c, pieces.length[:, None]
+    last = (c * span[:, :, None] ** np.arange(c.shape[2])).sum(axis=2)
+    jumps = np.abs(np.roll(c[:, :, 0], -1, axis=0) - last)
+    return np.asarray(jumps[np.arange(turns * len(c) - 1) % len(c)])
+
+
+class Interpolation:
+    """Polynomials through values at Chebyshev points, as powers of the time since the left end."""
+
+    def __init__(self, degree: int) -> None:
+        unit = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+        between = np.cos(np.pi * np.arange(degree + 2) / (degree + 1))
+        self.count, self.points = degree + 1, (1 + np.concatenate([unit, between])) / 2
+        self._series = np.linalg.inv(chebyshev.chebvander(unit, degree))  # from values to a Chebyshev series
+        self._others = chebyshev.chebvander(between, degree)
+        shifted = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(degree + 1)]
+        self._powers = np.array([np.pad(c, (0, degree + 1 - len(c))) for c in shifted]).T
+
+    def __call__(self, seen: Array, span: Array) -> tuple[Array, Array]:
+        """Return coefficients (N, p, degree + 1) for values (N, points, p), and by how much they miss others, (N,)."""
+        known, others = seen[:, : self.count], seen[:, self.count :]
+        off = np.abs(self._others @ (self._series @ known) - others).max(axis=(1, 2))
+        return self.through(known, span), np.asarray(off)
+
+    def through(self, known: Array, span: Array) -> Array:
+        """Return the coefficients of polynomials through values at the first points, (N, count, p)."""
+        powers = (self._powers @ (self._series @ known)).transpose(0, 2, 1)
+        return np.asarray(powers / span[:, None, None] ** np.arange(self.count))
+
+
+FIT = Interpolation(DEGREE)

@@ -1,23 +1,87 @@
-"""What must hold along x_d(t) for Theorem 2, decided by walking it: (3)."""
+"""x_d(t) by itself: the cells that it visits, what must hold along it for Theorem 2, (3), and the peaks of u_ff."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pwatrack.arrays import TINY, Array
-from pwatrack.causes import Remedy, Subject, Way
+from pwatrack.causes import ProblemPart, Remedy, Subject, Way
+from pwatrack.control.headroom import Peak
 from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import CheckFailed, OutsideTheory, Problem, Undecided
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.mode_sequence import stays
+from pwatrack.simulation.enclosure import Segments, enclosed
+from pwatrack.simulation.flow import Flow, SwitchedPart
+from pwatrack.simulation.propagate import pieces, trace_blocks
+from pwatrack.simulation.trace import Trace
 
-BoolArray = NDArray[np.bool_]
+STEPS = 2000  # from sample to sample, of a walk
+_BLOCK = 500  # samples: a walk stops after the block in which something is found
+_LONGEST = 5e6  # radians, or time constants, that a walk may take
 _LOOKS = 64  # times at which the largest residual of a stay is looked for
 _PRINTED = 1e-6  # of the terms of an equation: what is left over by constants in decimals is less
 _GOLDEN = (5**0.5 - 1) / 2  # its multiples are in step with no signal
+
+
+def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
+    """Return the flow of (η̂, w, 1), with the cells of x_d."""
+    F0 = _of_w(trajectory)
+    F = np.zeros((len(plant.A), *F0.shape))
+    F[:, : trajectory.rate.shape[1]] = trajectory.rate
+    part = SwitchedPart(name="x_d", cells=plant.cell_names, guards=trajectory.guards, signs=trajectory.signs, F=F)
+    return Flow(F0=F0, parts=(part,))
+
+
+def _of_w(trajectory: DesiredTrajectory) -> Array:
+    """Return what w alone does in (η̂, w, 1), (N, N)."""
+    p = trajectory.rate.shape[1]
+    return np.asarray(block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1))))
+
+
+def blocks(
+    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float, *, steps: int = STEPS
+) -> Iterator[Trace]:
+    """Walk (η̂, w, 1) from z0 for a time in s, with the cells of x_d.
+
+    Raises:
+        Undecided: If that would take too long.
+        CheckFailed: As `simulate_flow`.
+    """
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
+    if radians > _LONGEST:
+        raise Undecided(
+            Problem(
+                message=f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
+                f"at most {_LONGEST:.0e} are walked",
+                subject=(ProblemPart.REFERENCE,),
+                hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
+            )
+        )
+    resets = pieces(system, slice(p, p + len(system.w0)))
+    flow, step = desired_flow(plant, trajectory), duration / steps
+    return trace_blocks(flow, z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
+
+
+def stays(
+    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float
+) -> Iterator[tuple[int, float, float]]:
+    """Yield (cell, from, to) of each stay of x_d, long ones in parts."""
+    cell, since = -1, 0.0
+    for trace in blocks(plant, trajectory, z0, duration):
+        cell = trace.first_mode[0] if cell < 0 else cell
+        for event in trace.events:
+            yield cell, since, event.t
+            cell, since = event.after[0], event.t
+        if trace.t[-1] > since:
+            yield cell, since, float(trace.t[-1])
+            since = float(trace.t[-1])
+    if duration > since:
+        yield cell, since, duration
 
 
 def realised(
@@ -26,13 +90,8 @@ def realised(
     """Prove (3) for x_d in closed form, in every cell that it visits, and return the trajectory with what is proved.
 
     On each piece of x_d it is known of every cell whether (3) holds there, whenever x_d is in it: see `LeftOver`.
-    Where that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic.
-
-    Args:
-        plant: The system (1).
-        trajectory: From `state_trajectory`.
-        horizon: Up to when (3) is asked for, in s.
-        subject: What in the description x_d is; the state follows.
+    Where that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic. (3) is
+    asked for up to the horizon, in s; `subject` is what in the description x_d is, the state follows.
 
     Raises:
         OutsideTheory: If no u_ff satisfies (3): first time and cell, state equations and sizes.
@@ -50,7 +109,7 @@ def realised(
     if wrong.any():
         periodic = system.period is not None and system.period <= horizon
         duration = system.period if periodic and system.period is not None else horizon
-        for cell, start, end in _stays(plant, trajectory, duration, wrong):
+        for cell, start, end in _wrong_stays(plant, trajectory, duration, wrong):
             problems = _problems(plant, rest, cell, start, end, scale, subject)
             if problems:
                 raise OutsideTheory(*problems)
@@ -58,8 +117,8 @@ def realised(
     return trajectory if everywhere and system.end is None else replace(trajectory, until=horizon)
 
 
-def _stays(
-    plant: PWASystem, trajectory: DesiredTrajectory, duration: float, wrong: BoolArray
+def _wrong_stays(
+    plant: PWASystem, trajectory: DesiredTrajectory, duration: float, wrong: NDArray[np.bool_]
 ) -> Iterator[tuple[int, float, float]]:
     """Yield (cell, from, to) of what x_d spends on one piece in a cell where (3) does not hold there."""
     system = trajectory.exosystem
@@ -95,3 +154,58 @@ def _problems(
         )
         for j in np.flatnonzero(left[k] > ROUNDING * scale).tolist()
     ]
+
+
+def feedforward_peak(
+    plant: PWASystem, trajectory: DesiredTrajectory, start: Array | None, duration: float
+) -> Peak | None:
+    """Return the largest and smallest u_ff from t = 0 to the end, and when.
+
+    They are enclosed at all times, between samples, where x_d crosses a facet and where signals have new pieces: no
+    u_ff is above what is said, and that is at most 1e-6 of the largest above one that there is. It begins at η̂(0), (p,)
+    if that matters. None is returned where x_d takes too long to follow or does not stay within numbers.
+
+    Example: what the paper's example takes in its steady state.
+
+        >>> from pwatrack import load_spec
+        >>> from pwatrack.simulation.startup import steady_start
+        >>> from pwatrack.workflow.tracking import desired_trajectory
+        >>> spec = load_spec("specs/two_mass_backlash.yaml")
+        >>> trajectory, generator = desired_trajectory(spec, False)
+        >>> start = steady_start(trajectory, generator)
+        >>> peak = feedforward_peak(spec.problem.plant, trajectory, start, trajectory.exosystem.period)
+        >>> peak.high.round(3).tolist(), peak.times.round(3).tolist()
+        ([5.886], [[0.253, 0.753]])
+    """
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    duration = duration if system.end is None else min(duration, system.end)
+    segments: Iterable[Segments]
+    if w_alone(trajectory):
+        segments = [_along_w(trajectory, duration)]
+    elif start is None and p:
+        return None
+    else:
+        flow, z0 = desired_flow(plant, trajectory), np.concatenate([np.zeros(0) if start is None else start, system.w0])
+        segments = (Segments.of(flow, block) for block in blocks(plant, trajectory, np.append(z0, 1.0), duration))
+    try:
+        found = enclosed(segments, lambda mode: trajectory.u_ff[mode[0]])
+    except (CheckFailed, Undecided):
+        return None
+    bounded = np.isfinite([found.low, found.high]).all()
+    return Peak(low=found.low, high=found.high, times=found.times) if bounded else None
+
+
+def w_alone(trajectory: DesiredTrajectory) -> bool:
+    """Say whether neither η̂ nor the cell of x_d matters to u_ff."""
+    gains = trajectory.u_ff
+    return not gains[:, :, : trajectory.rate.shape[1]].any() and not (gains - gains[0]).any()
+
+
+def _along_w(trajectory: DesiredTrajectory, duration: float) -> Segments:
+    """Return (η̂, w, 1) with η̂ = 0, from piece to piece of the reference."""
+    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    breaks = [reset.t for reset in system.resets if reset.t < duration]
+    t = np.unique([*np.linspace(0.0, duration, STEPS + 1), *breaks])
+    zeta = np.hstack([np.zeros((len(t), p)), system.states(t), np.ones((len(t), 1))])
+    number, length = np.zeros(len(t), dtype=np.int64), np.diff(t, append=t[-1])
+    return Segments(modes=((0,),), F=_of_w(trajectory)[None], number=number, t=t, zeta=zeta, length=length)

@@ -14,13 +14,13 @@ split, at a length s 2ᵈ where e^{Fs} is known (branch and bound); all pieces o
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import comb, factorial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pwatrack.arrays import TINY, Array, IntArray, balancing
+from pwatrack.arrays import OVER_SUMS, TINY, Array, IntArray, balancing
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.tables import taylor, unit
 from pwatrack.simulation.trace import Trace
@@ -32,7 +32,6 @@ _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
 MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
-_OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
 Rows = Callable[[Mode], Array]
@@ -40,34 +39,19 @@ Rows = Callable[[Mode], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Segments:
-    """M stretches of time on each of which ζ' = F[number] ζ.
+    """M stretches of time on each of which ζ' = F[number] ζ."""
 
-    Attributes:
-        modes: The D modes that occur.
-        F: Their matrices, (D, N, N).
-        number: Which of them each segment has, (M,).
-        t: When it begins, in s, (M,).
-        zeta: From where, (M, N).
-        length: In s; 0 stands for a single point, (M,).
-        reading: Makes of rows on z rows on ζ.
-    """
-
-    modes: tuple[Mode, ...]
-    F: Array
-    number: IntArray
-    t: Array
-    zeta: Array
-    length: Array
-    reading: Callable[[Array], Array] = field(default=np.asarray)
+    modes: tuple[Mode, ...]  # the D modes that occur
+    F: Array  # their matrices, (D, N, N)
+    number: IntArray  # which of them each segment has, (M,)
+    t: Array  # when it begins, in s, (M,)
+    zeta: Array  # from where, (M, N)
+    length: Array  # in s; 0 stands for a single point, (M,)
+    reading: Callable[[Array], Array] = np.asarray  # makes of rows on z rows on ζ
 
     @staticmethod
     def of(flow: Flow, trace: Trace) -> "Segments":
-        """Return what was walked: from each sample and each break to the next, jumps and all, from both sides.
-
-        Args:
-            flow: What was walked.
-            trace: One block of it, as `trace_blocks` or `simulate_flow` give it, with its breaks.
-        """
+        """Return what was walked in a block: from each sample and each break to the next, jumps and all."""
         assert trace.breaks is not None
         t = np.concatenate([trace.t, trace.breaks.t])
         order = np.argsort(t, kind="stable")
@@ -88,33 +72,25 @@ class Segments:
     def since(self, t: float) -> "Segments":
         """Return those that begin at a time in s or later."""
         keep = self.t >= t
-        changed = {name: getattr(self, name)[keep] for name in ("number", "t", "zeta", "length")}
-        return replace(self, **changed)
+        return replace(self, number=self.number[keep], t=self.t[keep], zeta=self.zeta[keep], length=self.length[keep])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
     """What signals are within.
 
-    Attributes:
-        low, high: Bounds, at most 1e-7 of the largest |signal| off, or within rounding, (q,); infinite where finding
-            them took too long.
-        inner: A value near each that is attained, (q, 2).
-        times: When that is, in s, (q, 2); of peaks that differ by less than 1e-6 of that the first one.
+    The bounds are at most 1e-7 of the largest |signal| off, or within rounding; infinite where finding them took too
+    long. Of peaks that differ by less than 1e-6 of that the time of the first one is given.
     """
 
-    low: Array
+    low: Array  # (q,)
     high: Array
-    inner: Array
-    times: Array
+    inner: Array  # a value near each that is attained, (q, 2)
+    times: Array  # when that is, in s, (q, 2)
 
 
-def enclosed(blocks: Iterable[Segments], rows: Rows) -> Range:
-    """Return what r z(t) is within, for each of some rows.
-
-    Args:
-        blocks: All that was walked.
-        rows: Rows on z in a mode, (q, N).
+def enclosed(blocks: Iterable[Segments], rows: Rows, *, norm: bool = False) -> Range:
+    """Return what r z(t) is within, for each of the rows (q, N); as a norm, what ‖r z(t)‖ is, with 0 from below.
 
     Example: 2 sin(t) − 0.2 from t = 0 to 10 with a sample in each second, on none of which it is extreme.
 
@@ -128,22 +104,13 @@ def enclosed(blocks: Iterable[Segments], rows: Rows) -> Range:
         >>> bool(-2.200003 < found.low[0] <= -2.2 and 1.8 <= found.high[0] < 1.800003), (found.times / np.pi).round(3)
         (True, array([[1.5, 0.5]]))
     """
-    enclosing = Enclosing(rows)
+    enclosing = Enclosing(rows, norm=norm)
     for block in blocks:
         enclosing.see(block)
     return enclosing.range()
 
 
-def largest_norm(blocks: Iterable[Segments], rows: Rows) -> Range:
-    """Return the largest ‖r z(t)‖, r being (q, N), as `high` of a range of one signal; `low` is 0."""
-    enclosing = Enclosing(rows, norm=True)
-    for block in blocks:
-        enclosing.see(block)
-    return enclosing.range()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Pieces:
+class _Pieces(NamedTuple):
     """P pieces in one mode."""
 
     t: Array
@@ -160,7 +127,7 @@ class Transitions:
         self.F, self.s = F, 2.0 ** np.floor(np.log2(_SHORT / norm))
         terms = taylor(F * self.s)
         self._turns = {0: terms[::-1, 0].sum(axis=0)}
-        self._reach = [_OUTWARD * terms[::-1, 1].sum(axis=0)]
+        self._reach = [OVER_SUMS * terms[::-1, 1].sum(axis=0)]
 
     def levels(self, length: Array) -> IntArray:
         """Return the least d with length ≤ s 2ᵈ, (P,)."""
@@ -179,7 +146,7 @@ class Transitions:
         """Return R, a bound on |e^{Fσ}| for all σ ≤ s 2ᵈ."""
         while len(self._reach) <= d:
             last, turn = self._reach[-1], np.abs(self.turn(len(self._reach) - 1))
-            self._reach.append(np.maximum(last, _OUTWARD * (last @ turn)))
+            self._reach.append(np.maximum(last, OVER_SUMS * (last @ turn)))
         return np.asarray(self._reach[max(d, 0)])
 
 
@@ -206,17 +173,14 @@ class _Tables:
             powers = [(np.abs(self.rows).T @ self.turns.reach(d)).T]
             for _ in range(_DEGREE + 1):
                 powers.append(np.abs(self.F) @ powers[-1])
-            self._bounds[d] = _OUTWARD * np.hstack(powers)
+            self._bounds[d] = OVER_SUMS * np.hstack(powers)
         return self._bounds[d]
 
 
 class Enclosing:
-    """Encloses signals block by block.
+    """Encloses signals block by block, given by rows on z in a mode, (q, N), or the norm of all of them together.
 
-    Args:
-        rows: Rows on z in a mode, (q, N).
-        norm: Whether of all of them together the norm is meant.
-        turns: Others that enclose signals of the same flow may share this.
+    Those that enclose signals of the same flow may share `turns`.
     """
 
     def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Transitions] | None = None) -> None:
@@ -242,10 +206,7 @@ class Enclosing:
             if mode not in self._tables:
                 turns = self._turns.get(mode) or self._turns.setdefault(mode, Transitions(block.F[number]))
                 self._tables[mode] = _Tables(turns, block.reading(self._rows(mode)))
-            table, pieces = (
-                self._tables[mode],
-                _Pieces(t=block.t[here], zeta=block.zeta[here], length=block.length[here]),
-            )
+            table, pieces = self._tables[mode], _Pieces(block.t[here], block.zeta[here], block.length[here])
             self._attain(self._sides(pieces.zeta @ table.rows), pieces.t)
             queue.append((table, pieces))
         while queue:
@@ -287,11 +248,9 @@ class Enclosing:
 
     def _spread(self, off: Array) -> Array:
         """Return by how much that can rise where the values change by at most so much."""
-        return (
-            np.asarray(np.linalg.norm(off, axis=-1, keepdims=True))
-            if self._norm
-            else np.concatenate([off, off], axis=-1)
-        )
+        if self._norm:
+            return np.asarray(np.linalg.norm(off, axis=-1, keepdims=True))
+        return np.concatenate([off, off], axis=-1)
 
     def _attain(self, values: Array, t: Array) -> None:
         """Take note of values (P, sides) that are attained, or as good as that."""
@@ -309,7 +268,7 @@ class Enclosing:
     def _narrowed(self, table: _Tables, pieces: _Pieces) -> _Pieces | None:
         """Bound the signals on some pieces, and return the halves of those that may be above the best, if any."""
         keep = pieces.length > 0
-        t, zeta, length = pieces.t[keep], pieces.zeta[keep], pieces.length[keep]
+        t, zeta, length = (part[keep] for part in pieces)
         if not len(t) or self._left < 0:
             return None
         self._left -= len(t)
@@ -322,7 +281,7 @@ class Enclosing:
             powers = scale[:-1] * terms[:, : q * (degree + 1)].reshape(-1, degree + 1, q).swapaxes(0, 1)
             rest = scale[-1] * (np.abs(terms[:, q * (degree + 1) :]) @ bounds[:, :q])
             rounded = (np.abs(zeta) @ bounds[:, : q * (degree + 2)]).reshape(-1, degree + 2, q).swapaxes(0, 1)
-            off = _OUTWARD * (rest + table.u * (scale * rounded).sum(axis=0))
+            off = OVER_SUMS * (rest + table.u * (scale * rounded).sum(axis=0))
             control = np.tensordot(_BERNSTEIN[degree], powers, 1)  # (degree + 1, P, q)
             upper = self._sides(control).max(axis=0) + self._spread(off)
             upper = np.where(np.isnan(upper), np.inf, upper)
@@ -370,11 +329,8 @@ def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length:
     for level in np.unique(levels).tolist():
         here = levels == level
         middle[here] = zeta[here] @ turns.turn(level - 1).T
-    return _Pieces(
-        t=np.concatenate([t, t + half]),
-        zeta=np.concatenate([zeta, middle]),
-        length=np.concatenate([np.minimum(length, half), length - half]),
-    )
+    pairs = (t, t + half), (zeta, middle), (np.minimum(length, half), length - half)
+    return _Pieces(*map(np.concatenate, pairs))
 
 
 def bernstein(degree: int) -> Array:

@@ -20,23 +20,14 @@ _SMALL = 0.01  # of the median of the largest errors
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """One trajectory of an ensemble.
+    """One trajectory of an ensemble."""
 
-    Attributes:
-        flow: Of order N. Those with the flow of the first member share what is computed for its modes.
-        z0: Initial state, (N,).
-        error: Rows with e = error z, whose norm is kept, (q, N).
-        resets: As for `simulate_flow`.
-        text: What is said of it where it fails.
-        judge: What says how it went, from any thread; see `Ensemble.verdicts`.
-    """
-
-    flow: Flow
-    z0: Array
-    error: Array
+    flow: Flow  # of order N; those with the flow of the first member share what is computed for its modes
+    z0: Array  # initial state, (N,)
+    error: Array  # rows with e = error z, whose norm is kept, (q, N)
     resets: tuple[StateResets, ...] = ()
-    text: str = ""
-    judge: Callable[[Trace], object] | None = None
+    text: str = ""  # what is said of it where it fails
+    judge: Callable[[Trace], object] | None = None  # says how it went, from any thread; see `Ensemble.verdicts`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,12 +95,9 @@ def simulate_ensemble(
 ) -> Ensemble:
     """Propagate every member from t = 0, each exactly as `simulate_flow` does.
 
-    Args:
-        member: Returns a member by its index, from any thread, when its turn comes; their flows may differ.
-        count, first: How many, at least one, and the index of the first of them.
-        duration, sample_time: As for `simulate_flow`.
-        workers: Threads; None for one on each core. The result does not depend on it.
-        progress: Called with the number of members done, now and then.
+    `member` returns one by its index, from any thread, when its turn comes; `first` is the index of the first of them,
+    and their flows may differ. `workers` are threads, None for one on each core; the result does not depend on it.
+    `progress` is called with the number of members done, now and then.
 
     Raises:
         PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.

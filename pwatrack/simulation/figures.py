@@ -160,16 +160,15 @@ class Move:
             self.marks = low, high
 
 
+_Sizes = Mapping[str, Array]  # by the names of what they are in the figures
+
+
 @dataclass
 class Measuring:
-    """Measures a run block by block.
+    """Measures a run of so many samples block by block.
 
-    Args:
-        samples: How many it will see.
-        outputs, inputs: Their names.
-        bands: How far from its rest an output counts as settled, in its unit, where that is given.
-        states: Their names, where they follow x_d.
-        loop: What runs; without it no more is known of sizes than the samples show.
+    An output counts as settled within the band of its name, in its unit, where that is given. States are named where
+    they follow x_d. Without the loop that runs no more is known of sizes than the samples show.
     """
 
     samples: int
@@ -179,52 +178,54 @@ class Measuring:
     states: Sequence[str] = ()
     loop: ClosedLoop | None = None
     _number: int = 0
-    _final: float = 0.0
-    _largest: float = 0.0
-    _each: Array = field(default_factory=lambda: np.zeros((2, 1)))  # the same of each entry
+    _sizes: _Sizes = field(default_factory=dict)  # at the samples
     _observer: float = 0.0
     _changes: int = 0
     _last_tenth: float = 0.0  # when it began
     _visited: set[Mode] = field(default_factory=set)
-    _input: Array = field(default_factory=lambda: np.zeros(1))
-    _moves: list[Move] = field(default_factory=list)
+    _within: dict[str, Enclosing] = field(default_factory=dict)  # at all times
 
     def __post_init__(self) -> None:
+        self._moves = [Move(self.bands.get(name)) for name in self.outputs]
         if self.loop is not None:
             error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
             turns: dict[Mode, Transitions] = {}
-            self._error, self._late = (Enclosing(lambda _: error, norm=True, turns=turns) for _ in range(2))
-            self._inputs = Enclosing(self.loop.inputs, turns=turns)
+            for name in ("final_error", "largest_error"):
+                self._within[name] = Enclosing(lambda _: error, norm=True, turns=turns)
             each = self.loop.signal_errors
-            self._signals = tuple(Enclosing(lambda _: each, turns=turns) for _ in range(2 * (len(each) > 1)))
+            for name in ("final_errors", "largest_errors") if len(each) > 1 else ():
+                self._within[name] = Enclosing(lambda _: each, turns=turns)
+            self._within["largest_input"] = Enclosing(self.loop.inputs, turns=turns)
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
         size, tail = block.error_norm, last_tenth(self.samples).start - self._number
         if 0 <= tail < len(size):
             self._last_tenth = float(block.t[tail])
-        self._final = max(self._final, float(size[max(0, tail) :].max(initial=0.0)))
-        self._largest = max(self._largest, float(size.max()))
         each = np.abs(block.tracked - block.tracked_d)
         each = np.hstack([each, np.abs(block.x - block.x_d)]) if self.states else each
-        late = each[max(0, tail) :].max(axis=0, initial=0.0)
-        self._each = np.maximum(self._each, [late, each.max(axis=0)])
+        late = slice(max(0, tail), None)
+        seen = {
+            "final_error": size[late].max(initial=0.0, keepdims=True),
+            "largest_error": size.max(keepdims=True),
+            "final_errors": each[late].max(axis=0, initial=0.0),
+            "largest_errors": each.max(axis=0),
+            "largest_input": np.abs(block.u).max(axis=0),
+        }
+        self._sizes = {name: np.maximum(self._sizes.get(name, 0.0), most) for name, most in seen.items()}
         self._observer = float(block.observer_error[-1])
-        self._input = np.maximum(self._input, np.abs(block.u).max(axis=0))
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
-        self._moves = self._moves or [Move(self.bands.get(name)) for name in self.outputs]
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
         if self.loop is not None:
             segments = Segments.of(self.loop.flow, block.trace)
-            self._inputs.see(segments)
-            self._error.see(segments)
-            late = segments.since(self._last_tenth) if tail < len(size) else None
-            for within, part in zip((self._late, *self._signals), (late, late, segments), strict=False):
-                if part is not None:
-                    within.see(part)
+            for name, within in self._within.items():
+                if not name.startswith("final"):
+                    within.see(segments)
+                elif tail < len(size):
+                    within.see(segments.since(self._last_tenth))
 
     def figures(self, blocks: Iterable[Response]) -> Figures:
         """Return the figures of all that was seen, given the same blocks once more."""
@@ -234,22 +235,16 @@ class Measuring:
         for block in blocks:
             for k, move in enumerate(self._moves):
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
-        sizes = {
-            "final_error": np.array([self._final]),
-            "largest_error": np.array([self._largest]),
-            "final_errors": self._each[0],
-            "largest_errors": self._each[1],
-            "largest_input": self._input,
-        }
         known = self._enclosed()
-        sizes |= {name: np.maximum(sizes[name], size) for name, size in known.items()}
+        sizes = {name: np.maximum(size, known.get(name, 0.0)).tolist() for name, size in self._sizes.items()}
+        signals = (*self.outputs, *self.states)
         return Figures(
-            final_error=float(sizes["final_error"][0]),
-            largest_error=float(sizes["largest_error"][0]),
-            final_errors=dict(zip((*self.outputs, *self.states), sizes["final_errors"].tolist(), strict=True)),
-            largest_errors=dict(zip((*self.outputs, *self.states), sizes["largest_errors"].tolist(), strict=True)),
+            final_error=sizes["final_error"][0],
+            largest_error=sizes["largest_error"][0],
+            final_errors=dict(zip(signals, sizes["final_errors"], strict=True)),
+            largest_errors=dict(zip(signals, sizes["largest_errors"], strict=True)),
             final_observer_error=self._observer,
-            largest_input=dict(zip(self.inputs, sizes["largest_input"].tolist(), strict=True)),
+            largest_input=dict(zip(self.inputs, sizes["largest_input"], strict=True)),
             mode_changes=self._changes,
             joint_modes=len(self._visited),
             settling_time={name: move.settled - move.start for name, move in moves.items()},
@@ -262,15 +257,10 @@ class Measuring:
             sampled=tuple(name for name in sizes if name not in known),
         )
 
-    def _enclosed(self) -> dict[str, Array]:
+    def _enclosed(self) -> _Sizes:
         """Return which sizes are no larger between samples than what; those of which that is not known are left out."""
-        if self.loop is None:
-            return {}
-        late, error = self._late.range(), self._error.range()
-        each = [within.range() for within in self._signals] or [late, error]
-        names = ("final_error", "largest_error", "final_errors", "largest_errors", "largest_input")
-        sizes = {
-            name: np.maximum(found.high, -found.low)
-            for name, found in zip(names, (late, error, *each, self._inputs.range()), strict=True)
-        }
+        ranges = {name: within.range() for name, within in self._within.items()}
+        for name in ("final_error", "largest_error") if ranges else ():
+            ranges.setdefault(f"{name}s", ranges[name])  # of a single entry
+        sizes = {name: np.maximum(found.high, -found.low) for name, found in ranges.items()}
         return {name: size for name, size in sizes.items() if np.isfinite(size).all()}

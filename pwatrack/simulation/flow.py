@@ -13,21 +13,13 @@ Mode = tuple[int, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class SwitchedPart:
-    """A part of the flow that has cells of its own: the plant, the observer, the generator.
+    """A part of the flow that has cells of its own: the plant, the observer, the generator."""
 
-    Attributes:
-        name: For events and reports.
-        cells: Names of its l cells.
-        guards: Rows g with g z = 0 on a hyperplane, (k, N).
-        signs: Side of each guard that each cell is on, (l, k).
-        F: What it adds to ż in each cell, (l, N, N).
-    """
-
-    name: str
-    cells: tuple[str, ...]
-    guards: Array
-    signs: IntArray
-    F: Array
+    name: str  # for events and reports
+    cells: tuple[str, ...]  # names of its l cells
+    guards: Array  # rows g with g z = 0 on a hyperplane, (k, N)
+    signs: IntArray  # side of each guard that each cell is on, (l, k)
+    F: Array  # what it adds to ż in each cell, (l, N, N)
 
     @staticmethod
     def of(name: str, plant: PWASystem, state: Array, F: Array) -> "SwitchedPart":
@@ -39,22 +31,14 @@ class SwitchedPart:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """At every multiple of its sample time a program measures, and some of its numbers become entries of z.
-
-    Attributes:
-        program: What runs.
-        measured: Rows of what it measures, (q, N).
-        quantum: What that is a whole multiple of; 0 for any value, (q,).
-        source, place: Which numbers of the program's memory are in z, and where, (V,).
-        scale: In z they are so many times as large, (V,).
-    """
+    """At every multiple of its sample time a program measures, and some of its numbers become entries of z."""
 
     program: SampledController
-    measured: Array
-    quantum: Array
-    source: IntArray
-    place: IntArray
-    scale: Array
+    measured: Array  # rows of what it measures, (q, N)
+    quantum: Array  # what that is a whole multiple of; 0 for any value, (q,)
+    source: IntArray  # which numbers of the program's memory are in z, (V,)
+    place: IntArray  # and where
+    scale: Array  # in z they are so many times as large
 
     def scaled(self, d: Array) -> "Clock":
         """Return the clock of D⁻¹ z, D = diag(d)."""
@@ -66,26 +50,18 @@ class Flow:
     """ζ' = (F0 + Σ_p F_p[mode_p]) ζ, continuous in ζ = z − counted z; mode_p is the cell of part p.
 
     What follows something large is counted from it: rounding is then relative to how far it is away, not to both.
-
-    Attributes:
-        F0: What does not switch, (N, N).
-        parts: What does.
-        clock: What makes z jump, if anything does.
-        counted: Rows of z that some entries are counted from, (N, N). They read only entries that are counted from
-            none, or from such. None: ζ = z.
+    `counted` are the rows of z that some entries are counted from, (N, N); they read only entries that are counted
+    from none, or from such. None: ζ = z.
     """
 
-    F0: Array
+    F0: Array  # what does not switch, (N, N)
     parts: tuple[SwitchedPart, ...]
-    clock: Clock | None = None
+    clock: Clock | None = None  # what makes z jump, if anything does
     counted: Array | None = None
 
     def matrix(self, mode: Mode) -> Array:
         """Return F(mode), (N, N)."""
-        total = self.F0.copy()
-        for part, cell in zip(self.parts, mode, strict=True):
-            total += part.F[cell]
-        return total
+        return sum((part.F[cell] for part, cell in zip(self.parts, mode, strict=True)), self.F0)
 
     def relative(self, z: Array) -> Array:
         """Return ζ of states z, (…, N)."""
@@ -116,19 +92,6 @@ class Flow:
             counted=None if self.counted is None else self.counted / d[:, None] * d,
         )
 
-    def subsystem(self, name: str, keep: IntArray) -> "Flow":
-        """Return the flow of the coordinates `keep`, switched by one part only.
-
-        No coordinate that is left out may act on one that is kept, and no clock either.
-        """
-        part = next(p for p in self.parts if p.name == name)
-        rows, columns = np.ix_(keep, keep)
-        only = replace(part, guards=part.guards[:, keep], F=part.F[:, rows, columns])
-        return Flow(F0=self.F0[rows, columns], parts=(only,))
-
     def size(self) -> Array:
         """Return entrywise bounds on |F| over all modes, (N, N)."""
-        total: Array = np.abs(self.F0)
-        for part in self.parts:
-            total = total + np.abs(part.F).max(axis=0)
-        return total
+        return sum((np.abs(part.F).max(axis=0) for part in self.parts), np.abs(self.F0))

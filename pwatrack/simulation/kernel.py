@@ -105,42 +105,25 @@ def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 class FlowTables(NamedTuple):
-    """A flow of order N with P parts, C cells and K guards in all, and the grid of steps.
+    """A flow of order N with P parts, C cells and K guards in all, and the grid of steps."""
 
-    Attributes:
-        first: First cell of each part, and C, (P + 1,).
-        guards: Rows on z, transposed, (N, K).
-        signs: Side of each guard that each cell is on; 0 for guards of other parts, (C, K).
-        h: The finest step in s.
-        doublings: The longest step, from sample to sample, is 2^doublings finest ones.
-        unit: What a product of a matrix and a vector can be off by, relative to the sum of the sizes of its terms.
-    """
-
-    first: IntArray
-    guards: Array
-    signs: IntArray
-    h: float
-    doublings: int
-    unit: float
+    first: IntArray  # first cell of each part, and C, (P + 1,)
+    guards: Array  # rows on z, transposed, (N, K)
+    signs: IntArray  # side of each guard that each cell is on; 0 for guards of other parts, (C, K)
+    h: float  # the finest step in s
+    doublings: int  # the longest step, from sample to sample, is 2^doublings finest ones
+    unit: float  # what a product of matrix and vector can be off by, relative to the sum of the sizes of its terms
 
 
 class Resets(NamedTuple):
-    """What jumps, and when: R resets in order.
+    """What jumps, and when: R resets in order."""
 
-    Attributes:
-        step: When, in finest steps, (R,).
-        row: Where in `values` the new ones are, or -1 where the controller's program runs, (R,).
-        start, stop: Which entries take new values, (R,).
-        values: (V, N).
-        counted: Rows that entries are counted from, transposed: where these jump, such an entry does not, (N, N).
-    """
-
-    step: Array
-    row: IntArray
-    start: IntArray
+    step: Array  # when, in finest steps, (R,)
+    row: IntArray  # where in `values` the new ones are, or -1 where the controller's program runs, (R,)
+    start: IntArray  # which entries take new values, with `stop`, (R,)
     stop: IntArray
-    values: Array
-    counted: Array
+    values: Array  # (V, N)
+    counted: Array  # rows that entries are counted from, transposed: where these jump, such an entry does not, (N, N)
 
 
 # Sizes of a controller (known: of ŝ, η̂ and w together), by how many samples its inputs are late, and where in its
@@ -151,25 +134,10 @@ Places = namedtuple(
 
 
 class ControllerArrays(NamedTuple):
-    """The program of a sampled controller, all of the same type of float: see `control.program.Program`.
-
-    Attributes:
-        at: Its sizes and places.
-        H, h, observer, generator, x_d, u_ff, K, guards, signs, sides: As there.
-        turn: w one sample later, and 2¹⁰ and 2²⁰ samples later where these are in range; none where w comes from
-            outside, (0 … 3, s, s).
-        piece_values: New values of entries of w.
-        piece_tick, piece_start, piece_length, piece_value: From when on which entries have them, and where these begin
-            there, (pieces,).
-        low, high, change, quantum: Limits of the inputs, by how much one may change in a sample, and its steps, (m,).
-        half: ½.
-        most: How many pieces begin at one tick at most.
-        end: The last tick at which the reference is defined, -1 if there is none.
-        last: The last tick that is asked for, -1 if none is.
-    """
+    """The program of a sampled controller, all of the same type of float: see `control.program.Program`."""
 
     at: Places
-    H: Array
+    H: Array  # from here to `sides`: as there
     h: Array
     observer: Array
     generator: Array
@@ -179,187 +147,109 @@ class ControllerArrays(NamedTuple):
     guards: Array
     signs: IntArray
     sides: IntArray
-    turn: Array
-    piece_values: Array
-    piece_tick: IntArray
-    piece_start: IntArray
-    piece_length: IntArray
-    piece_value: IntArray
-    low: Array
+    turn: Array  # w 1, 2¹⁰ and 2²⁰ samples later, as far as in range; none: w comes from outside, (0 … 3, s, s)
+    piece_values: Array  # new values of entries of w
+    piece_tick: IntArray  # from when on entries have them, (pieces,)
+    piece_start: IntArray  # the first of these entries
+    piece_length: IntArray  # how many
+    piece_value: IntArray  # where in `piece_values` theirs begin
+    low: Array  # limits of the inputs, with `high`, (m,)
     high: Array
-    change: Array
-    quantum: Array
-    half: Any
-    most: int
-    end: int
-    last: int
+    change: Array  # by how much an input may change in a sample, (m,)
+    quantum: Array  # its steps, (m,)
+    half: Any  # ½
+    most: int  # how many pieces begin at one tick at most
+    end: int  # the last tick at which the reference is defined, -1 if there is none
+    last: int  # the last tick that is asked for, -1 if none is
 
 
 class ControllerClock(NamedTuple):
-    """How a program sits in the loop.
-
-    Attributes:
-        routine: The program.
-        measured: Rows of the measured output on z, transposed, (N, q).
-        quantum: What it is measured in whole multiples of, 0 for any value, (q,).
-        source, place: Which of its numbers are in z, and where, (V,).
-        scale: These, in z, are so many times as large, powers of two, (V,).
-    """
+    """How a program sits in the loop."""
 
     routine: ControllerArrays
-    measured: Array
-    quantum: Array
-    source: IntArray
-    place: IntArray
-    scale: Array
+    measured: Array  # rows of the measured output on z, transposed, (N, q)
+    quantum: Array  # what it is measured in whole multiples of, 0 for any value, (q,)
+    source: IntArray  # which of the program's numbers are in z, (V,)
+    place: IntArray  # and where
+    scale: Array  # these, in z, are so many times as large, powers of two, (V,)
 
 
 class ModeTables(NamedTuple):
-    """What is known of each mode met so far; matrices are transposed, so that products run along rows.
+    """What is known of each mode met so far; matrices are transposed, so that products run along rows."""
 
-    Attributes:
-        cells: Cell of each part, counted over all parts, (M, P).
-        sides: Side of every guard, 0 where it does not bound the mode, (M, K).
-        F: F h, (M, N, N).
-        degree: Taylor terms of e^{F h} beyond it are rounding, in every entry; one less than a multiple of four, (M,).
-        longest: Most doublings at which nothing below is beyond the largest number, (M,).
-        growth: e^{F h 2^d} − 1 for d doublings, (M, D, N, N).
-        margin: |z| times it is how far from 0 a guard must be at both ends of a step, (M, D, N, K).
-        first, second: Bounds on the two integrals above, (M, D, N, K).
-        rounding: |z| times it is the size below which a guard cannot be told from 0 on a finest step, (M, N, K).
-    """
-
-    cells: IntArray
-    sides: IntArray
-    F: Array
-    degree: IntArray
-    longest: IntArray
-    growth: Array
-    margin: Array
-    first: Array
-    second: Array
-    rounding: Array
+    cells: IntArray  # cell of each part, counted over all parts, (M, P)
+    sides: IntArray  # side of every guard, 0 where it does not bound the mode, (M, K)
+    F: Array  # F h, (M, N, N)
+    degree: IntArray  # Taylor terms of e^{F h} beyond it are rounding in every entry; a multiple of four less one, (M,)
+    longest: IntArray  # most doublings at which nothing below is beyond the largest number, (M,)
+    growth: Array  # e^{F h 2^d} − 1 for d doublings, (M, D, N, N)
+    margin: Array  # |z| times it is how far from 0 a guard must be at both ends of a step, (M, D, N, K)
+    first: Array  # bounds on the first of the two integrals above, (M, D, N, K)
+    second: Array  # and on the second
+    rounding: Array  # |z| times it: below, a guard cannot be told from 0 on a finest step, (M, N, K)
 
 
 class Log(NamedTuple):
-    """What the walk writes down.
+    """What the walk writes down; times are in s."""
 
-    Attributes:
-        z: Samples, (S, N).
-        mode: Number of the mode at each sample, (S,).
-        event_time, event_mode: When the mode changed, in s, and to which. The first is the start;
-            there is room for more.
-        near_time, near_guard, near_span: From when on a guard was within rounding of 0 and no sign can be given,
-            and for how long, in s.
-        break_time, break_mode, break_z: When, in s, in which mode and from where it went on anew: after each crossing
-            and each reset.
-    """
-
-    z: Array
-    mode: IntArray
-    event_time: Array
-    event_mode: IntArray
-    near_time: Array
+    z: Array  # samples, (S, N)
+    mode: IntArray  # number of the mode at each, (S,)
+    event_time: Array  # when the mode changed: the first is the start; there is room for more
+    event_mode: IntArray  # and to which
+    near_time: Array  # from when on a guard was within rounding of 0 and no sign can be given
     near_guard: IntArray
-    near_span: Array
-    break_time: Array
+    near_span: Array  # for how long
+    break_time: Array  # when it went on anew: after each crossing and each reset
     break_mode: IntArray
     break_z: Array
 
 
 class KernelState(NamedTuple):
-    """A trajectory on its way: where it is, and what it goes by.
+    """A trajectory on its way: where it is, and what it goes by."""
 
-    Attributes:
-        state: Where the walk is, one record of STATE.
-        z: The state, (N,).
-        near_since: Since when in s each guard is within rounding of 0; infinite where it is not, (K,).
-        crossed: Whether each guard was crossed just now, (K,).
-        cells: The cells that were found last; those of a mode that is new are left here, (P,).
-        memory, counts: Of the controller's program, see `tick`.
-        room, y: For it to work in, and what it measures, (q,).
-    """
-
-    state: Any
-    z: Array
-    near_since: Array
-    crossed: Any
-    cells: IntArray
-    memory: Array
+    state: Any  # where the walk is, one record of STATE
+    z: Array  # (N,)
+    near_since: Array  # since when in s each guard is within rounding of 0; infinite where it is not, (K,)
+    crossed: Any  # whether each guard was crossed just now, (K,)
+    cells: IntArray  # found last; those of a mode that is new are left here, (P,)
+    memory: Array  # of the controller's program, with `counts`: see `tick`
     counts: Any
-    room: Array
-    y: Array
+    room: Array  # for it to work in
+    y: Array  # what it measures, (q,)
 
 
 class Workspace(NamedTuple):
-    """Room to work in, so that no step allocates anything.
+    """Room to work in, so that no step allocates anything."""
 
-    Attributes:
-        terms: Taylor terms of the state, (most, N).
-        powers: Those of a guard, (most,).
-        pieces: For `first_crossing`.
-        size, v, following: |z|, what a step adds, and the state after it, (N,).
-        speed, bend: Bounds on |v| and |a|, (N,).
-        off, off_after: What they can be off by, (N,).
-        now, then: The guards before and after a step, (K,).
-        slope, off_slope, slopes: Their derivatives, what these can be off by, and both bounds, (K,) and (2, K).
-        reach: How far a guard may come on a step, (K,).
-        tolerance: The size below which it cannot be told from 0, (K,).
-        beyond: The guards, drawn in towards 0 by it, (K,).
-        touched, near: Where each guard comes within rounding of 0 on a step, and from where it stays so, (K,).
-        vague, sides: When its side is sure, and which that is, (K,).
-    """
-
-    terms: Array
-    powers: Array
-    pieces: Array
-    size: Array
-    v: Array
-    following: Array
-    speed: Array
-    bend: Array
-    off: Array
+    terms: Array  # Taylor terms of the state, (most, N)
+    powers: Array  # those of a guard, (most,)
+    pieces: Array  # for `first_crossing`
+    size: Array  # |z|, (N,)
+    v: Array  # what a step adds
+    following: Array  # the state after it
+    speed: Array  # a bound on |v|
+    bend: Array  # and on |a|
+    off: Array  # what they can be off by
     off_after: Array
-    now: Array
-    then: Array
-    slope: Array
-    off_slope: Array
-    slopes: Array
-    reach: Array
-    tolerance: Array
-    beyond: Array
-    touched: Array
-    near: Array
-    vague: Array
-    sides: IntArray
+    now: Array  # the guards before a step, (K,)
+    then: Array  # and after it
+    slope: Array  # their derivatives
+    off_slope: Array  # what these can be off by
+    slopes: Array  # both bounds, (2, K)
+    reach: Array  # how far a guard may come on a step, (K,)
+    tolerance: Array  # the size below which it cannot be told from 0
+    beyond: Array  # the guards, drawn in towards 0 by it
+    touched: Array  # where each guard comes within rounding of 0 on a step
+    near: Array  # and from where it stays so
+    vague: Array  # when its side is sure
+    sides: IntArray  # and which that is
 
 
 def room_for(N: int, K: int, most: int) -> Workspace:
     """Return room to work in for a state (N,), K guards and so many Taylor terms."""
-    return Workspace(
-        np.empty((most, N)),
-        np.empty(most),
-        np.empty((PIECES, most + 2)),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(N),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty((2, K)),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K),
-        np.empty(K, np.int64),
-    )
+    of_terms = np.empty((most, N)), np.empty(most), np.empty((PIECES, most + 2))
+    of_guards = *np.empty((4, K)), np.empty((2, K)), *np.empty((6, K)), np.empty(K, np.int64)
+    return Workspace(*of_terms, *np.empty((7, N)), *of_guards)
 
 
 STATE = np.dtype(

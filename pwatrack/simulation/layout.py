@@ -12,34 +12,24 @@ from pwatrack.model.pwa import PWASystem
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """z = (x, x̂, ŝ, η̂, w, ρ, d, v, u, late, before, wanted, change, y, w', 1); what nobody asks for is empty.
-
-    Attributes:
-        x, x_hat, s_hat, eta_hat, w: Plant, observer, its estimates of loads, generator, exosystem.
-        rho: Exosystem of what is left over of (15) by an η that is played back.
-        d, v: Exosystem of the disturbances, noise.
-        u, late, before, y, w_held: What a sampled controller holds: the input, inputs that wait to be put out, the next
-            one first, the one computed last where that matters, the measured output, its own w.
-        wanted, change: The input that it wants before the limits, and by how much that was to change.
-        order: N, the length of z.
-    """
+    """z = (x, x̂, ŝ, η̂, w, ρ, d, v, u, late, before, wanted, change, y, w', 1); what nobody asks for is empty."""
 
     x: slice
     x_hat: slice
-    s_hat: slice
+    s_hat: slice  # estimates of loads
     eta_hat: slice
-    w: slice
-    rho: slice
-    d: slice
-    v: slice
-    u: slice
-    late: slice
-    before: slice
-    wanted: slice
-    change: slice
-    y: slice
-    w_held: slice
-    order: int
+    w: slice  # exosystem
+    rho: slice  # that of what is left over of (15) by an η that is played back
+    d: slice  # that of the disturbances
+    v: slice  # noise
+    u: slice  # what a sampled controller holds, as all below: the input
+    late: slice  # inputs that wait to be put out, the next one first
+    before: slice  # the one computed last, where that matters
+    wanted: slice  # the one that it wants before the limits
+    change: slice  # by how much that was to change
+    y: slice  # the measured output
+    w_held: slice  # its own w
+    order: int  # N, the length of z
 
     @staticmethod
     def of(controller: ProvedController, conditions: Conditions) -> "Layout":
@@ -74,12 +64,6 @@ class Layout:
     def w_seen(self) -> slice:
         """What the controller has for w: its own, where it is sampled."""
         return self.w_held if self.w_held.stop > self.w_held.start else self.w
-
-    def counted(self, x_d: Array) -> Array:
-        """Return what entries of z are counted from, (N, N): x from x_d = x_d z, (n, N), and x̂ from x."""
-        rows = np.zeros((self.order, self.order))
-        rows[self.x], rows[self.x_hat, self.x] = x_d, np.eye(len(x_d))
-        return rows
 
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:
         """Return what an input u = rows z, (m, N), adds to ẋ of the plant and to x̂' of its model, (N, N)."""

@@ -16,7 +16,7 @@ from pwatrack.causes import ProblemPart
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
-from pwatrack.simulation.flow import Flow
+from pwatrack.simulation.flow import Clock, Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
@@ -32,17 +32,11 @@ _GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span", 
 
 @dataclass(frozen=True, kw_only=True)
 class StateResets:
-    """At the times t the entries `where` of z take new values.
+    """At the times t the entries `where` of z take new values."""
 
-    Attributes:
-        t: In s, in order, (R,).
-        where: Some neighbouring entries.
-        values: Their new values at each of these times, (R, number of entries).
-    """
-
-    t: Array
-    where: slice
-    values: Array
+    t: Array  # in s, in order, (R,)
+    where: slice  # some neighbouring entries
+    values: Array  # their new values at each of these times, (R, number of entries)
 
 
 def pieces(signals: Exosystem, where: slice) -> list[StateResets]:
@@ -62,15 +56,8 @@ def simulate_flow(
     largest one, in balanced coordinates, with ε = 2.2e-16 and T the time; 0.01 to 1.1 times that was measured
     against 50 digits. Where rounding hides on which side of a guard the state is, the trace says so.
 
-    Args:
-        flow: The flow, of order N.
-        z0: Initial state (N,).
-        duration: In s; the last sample is at the last multiple of `sample_time` up to it.
-        sample_time: In s.
-        resets: Where some happen at the same time, the later ones in the list come last.
-
-    Returns:
-        The samples, the mode at each, every event in between, and where rounding could not decide.
+    The initial state is (N,); the last sample is at the last multiple of `sample_time` up to the duration, both in s.
+    Where some resets happen at the same time, the later ones in the list come last.
 
     Raises:
         InvalidSpec: If an entry of the flow is not finite, or floating point cannot resolve the run: it has more than
@@ -127,9 +114,6 @@ class Propagator:
 
     Any number of trajectories may share one, from several threads at a time: what
     is known of a mode depends on the flow alone, so no trajectory depends on another.
-
-    Args:
-        flow, duration, sample_time: As for `simulate_flow`.
     """
 
     def __init__(self, flow: Flow, *, duration: float, sample_time: float) -> None:
@@ -143,7 +127,8 @@ class Propagator:
         self.samples = sample_count(duration, sample_time)
         self.places = [(part.name, k) for part in flow.parts for k in range(len(part.guards))]
         _check_resolved(flow, sample_time, self.samples)
-        doublings = _doublings(flow.size(), sample_time)
+        norm = float(np.linalg.norm(flow.size(), 2)) * sample_time
+        doublings = max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
         self.field = kernel.FlowTables(
             first=np.cumsum([0, *(len(part.cells) for part in flow.parts)]),
             guards=np.ascontiguousarray(flow.guards().T),
@@ -156,11 +141,7 @@ class Propagator:
         self.ticks = _ticks(flow)
 
     def walk(self, z0: Array, resets: Sequence[StateResets] = ()) -> "Walk":
-        """Return the trajectory from z0 (N,).
-
-        Raises:
-            CheckFailed: As `simulate_flow`.
-        """
+        """Return the trajectory from z0 (N,), or refuse it as `simulate_flow` does."""
         walk = Walk(self, z0, resets)
         walk.run()
         return walk
@@ -169,9 +150,8 @@ class Propagator:
 class Walk:
     """A trajectory in balanced coordinates: what the compiled kernel works on.
 
-    Attributes:
-        log: What was written down; `log.z` are the samples in coordinates D⁻¹ ζ.
-        first: Number of the first sample in the log.
+    What was written down is in `log`: `log.z` are the samples in coordinates D⁻¹ ζ, of which `first` is the number of
+    the first one.
     """
 
     def __init__(
@@ -357,7 +337,9 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
         times.append(period * np.arange(sample_count(end, period), dtype=np.float64))
         edges.append(np.zeros((len(times[-1]), 2), dtype=np.int64))
         row = np.append(row, np.full(len(times[-1]), -1))
-    step = _snapped(np.concatenate([np.empty(0), *times]) / h)
+    step = np.concatenate([np.empty(0), *times]) / h
+    grid = np.round(step)
+    step = np.where(np.abs(step - grid) < np.maximum(_ON_GRID[0], _ON_GRID[1] * step), grid, step)
     order = np.lexsort((np.arange(len(step)), np.round(step, 6)))  # times that differ by rounding are the same
     start, stop = np.concatenate([np.empty((0, 2), dtype=np.int64), *edges])[order].T.copy()
     return Resets(
@@ -374,14 +356,17 @@ def _ticks(flow: Flow) -> Any:
     """Return how the program of a clock sits in the loop; one that never runs where there is none."""
     from pwatrack.simulation.kernel import ControllerClock
 
-    clock = flow.clock
+    none, nowhere = np.zeros(0), np.zeros(0, dtype=np.int64)
+    clock = flow.clock or Clock(
+        program=NONE, measured=np.zeros((0, len(flow.F0))), quantum=none, source=nowhere, place=nowhere, scale=none
+    )
     return ControllerClock(
-        routine=routine(NONE if clock is None else clock.program),
-        measured=np.ascontiguousarray((np.zeros((0, len(flow.F0))) if clock is None else clock.measured).T),
-        quantum=np.zeros(0) if clock is None else clock.quantum.copy(),
-        source=np.zeros(0, dtype=np.int64) if clock is None else clock.source,
-        place=np.zeros(0, dtype=np.int64) if clock is None else clock.place,
-        scale=np.zeros(0) if clock is None else clock.scale,
+        routine=routine(clock.program),
+        measured=np.ascontiguousarray(clock.measured.T),
+        quantum=clock.quantum.copy(),
+        source=clock.source,
+        place=clock.place,
+        scale=clock.scale,
     )
 
 
@@ -415,14 +400,3 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
             f"point keeps {fastest * end * EPS:.2g}; at most {_MOST_RADIANS:.2g} are taken"
         )
         raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
-
-
-def _doublings(size: Array, sample_time: float) -> int:
-    norm = float(np.linalg.norm(size, 2)) * sample_time
-    return max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0 else 0
-
-
-def _snapped(step: Array) -> Array:
-    """Return times in steps, on the grid where they are there but for rounding."""
-    grid = np.round(step)
-    return np.where(np.abs(step - grid) < np.maximum(_ON_GRID[0], _ON_GRID[1] * step), grid, step)

@@ -26,9 +26,8 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.reference import beside, exosystem
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import Curve, InternalDynamics, Looked
+from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at
 from pwatrack.simulation.driven import ReferenceTransition, SplitModes
-from pwatrack.simulation.played import DEGREE, FIT, Pieces, Played, jumps_of, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -46,14 +45,8 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
     """Return the bounded solution of the internal dynamics from t = 0 on, in pieces that are polynomials.
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
-    stable part then starts as if the first piece had been there before.
-
-    Args:
-        trajectory: The desired one, with η̂ that has unstable modes.
-        duration: Up to when, in s.
-
-    Returns:
-        One signal per η, and what is known of them.
+    stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
+    s, and what is known of them.
 
     Raises:
         Undecided: If Newton's method does not settle.
@@ -70,16 +63,8 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
         last = duration + settled if system.end is None else min(duration + settled, max(duration, system.end))
         solution = _Problem(trajectory, 0.0, last, periodic=False).solve()
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
-    played = Played.of(trajectory, solution.pieces(duration), turns, period or 0.0)
-    return played.signals, NoncausalTrajectory(
-        names=trajectory.names,
-        residual=played.looked.residual.max(axis=0),
-        terms=played.terms,
-        left=played.left,
-        times=played.start[1:],
-        jumps=jumps_of(solution.pieces(duration), turns),
-        lead=_lead(trajectory, played.signals, duration),
-    )
+    signals, preview = played(trajectory, solution.pieces(duration), turns, period or 0.0)
+    return signals, replace(preview, lead=_lead(trajectory, signals, duration))
 
 
 def _lead(trajectory: DesiredTrajectory, signals: Sequence[Signal], duration: float) -> float | None:
@@ -99,10 +84,7 @@ def _lead(trajectory: DesiredTrajectory, signals: Sequence[Signal], duration: fl
 
 
 def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajectory:
-    """Return the desired trajectory with the bounded solution in place of the filter η̂: x_d and u_ff are signals then.
-
-    Args and raises: as `bounded_solution`.
-    """
+    """Return the trajectory with the bounded solution in place of the filter η̂: x_d and u_ff are signals then."""
     signals, preview = bounded_solution(trajectory, duration)
     p = trajectory.rate.shape[1]
     system = beside(trajectory.exosystem, signals)
@@ -274,27 +256,24 @@ class _Solution:
 
     @cached_property
     def _looked(self) -> tuple[Pieces, Looked]:
-        """Polynomials of all stays, and the cells that x_d visits on them."""
+        """Polynomials of all stays, and the cells that x_d visits on them, each `of` a stay."""
         problem = self.problem
         pieces = self._fitted(np.inf)
-        cut, w = pieces.cut(problem.quick), np.zeros((0, len(problem.turns.S) - 1))
+        cut = pieces.cut(problem.quick)
         piece = np.array([stay.piece for stay in self.stays])[pieces.of[cut.of]]
         w = np.zeros((len(piece), len(problem.turns.S) - 1))
         for k in range(len(problem.pieces)):
             w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
         field = replace(problem.field, rate=self.rate)
-        curve = Curve(start=cut.start, length=cut.length, c=cut.c, w=w, off=4 * EPS * np.abs(w), of=pieces.of[cut.of])
-        return cut, field.look(curve, sharp=False)
+        looked = field.look(cut, w, 4 * EPS * np.abs(w), sharp=False)
+        return cut, replace(looked, of=pieces.of[cut.of[looked.of]])
 
     @property
     def missed(self) -> float:
         """By how much η' is off where x_d is in another cell than was taken, relative to the largest rates."""
         pieces, looked = self._looked
-        taken, cells, rows = (
-            np.array([stay.cell for stay in self.stays])[looked.of],
-            looked.cells(),
-            np.arange(len(looked.of)),
-        )
+        taken = np.array([stay.cell for stay in self.stays])[looked.of]
+        cells, rows = looked.cells(), np.arange(len(looked.of))
         off = np.abs(looked.ends[rows, :, cells] - looked.ends[rows, :, taken]).max(axis=1).max(axis=0)
         size = np.abs(pieces.c[:, :, 1]).max(initial=0.0)
         return float(off.max() / size) if size else float(off.max() > 0)
@@ -334,7 +313,7 @@ class _Solution:
                 total += sum(len(part.start) for part in found[-1:])
                 if total > _MOST_PIECES:
                     raise _unsettled("the reference turns too fast for its length")
-        return Pieces.joined(found)
+        return joined(found)
 
     def _fitted_to(self, k: int, size: float, until: float) -> list[Pieces]:
         """Return polynomials of a stay: halves, until they are near enough, all those of one length at once.

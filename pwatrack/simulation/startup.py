@@ -11,19 +11,14 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.closed_loop import ClosedLoop
-from pwatrack.simulation.mode_sequence import desired_flow
+from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, periodic_state
 
 _GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
 
 
 def measured_start(loop: ClosedLoop, x: Array) -> Array:
-    """Return x̂(0) from what is measured at t = 0, with its noise: in sizes the smallest x̂ with C x̂ nearest to it.
-
-    Args:
-        loop: What runs.
-        x: x(0), (n,).
-    """
+    """Return x̂(0) from what is measured at x(0), with its noise: in sizes the smallest x̂ with C x̂ nearest to it."""
     y, C = loop.plant.C @ x, loop.controller.plant.C
     if loop.conditions.noise is not None:
         (drawn,) = (reset.values[0] for reset in loop.resets(0.0) if reset.where == loop.at.v)

@@ -15,6 +15,7 @@ from pwatrack.simulation.trace import Trace
 
 LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
+_SAMPLES = 400  # in the period
 _TOLERANCE = 1e-11  # of the largest state, after one period
 _MOST_STEPS = 50  # of Newton's method, which settles in a few or not at all
 _GIVEN = Remedy(Way.DESIRED_START)
@@ -41,7 +42,6 @@ def periodic_state(
     *,
     free: int,
     period: float,
-    samples: int = 400,
     subject: Subject = (ProblemPart.START,),
     remedy: Remedy | None = _GIVEN,
 ) -> SteadyState:
@@ -51,21 +51,16 @@ def periodic_state(
     the identity, and the derivative of the period map is the product of the
     matrix exponentials of the stays in each mode, with no difference quotient.
 
-    Args:
-        flow: The flow.
-        z0: A first guess (N,); its entries from `free` on (the exosystem and
-            the constant) are kept and repeat after one period by themselves.
-        free: The number of leading coordinates to solve for.
-        period: In s.
-        samples: Samples in the period.
-        subject, remedy: What a refusal is about, and what may help.
+    Of the first guess z0, (N,), the leading `free` coordinates are solved for; the others (the exosystem and the
+    constant) are kept, and repeat after one period by themselves. `subject` and `remedy` are what a refusal is about,
+    and what may help.
 
     Raises:
         OutsideTheory: If Newton's method does not settle, or 1 is a multiplier of the period map.
     """
     z = z0.copy()
     for _ in range(_MOST_STEPS):
-        trace = simulate_flow(flow, z, duration=period, sample_time=period / samples)
+        trace = simulate_flow(flow, z, duration=period, sample_time=period / _SAMPLES)
         miss = trace.z[-1, :free] - z[:free]
         residual = float(np.abs(miss).max(initial=0.0) / max(np.abs(trace.z).max(), 1e-300))
         monodromy = period_map_derivative(flow, trace)[:free, :free]

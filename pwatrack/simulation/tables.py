@@ -5,21 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import EPS, Array
+from pwatrack.arrays import EPS, OVER_SUMS, Array
 from pwatrack.simulation.flow import Flow, Mode
 
 _NEGLIGIBLE = 2.0**-56  # of a sum of positive terms
-_OUTWARD = 1 + 1e-12  # covers the rounding of a sum of positive terms
 _LARGEST = 1e100  # of an entry
 _MOST_BYTES = 2**30  # of tables
 
 
 class Tables:
-    """What is precomputed for each mode, as the kernel wants it.
-
-    Attributes:
-        most: How many modes there is room for.
-    """
+    """What is precomputed for each mode, as the kernel wants it; there is room for `most` modes."""
 
     def __init__(self, flow: Flow, h: float, doublings: int) -> None:
         from pwatrack.simulation.kernel import ModeTables
@@ -77,9 +72,9 @@ class Tables:
         arrays.F[m], arrays.degree[m], arrays.rounding[m] = F, len(terms) - 1, u * size @ guards
         for d in range(arrays.growth.shape[1]):
             arrays.growth[m, d], arrays.longest[m] = growth, d
-            arrays.margin[m, d] = _OUTWARD * (reach @ (2 * u * guards + 4.0**d / 8 * bend) + off @ guards)
-            arrays.first[m, d] = _OUTWARD * first @ guards
-            arrays.second[m, d] = _OUTWARD * second @ guards
+            arrays.margin[m, d] = OVER_SUMS * (reach @ (2 * u * guards + 4.0**d / 8 * bend) + off @ guards)
+            arrays.first[m, d] = OVER_SUMS * first @ guards
+            arrays.second[m, d] = OVER_SUMS * second @ guards
             if d + 1 == arrays.growth.shape[1]:
                 break
             with np.errstate(over="ignore", invalid="ignore"):

@@ -1,12 +1,22 @@
-"""What a simulation leaves: samples, modes and events."""
+"""What a simulation leaves: samples, modes and events, in memory or on disk."""
 
-from collections.abc import Sequence
+import os
+import pickle
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.simulation.flow import Mode
+
+_LARGE = Path("/var/tmp")  # noqa: S108  on a disk; /tmp is in memory on many machines
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,33 +36,22 @@ class Unresolved:
     with hardly any slope, and at corners. A mode change there may be missing, or early or late by as much as the doubt
     lasts. A guard that is exactly 0, as at a start on it, is no such case, nor is one crossed with so clear a slope
     that the time is known to 2⁻²² of the finest step, 2⁻³⁰ of a sample time, or 1e-12 of the time itself.
-
-    Attributes:
-        guard: Counts the rows of `part.guards` from 0.
-        span: How long the doubt lasts, in s; 0 for a touch within one step, where it is not worked out.
     """
 
     t: float
     part: str
-    guard: int
-    span: float = 0.0
+    guard: int  # counts the rows of `part.guards` from 0
+    span: float = 0.0  # how long the doubt lasts, in s; 0 for a touch within one step, where it is not worked out
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Breaks:
-    """Where a trajectory goes on anew: at its start, at each crossing of a guard and at each jump.
+    """Where a trajectory goes on anew: at its start, at each crossing of a guard and at each jump."""
 
-    Attributes:
-        t: When, in s, in order, (E,).
-        z: From where, (E, N).
-        modes: In which cell of each part, (E, P).
-        until: Up to when in s all of them are known: the first sample of the next block, or the last one of the run.
-    """
-
-    t: Array
-    z: Array
-    modes: IntArray
-    until: float
+    t: Array  # when, in s, in order, (E,)
+    z: Array  # from where, (E, N)
+    modes: IntArray  # in which cell of each part, (E, P)
+    until: float  # when, in s, the next block begins, or the run ends: all of them are known up to there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,3 +119,61 @@ def tenths(samples: int) -> list[int]:
 def last_tenth(samples: int) -> slice:
     """Return which samples are the last tenth of the time: what a final error is taken over."""
     return slice(tenths(samples)[9], None)
+
+
+class TraceOnDisk:
+    """The blocks of a long run, kept from when they are walked: what reads them later simulates nothing.
+
+    They are in a file that has no name, so that none is left behind: it goes with this object, or with its process.
+    It is in TMPDIR where that is set.
+
+    Example:
+        >>> blocks = [Trace(t=np.array([t]), z=np.ones((1, 2)), modes=np.zeros((1, 1), dtype=int), events=())
+        ...     for t in (0.0, 1.0)]
+        >>> [float(trace.t[0]) for trace in TraceOnDisk(blocks)]
+        [0.0, 1.0]
+    """
+
+    def __init__(self, traces: Iterable[Trace] = ()) -> None:
+        own = not os.environ.get("TMPDIR") and os.access(_LARGE, os.W_OK)
+        self._folder = str(_LARGE) if own else tempfile.gettempdir()
+        self._starts: list[int] = []
+        try:
+            self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
+        except OSError as error:
+            raise self._full(error) from None
+        weakref.finalize(self, _close, self._file)
+        for trace in traces:
+            self.add(trace)
+
+    def add(self, trace: Trace) -> None:
+        """Keep one more trace.
+
+        Raises:
+            InvalidSpec: If there is no room for it.
+        """
+        try:
+            self._starts.append(self._file.seek(0, os.SEEK_END))
+            pickle.dump(trace, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+            self._file.flush()
+        except OSError as error:
+            raise self._full(error) from None
+
+    def __iter__(self) -> Iterator[Trace]:
+        """Yield the traces in the order in which they came, to the same bit."""
+        for start in self._starts:
+            self._file.seek(start)
+            yield pickle.load(self._file)  # noqa: S301  nobody else can write to it
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TraceOnDisk, (list(self),)
+
+    def _full(self, error: OSError) -> InvalidSpec:
+        message = f"cannot keep the samples of the run in {self._folder}: {error.strerror or error}"
+        hint = "set TMPDIR to a folder with room, or take a longer sample time: it moves no event"
+        return InvalidSpec(Problem(message=message, hint=hint))
+
+
+def _close(file: IO[bytes]) -> None:
+    with suppress(OSError):  # what a full disk did not take
+        file.close()

@@ -9,7 +9,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
-from pwatrack.simulation.peak import feedforward_peak, w_alone
+from pwatrack.simulation.desired import feedforward_peak, w_alone
 from pwatrack.simulation.startup import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.starting import generator_start, plant_start, starts_of

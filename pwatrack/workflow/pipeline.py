@@ -21,14 +21,13 @@ from pwatrack.lmi.solve import asking
 from pwatrack.model.box import Box
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
+from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
-from pwatrack.simulation.sample_map import sampling_remarks
-from pwatrack.simulation.sampled_runs import check_sample_time
+from pwatrack.simulation.sample_map import check_sample_time, sampling_remarks
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
-from pwatrack.simulation.trace import Trace
-from pwatrack.simulation.trace_on_disk import TraceOnDisk
+from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.workflow.headroom import room_within_limits
 from pwatrack.workflow.outcome import RunMonitor
@@ -256,7 +255,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
         raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
-    return periodic_state(closed_loop(controller).generator_flow(), start, free=p, period=period)
+    return periodic_state(desired_flow(controller.plant, trajectory), start, free=p, period=period)
 
 
 def prove_for_box(spec: Spec, controller: ProvedController, box: Box) -> Robust:

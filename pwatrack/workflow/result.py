@@ -13,8 +13,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.steady_state import SteadyState
-from pwatrack.simulation.trace import Trace, Unresolved
-from pwatrack.simulation.trace_on_disk import TraceOnDisk
+from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.along import so_far
 from pwatrack.workflow.bands import bands

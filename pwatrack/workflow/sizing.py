@@ -18,7 +18,7 @@ from pwatrack.model.reference import Exosystem, InputReference, OutputReference,
 from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.simplification import widest
 from pwatrack.model.sizes import Origin, Sizes
-from pwatrack.simulation.mode_sequence import blocks, desired_flow
+from pwatrack.simulation.desired import blocks, desired_flow
 from pwatrack.simulation.region import BoxRegion
 from pwatrack.simulation.steady_state import periodic_state
 from pwatrack.spec.spec import Spec
