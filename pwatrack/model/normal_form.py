@@ -21,8 +21,17 @@ import numpy as np
 from pwatrack.arrays import TINY, Array, IntArray, balancing, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, places, stack
 from pwatrack.model.continuity import Repair
-from pwatrack.model.decoupling import check_independent, input_directions, one_to_one, too_few_inputs
-from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, output_derivatives, unsure
+from pwatrack.model.derivatives import (
+    Derivatives,
+    check_independent,
+    exact_rows,
+    input_directions,
+    last_rows,
+    one_to_one,
+    output_derivatives,
+    too_few_inputs,
+    unsure,
+)
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
 from pwatrack.rational import floats, fraction_of
 
@@ -268,8 +277,8 @@ def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, int
     remark = (
         f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
     )
-    whole = plant.with_matrices(new)
-    return replace(whole, repair=repair.and_then(plant.repair), remarks=(*plant.remarks, remark))
+    repairs = repair.and_then(plant.repair)
+    return replace(plant, exact=new, written=None, repair=repairs, remarks=(*plant.remarks, remark))
 
 
 def _relative(plant: PWASystem, A: Array, b: Array, B: Array) -> float:
