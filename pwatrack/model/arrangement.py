@@ -59,10 +59,7 @@ class Arrangement:
 
 
 def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
-    """Return the regions of distinct hyperplanes in ℝⁿ.
-
-    Raises:
-        TooMany: If there are more than `most`.
+    """Return the regions of distinct hyperplanes in ℝⁿ; raises `TooMany` if there are more than `most`.
 
     Example: three lines of general position in the plane leave one of eight combinations out.
 

@@ -116,9 +116,7 @@ class Partition:
         They cover ℝⁿ and do not overlap, as each is the set of all x with its signs; two of them share a facet if
         and only if they differ in one sign. Hyperplanes are merged only where they are exactly the same.
 
-        Raises:
-            ValueError: As `create`.
-            InvalidSpec: If there are more than `most`.
+        Raises InvalidSpec if there are more than `most`.
 
         Example: three lines through one point.
 
@@ -214,23 +212,14 @@ class Partition:
             >>> (halves.sides(H=[[-2], [3]], h=[2, -3]) * halves.signs).tolist()
             [[-1, 1], [-1, 1]]
         """
-        numbers = {}
-        for k, row in enumerate(self.rows):
-            plane, side = oriented(row)
-            numbers[plane] = k, side
-        found = []
-        for numbers_given in _exact_planes(H, h, None)[0]:
-            plane, side = oriented(primitive(numbers_given))
-            k, same = numbers[plane]
-            found.append(side * same * self.signs[:, k])
-        return np.column_stack(found)
+        own = [oriented(row) for row in self.rows]
+        numbers = {plane: k for k, (plane, _) in enumerate(own)}
+        given = [oriented(primitive(plane)) for plane in _exact_planes(H, h, None)[0]]
+        places = [numbers[plane] for plane, _ in given]
+        return self.signs[:, places] * [side * own[k][1] for k, (_, side) in zip(places, given, strict=True)]
 
     def check(self) -> None:
-        """Prove that the cells do not overlap and cover ℝⁿ.
-
-        Raises:
-            OutsideTheory: With one problem per overlapping pair that was found, or a witness point for a hole.
-        """
+        """Prove that the cells do not overlap and cover ℝⁿ; raise a problem per overlapping pair, or one for a hole."""
         if self.complete:
             return
         problems = self._faults() if self._cells is None else self._missing_region()
@@ -297,8 +286,7 @@ class Partition:
 
     def _faults(self) -> list[Problem]:
         """Return a problem per overlapping pair, or else one for a hole."""
-        faults, n = self._tiling.faults(), self.H.shape[1]
-        shapes = self._tiling.cells
+        faults, shapes, n = self._tiling.faults(), self._tiling.cells, self.H.shape[1]
         overlaps: dict[tuple[int, int], Any] = {}
         for point, owners in faults:
             if len(owners) > 1:

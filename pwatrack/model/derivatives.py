@@ -5,6 +5,8 @@ That is: the vector relative degree and the decoupling matrix D, decided with ca
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -43,15 +45,10 @@ class Derivatives:
 
 
 def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
-    """Return the derivatives of a tracked output.
+    """Return the derivatives of tracked output j.
 
-    Args:
-        plant: The system (1).
-        j: Which one, from 0.
-
-    Raises:
-        OutsideTheory: If a derivative depends on the cell before an input reaches it in each, or none ever does, or
-            rounding leaves that open.
+    Refuses one that depends on the cell before an input reaches it in each, or that no input ever reaches, or where
+    rounding leaves that open.
     """
     c, A, B = plant.tracked[j], plant.A, plant.B
     name, rows = plant.tracked_names[j], [c]
@@ -174,11 +171,7 @@ def input_directions(plant: PWASystem, found: Sequence[Derivatives], sizes: Arra
 
 
 def check_independent(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix) -> None:
-    """Refuse inputs that do not act on the last derivatives independently, in some cell.
-
-    Raises:
-        OutsideTheory: If D_i Z is singular, in fractions, or rounding leaves open whether it is.
-    """
+    """Refuse inputs with a D_i Z that is singular, in fractions, or where rounding leaves open whether it is."""
     doubt = np.array([d.doubt for d in found]) @ np.abs(Z.floats)
     C = np.array([d.last for d in found]).transpose(1, 0, 2)  # (l, p, n)
     bent, (rows, _) = any(d.piecewise for d in found), exact_rows(plant.exact, found)
@@ -200,18 +193,11 @@ def check_independent(plant: PWASystem, found: Sequence[Derivatives], Z: BallMat
 
 
 def one_to_one(plant: PWASystem, found: Sequence[Derivatives], D: Sequence[BallMatrix]) -> tuple[float, ...]:
-    """Return the diagonal of S with sym(S D_i D⁻¹ S⁻¹) ≻ 0 in all cells, D the mean of all D_i (p, p).
-
-    Raises:
-        OutsideTheory: If there is none, or none was found.
-    """
+    """Return the diagonal of S with sym(S D_i D⁻¹ S⁻¹) ≻ 0 in all cells, D the mean of all D_i (p, p), or refuse."""
     if not any(d.piecewise for d in found):
         return (1.0,) * len(found)
-    total = D[0].centre
-    for D_i in D[1:]:
-        total = total + D_i.centre
     try:
-        mean = (total / len(D)).inv()
+        mean = (reduce(add, (D_i.centre for D_i in D)) / len(D)).inv()
     except ZeroDivisionError:
         raise _folded(plant, found, D) from None
     Q = each(lambda D_i: BallMatrix(D_i.centre * mean), D)

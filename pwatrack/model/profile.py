@@ -214,7 +214,7 @@ class Table:
         course = scipy.interpolate.PPoly.from_spline((spline.t, spline.c, spline.k))
         inner = np.flatnonzero(np.diff(course.x) > 0)
         return Signal.piecewise_polynomial(
-            scipy.interpolate.PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), float(self.t[-1])
+            scipy.interpolate.PPoly(course.c[:, inner], np.append(course.x[inner], course.x[-1])), self.end
         )
 
 
@@ -223,16 +223,11 @@ class Formula:
     """A formula in t, on an interval from 0 or for ever."""
 
     value: ExponentialPolynomial
-    until: float | None = None
-
-    @property
-    def end(self) -> float | None:
-        """Last time at which it is defined, in s, or None."""
-        return self.until
+    end: float | None = None
 
     def signal(self, r: int) -> Signal:  # noqa: ARG002 - it has all derivatives
         """Return the signal."""
-        return Signal((0.0,), (self.value,), self.until)
+        return Signal((0.0,), (self.value,), self.end)
 
 
 Course = Formula | Profile | Table

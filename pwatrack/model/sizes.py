@@ -56,7 +56,6 @@ def nearest_to_one(rows: csr_matrix, offset: Array, states: int) -> Array:
     Args:
         rows: What the logarithm of each number adds of each θ, (K, k).
         offset: That of each number as it is, (K,).
-        states: How many of the θ are those of states.
 
     Example: ẋ = 3 u with a speed of 1: u is a third of x.
 
@@ -129,12 +128,9 @@ class Sizes:
     def of(
         cls, plant: PWASystem, known: Mapping[str, tuple[float, Origin]] | None = None, *, tempo: float = 1.0
     ) -> "Sizes":
-        """Return the sizes of a plant: those that are known, and what balances it with them.
+        """Return the sizes of a plant: those `known` by name, and where they are from; and what balances it with them.
 
-        Args:
-            plant: The system (1).
-            known: By name of a signal its size, and where that is from.
-            tempo: Speed in 1/s of a plant that has none of its own, as a chain of integrators.
+        `tempo` is the speed in 1/s of a plant that has none of its own, as a chain of integrators.
         """
         known = known or {}
         kinds = (plant.states, plant.inputs, plant.outputs)
@@ -176,12 +172,7 @@ class Sizes:
         it is `tempo`. What they leave open besides is one factor for all sizes of a part of the plant, which matters to
         no gain.
 
-        Args:
-            A: (l, n, n).
-            B: (n, m).
-            C: (q, n); none by default.
-            state, input_, output: What is known, NaN for what is not; nothing by default.
-            tempo: In 1/s.
+        A is (l, n, n), B (n, m), C (q, n); of what is known NaN stands for what is not.
         """
         n, m = B.shape
         C = np.zeros((0, n)) if C is None else C

@@ -1,14 +1,16 @@
 """How far a box of uncertain parameters can be scaled about the values of the design."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import OutsideTheory, Undecided
 from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.solve import asking
 from pwatrack.model.box import Box
 from pwatrack.real import Real
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.pipeline import prove_for_box
+from pwatrack.workflow.pipeline import asked_of
 
 _NEAR = 1 / 99  # of the factor: where the search ends
 _DOUBLED = tuple(2.0**k for k in range(7))  # factors that are tried first
@@ -55,7 +57,9 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
 
     def at(factor: float) -> tuple[float, None] | None:
         try:
-            prove_for_box(spec, controller, scaled(uncertain, factor))
+            asked = replace(spec, objectives=replace(spec.objectives, uncertain=scaled(uncertain, factor)))
+            with spec.located(), asking(spec.objectives.solver):
+                next(Robust.prove(controller, asked_of(asked, None)))
         except (Undecided, OutsideTheory) as error:
             refusals.append(Undecided(*error.problems))
             return None
