@@ -174,7 +174,13 @@ class Partition:
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
         """All pairs of cells that share a facet, a set of dimension n − 1; of a partition that passes `check`."""
-        found = self._facets_by_signs() if self._cells is not None else self._facets_by_tiling()
+        if self._cells is None:
+            numbers = {oriented(row)[0]: k for k, row in reversed(list(enumerate(self.rows)))}
+            found = [Facet(min(i, j), max(i, j), numbers[plane]) for i, j, plane in self._tiling.facets()]
+        else:  # regions that differ in one sign: a line from one to the other crosses no other hyperplane
+            signs = ((region, i, k) for region, i in self._cells.items() for k in range(len(self.h)))
+            beside = ((i, self._cells.get(region ^ 1 << k, -1), k) for region, i, k in signs)
+            found = [Facet(i, j, k) for i, j, k in beside if j > i]
         return tuple(sorted(found, key=lambda facet: (facet.i, facet.j)))
 
     @cached_property
@@ -216,7 +222,8 @@ class Partition:
         numbers = {plane: k for k, (plane, _) in enumerate(own)}
         given = [oriented(primitive(plane)) for plane in _exact_planes(H, h, None)[0]]
         places = [numbers[plane] for plane, _ in given]
-        return self.signs[:, places] * [side * own[k][1] for k, (_, side) in zip(places, given, strict=True)]
+        turned: IntArray = np.array([side * own[k][1] for k, (_, side) in zip(places, given, strict=True)])
+        return self.signs[:, places] * turned
 
     def check(self) -> None:
         """Prove that the cells do not overlap and cover ℝⁿ; raise a problem per overlapping pair, or one for a hole."""
@@ -266,16 +273,6 @@ class Partition:
     def _tiling(self) -> Tiling:
         shapes = (borders(claims(self.rows, signs), self.H.shape[1]) for signs in self.signs)
         return Tiling({i: shape for i, shape in enumerate(shapes) if shape is not None}, self.H.shape[1])
-
-    def _facets_by_signs(self) -> list[Facet]:
-        """Between regions that differ in one sign: a line from one to the other crosses no other hyperplane."""
-        cells = self._cells or {}
-        beside = ((i, cells.get(region ^ 1 << k, -1), k) for region, i in cells.items() for k in range(len(self.h)))
-        return [Facet(i, j, k) for i, j, k in beside if j > i]
-
-    def _facets_by_tiling(self) -> list[Facet]:
-        numbers = {oriented(row)[0]: k for k, row in reversed(list(enumerate(self.rows)))}
-        return [Facet(min(i, j), max(i, j), numbers[plane]) for i, j, plane in self._tiling.facets()]
 
     def _missing_region(self) -> list[Problem]:
         """Return a problem for a region that is no cell. As all cells are different regions, they do not overlap."""

@@ -129,8 +129,7 @@ class PWASystem:
 
         Raises:
             ValueError: If the shapes do not fit.
-            OutsideTheory: If cells overlap or leave a hole, or the vector
-                field jumps: one problem per facet.
+            OutsideTheory: If cells overlap or leave a hole, or the vector field jumps: one problem per facet.
         """
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
@@ -139,7 +138,7 @@ class PWASystem:
         offsets = [_matrix(column, (n, 1), "b") for column in columns]
         measured = _matrix(C, (None, n), "C")
         empty = partition.empty_cells
-        kept = [i for i in range(cells) if i not in set(empty)]
+        kept = sorted(set(range(cells)).difference(empty))
         exact = Matrices(
             A=tuple(given[i] for i in kept),
             b=tuple(offsets[i] for i in kept),
@@ -151,7 +150,7 @@ class PWASystem:
         own = named if exact.tracked is measured else _numbered("w", exact.tracked.shape[0])
         left_out = (f"cell '{partition.names[i]}' has no interior and is left out" for i in empty)
         system = cls(
-            partition=partition.without(empty) if empty else partition,
+            partition=partition.without(set(empty)) if empty else partition,
             exact=exact,
             states=tuple(states) or _numbered("x", n),
             inputs=tuple(inputs) or _numbered("u", exact.B.shape[1]),

@@ -55,9 +55,12 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     """
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 
+    def box(factor: float) -> Box:
+        return tuple(interval.scaled(Real.of(factor)) for interval in uncertain)
+
     def at(factor: float) -> tuple[float, None] | None:
         try:
-            asked = replace(spec, objectives=replace(spec.objectives, uncertain=scaled(uncertain, factor)))
+            asked = replace(spec, objectives=replace(spec.objectives, uncertain=box(factor)))
             with spec.located(), asking(spec.objectives.solver):
                 next(Robust.prove(controller, asked_of(asked, None)))
         except (Undecided, OutsideTheory) as error:
@@ -73,12 +76,7 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
         low = factor
     if not low:
         raise refusals[-1]
-    return LargestBox(factor=low, beyond=beyond, box=scaled(uncertain, low))
-
-
-def scaled(box: Box, factor: float) -> Box:
-    """Return a box with all ends so many times as far from the values of the design."""
-    return tuple(interval.scaled(Real.of(factor)) for interval in box)
+    return LargestBox(factor=low, beyond=beyond, box=box(low))
 
 
 def _middle(one: float, other: float) -> float:

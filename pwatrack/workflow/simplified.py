@@ -94,8 +94,12 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     if plant.loads is None:
         watching = merged_spec(spec, ways, watched=True)
         found.append(_bounded(watching, plant, ways, refusal, designed))
+
+    def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
+        return made.claim(Practical).leaves_norm(made.tracking, made.error_sizes.tolist())
+
     proved = [controller for controller in found if controller is not None]
-    return min(proved, key=tracked_bound, default="no bound of what merging leaves out is proved")
+    return min(proved, key=bound, default="no bound of what merging leaves out is proved")
 
 
 def not_worth(spec: Spec, practical: Practical) -> str:
@@ -119,11 +123,6 @@ def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = F
     if watched:
         less = replace(less, watched=plant)
     return replace(spec, problem=replace(spec.problem, plant=less))
-
-
-def tracked_bound(controller: ProvedController) -> float:
-    """Return below what the tracking error ends, of several entries in sizes."""
-    return controller.claim(Practical).leaves_norm(controller.tracking, controller.error_sizes.tolist())
 
 
 def _solve(spec: Spec) -> None:

@@ -184,7 +184,10 @@ def _part(result: SimulatedLoop, over: Over, count: int, seed: int, which: range
 def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
     """Return the loop from initial states drawn from regions; parts without one start as in `result`."""
     loop, spec = result.loop, result.spec
-    regions = dict(spec.scenario.regions) or _around(result)
+    regions = dict(spec.scenario.regions)
+    if not regions:
+        x, size = result.response.x, np.abs(result.response.x).max(axis=0)
+        regions = {"plant": BoxRegion(low=x[0] - size, high=x[0] + size)}
     places = {"plant": loop.at.x, "observer": loop.at.x_hat, "generator": loop.at.eta_hat}
     states, etas = spec.problem.plant.states, range(loop.at.eta_hat.stop - loop.at.eta_hat.start)
     names = {
@@ -199,7 +202,13 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
         random = np.random.default_rng([seed, number])  # so that no part depends on another
         drawn = regions[part].draw(random, count)
         if part == "generator":
-            _check_generator(result, drawn.shape[1])
+            subject: Subject = ("simulation", "ensemble", "initial", "generator")
+            if start_fixed(spec, result.controller):
+                raise start_given_twice(subject)
+            if drawn.shape[1] != len(etas):
+                message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
+                message += "one for each state of the generator"
+                raise InvalidSpec(Problem(message=message, subject=subject))
         starts[:, where] = drawn
     for start in starts:
         _observe(spec, loop, start)
@@ -296,13 +305,6 @@ def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
         start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 
-def _around(result: SimulatedLoop) -> dict[str, Region]:
-    """Return the default: within the largest size of each state of the plant in a run of where that run starts."""
-    x = result.response.x
-    size = np.abs(x).max(axis=0)
-    return {"plant": BoxRegion(low=x[0] - size, high=x[0] + size)}
-
-
 def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
     """Return the default: 5 % around each parameter that matters to the plant."""
     spec, plant = result.spec, result.loop.plant
@@ -327,13 +329,3 @@ def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
 def _changed(result: SimulatedLoop, parameters: Mapping[str, float]) -> dict[str, float]:
     """Return these parameters, and those that are not as designed anyway."""
     return {**(result.loop.conditions.parameters or {}), **parameters}
-
-
-def _check_generator(result: SimulatedLoop, entries: int) -> None:
-    subject: Subject = ("simulation", "ensemble", "initial", "generator")
-    where, expected = ".".join(map(str, subject)), result.response.eta_hat.shape[1]
-    if start_fixed(result.spec, result.controller):
-        raise start_given_twice(subject)
-    if entries != expected:
-        message = f"{where}: {amount(entries, 'interval')}, expected {expected}, one for each state of the generator"
-        raise InvalidSpec(Problem(message=message, subject=subject))
