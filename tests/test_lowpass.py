@@ -12,8 +12,7 @@ from scipy.interpolate import BSpline
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.model.lowpass import low_passed
-from pwatrack.model.profile import Table
+from pwatrack.model.profile import Table, low_passed
 from pwatrack.workflow.tracking import reference_remarks
 from tests.test_cli import call, index_of
 

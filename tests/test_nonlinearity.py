@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pwatrack import load_spec
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import stack
+from pwatrack.ball_matrix import BallMatrix, stack
 from pwatrack.model.nonlinearity import (
     Nonlinearity,
     PiecewiseLinear,
@@ -61,7 +61,7 @@ def plant_of(seed: int, elements: list[PiecewiseLinear]) -> tuple[PWASystem, lis
         )
         for k, function in enumerate(elements)
     ]
-    partition, stack_A, stack_b = generate_cells(A, b, nonlinearities)
+    partition, stack_A, stack_b = generate_cells(BallMatrix.of(A), BallMatrix.of(b[:, None]), nonlinearities)
     plant = PWASystem.create(
         partition=partition, A=stack_A, b=stack_b, B=random.normal(size=(n, 1)), C=random.normal(size=(1, n))
     )
@@ -94,7 +94,7 @@ def test_elements_of_the_same_form_make_no_impossible_cells() -> None:
         Nonlinearity(name=name, function=spring(start=start), row=row, constant=0.0, direction=direction)
         for name, start in (("first", 0.0), ("second", 1.0))
     ]
-    partition, A, _ = generate_cells(np.zeros((2, 2)), np.zeros(2), both)
+    partition, A, _ = generate_cells(BallMatrix.of(np.zeros((2, 2))), BallMatrix.of(np.zeros((2, 1))), both)
     assert partition.names == ("first off, second off", "first on, second off", "first on, second on")
     assert stack(A)[:, 1, 0].tolist() == [0.0, 1.0, 2.0]
 

@@ -15,7 +15,7 @@ from pwatrack.cli import app
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.errors import Infeasible, InvalidSpec, OutsideTheory, Problem, PwatrackError
 from pwatrack.model.nonlinearity import Nonlinearity, dead_zone, drives_away, spring
-from pwatrack.model.offset import continuous_offset
+from pwatrack.model.pwa import continuous_offset
 from pwatrack.report.terminal import console, refusal_lines, visible
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.wording import guess, misread, odd_character

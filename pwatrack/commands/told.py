@@ -15,7 +15,7 @@ from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.report.certificate import output_form
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.headroom import room_within_limits
-from pwatrack.workflow.proving import asked_of
+from pwatrack.workflow.pipeline import asked_of
 from pwatrack.workflow.simplified import merged_spec
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import desired_trajectory

@@ -26,6 +26,7 @@ from pwatrack.model.polyhedron import (
     shortened,
     value,
 )
+from pwatrack.rational import fraction_of, rational
 
 
 class TooMany(Exception):
@@ -58,10 +59,7 @@ class Arrangement:
 
 
 def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
-    """Return the regions of distinct hyperplanes in ℝⁿ.
-
-    Raises:
-        TooMany: If there are more than `most`.
+    """Return the regions of distinct hyperplanes in ℝⁿ; raises `TooMany` if there are more than `most`.
 
     Example: three lines of general position in the plane leave one of eight combinations out.
 
@@ -69,13 +67,15 @@ def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
         [0, 1, 2, 3, 5, 6, 7]
     """
     columns, forms = _independent_normals(planes)
-    back = _inverse([[Fraction(form[j]) for j in columns] for form in forms])
+    r = len(columns)
+    inverse = rational([[Fraction(form[j]) for j in columns] for form in forms], (r, r)).inv()
+    back = tuple(tuple(fraction_of(v) for v in row) for row in inverse.tolist())
     sides = list(zip(*back, strict=True))
     own = [
         primitive([*(sum(row[j] * b for j, b in zip(columns, side, strict=True)) for side in sides), row[-1]])
         for row in planes
     ]
-    found = _regions(own, len(columns), most)
+    found = _regions(own, r, most)
     return Arrangement(regions=tuple(found), points=tuple(found.values()), columns=tuple(columns), back=back)
 
 
@@ -164,17 +164,3 @@ def _independent_normals(planes: Sequence[Row]) -> tuple[list[int], list[Row]]:
             reduced.append(row)
             forms.append(plane[:-1])
     return columns, forms
-
-
-def _inverse(M: list[list[Fraction]]) -> tuple[tuple[Fraction, ...], ...]:
-    """Return the inverse of a regular matrix by Gauss and Jordan."""
-    r = len(M)
-    rows = [[*row, *(Fraction(int(i == j)) for j in range(r))] for i, row in enumerate(M)]
-    for j in range(r):
-        best = next(i for i in range(j, r) if rows[i][j])
-        rows[j], rows[best] = rows[best], rows[j]
-        rows[j] = [v / rows[j][j] for v in rows[j]]
-        for i in range(r):
-            if i != j and rows[i][j]:
-                rows[i] = [a - rows[i][j] * b for a, b in zip(rows[i], rows[j], strict=True)]
-    return tuple(tuple(row[r:]) for row in rows)

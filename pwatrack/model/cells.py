@@ -1,11 +1,11 @@
 """Hyperplanes H_jᵀx + h_j = 0, the polyhedral cells Λ_i they bound, and the facets between cells."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,8 @@ from pwatrack.model.polyhedron import (
     borders,
     coordinates,
     interior_point,
-    lifted,
     oriented,
     primitive,
-    restricted,
     value,
 )
 from pwatrack.model.tiling import Tiling
@@ -118,9 +116,7 @@ class Partition:
         They cover ℝⁿ and do not overlap, as each is the set of all x with its signs; two of them share a facet if
         and only if they differ in one sign. Hyperplanes are merged only where they are exactly the same.
 
-        Raises:
-            ValueError: As `create`.
-            InvalidSpec: If there are more than `most`.
+        Raises InvalidSpec if there are more than `most`.
 
         Example: three lines through one point.
 
@@ -178,7 +174,13 @@ class Partition:
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
         """All pairs of cells that share a facet, a set of dimension n − 1; of a partition that passes `check`."""
-        found = self._facets_by_signs() if self._cells is not None else self._facets_by_tiling()
+        if self._cells is None:
+            numbers = {oriented(row)[0]: k for k, row in reversed(list(enumerate(self.rows)))}
+            found = [Facet(min(i, j), max(i, j), numbers[plane]) for i, j, plane in self._tiling.facets()]
+        else:  # regions that differ in one sign: a line from one to the other crosses no other hyperplane
+            signs = ((region, i, k) for region, i in self._cells.items() for k in range(len(self.h)))
+            beside = ((i, self._cells.get(region ^ 1 << k, -1), k) for region, i, k in signs)
+            found = [Facet(i, j, k) for i, j, k in beside if j > i]
         return tuple(sorted(found, key=lambda facet: (facet.i, facet.j)))
 
     @cached_property
@@ -189,9 +191,8 @@ class Partition:
         full = self._tiling.cells if self._cells is None else self._cells.values()
         return tuple(sorted(set(range(len(self.names))).difference(full)))
 
-    def without(self, cells: Iterable[int]) -> "Partition":
+    def without(self, left_out: Collection[int]) -> "Partition":
         """Return the partition without some of its cells, and without the hyperplanes that then bound none."""
-        left_out = set(cells)
         kept = [i for i in range(len(self.names)) if i not in left_out]
         used = [int(k) for k in np.flatnonzero(self.signs[kept].any(axis=0))]
         return replace(
@@ -202,7 +203,7 @@ class Partition:
             names=tuple(self.names[i] for i in kept),
             exact_H=tuple(self.exact_H[k] for k in used),
             exact_h=tuple(self.exact_h[k] for k in used),
-            complete=self.complete and not left_out,
+            complete=False,
         )
 
     def ordered(self, order: Sequence[int] | IntArray, names: tuple[str, ...]) -> "Partition":
@@ -217,44 +218,24 @@ class Partition:
             >>> (halves.sides(H=[[-2], [3]], h=[2, -3]) * halves.signs).tolist()
             [[-1, 1], [-1, 1]]
         """
-        numbers = {}
-        for k, row in enumerate(self.rows):
-            plane, side = oriented(row)
-            numbers[plane] = k, side
-        found = []
-        for numbers_given in _exact_planes(H, h, None)[0]:
-            plane, side = oriented(primitive(numbers_given))
-            k, same = numbers[plane]
-            found.append(side * same * self.signs[:, k])
-        return np.column_stack(found)
+        own = [oriented(row) for row in self.rows]
+        numbers = {plane: k for k, (plane, _) in enumerate(own)}
+        given = [oriented(primitive(plane)) for plane in _exact_planes(H, h, None)[0]]
+        places = [numbers[plane] for plane, _ in given]
+        turned: IntArray = np.array([side * own[k][1] for k, (_, side) in zip(places, given, strict=True)])
+        return self.signs[:, places] * turned
 
     def check(self) -> None:
-        """Prove that the cells do not overlap and cover ℝⁿ.
-
-        Raises:
-            OutsideTheory: With one problem per overlapping pair that was found, or a witness point for a hole.
-        """
+        """Prove that the cells do not overlap and cover ℝⁿ; raise a problem per overlapping pair, or one for a hole."""
         if self.complete:
             return
-        found = self._missing_region() if self._cells is not None else None
-        problems = [_hole(found)] if found else []
-        if self._cells is None:
-            problems = self._faults()
+        problems = self._faults() if self._cells is None else self._missing_region()
         if problems:
             raise OutsideTheory(*problems)
 
-    def interior_point(self, signs: IntArray, on: int | None = None) -> tuple[Fraction, ...] | None:
-        """Return an inner point (n,) of the polyhedron of a sign vector (k,), or None if it has no interior.
-
-        With `on`, the interior is meant relative to that hyperplane.
-        """
-        rows, n = claims(self.rows, signs if on is None else _without(signs, on)), self.H.shape[1]
-        if on is None:
-            point = interior_point(rows, n)
-        else:
-            plane, _ = oriented(self.rows[on])
-            point = interior_point(restricted(rows, plane), n - 1)
-            point = None if point is None else lifted(point, plane)
+    def interior_point(self, signs: IntArray) -> tuple[Fraction, ...] | None:
+        """Return an inner point (n,) of the polyhedron of a sign vector (k,), or None if it has no interior."""
+        point = interior_point(claims(self.rows, signs), self.H.shape[1])
         return None if point is None else coordinates(point)
 
     @cached_property
@@ -293,34 +274,16 @@ class Partition:
         shapes = (borders(claims(self.rows, signs), self.H.shape[1]) for signs in self.signs)
         return Tiling({i: shape for i, shape in enumerate(shapes) if shape is not None}, self.H.shape[1])
 
-    def _facets_by_signs(self) -> list[Facet]:
-        """Between regions that differ in one sign: a line from one to the other crosses no other hyperplane."""
-        assert self._cells is not None
-        found = []
-        for region, i in self._cells.items():
-            for k in range(len(self.h)):
-                j = self._cells.get(region ^ 1 << k, -1)
-                if j > i:
-                    found.append(Facet(i, j, k))
-        return found
-
-    def _facets_by_tiling(self) -> list[Facet]:
-        numbers = {oriented(row)[0]: k for k, row in reversed(list(enumerate(self.rows)))}
-        return [Facet(min(i, j), max(i, j), numbers[plane]) for i, j, plane in self._tiling.facets()]
-
-    def _missing_region(self) -> tuple[Fraction, ...] | None:
-        """Return a point of a region that is no cell. As all cells are different regions, they do not overlap."""
+    def _missing_region(self) -> list[Problem]:
+        """Return a problem for a region that is no cell. As all cells are different regions, they do not overlap."""
         assert self._arrangement is not None
         assert self._cells is not None
-        for position, region in enumerate(self._arrangement.regions):
-            if region not in self._cells:
-                return self._arrangement.point(position, self.H.shape[1])
-        return None
+        missing = (k for k, region in enumerate(self._arrangement.regions) if region not in self._cells)
+        return [_hole(self._arrangement.point(k, self.H.shape[1])) for k in islice(missing, 1)]
 
     def _faults(self) -> list[Problem]:
         """Return a problem per overlapping pair, or else one for a hole."""
-        faults, n = self._tiling.faults(), self.H.shape[1]
-        shapes = self._tiling.cells
+        faults, shapes, n = self._tiling.faults(), self._tiling.cells, self.H.shape[1]
         overlaps: dict[tuple[int, int], Any] = {}
         for point, owners in faults:
             if len(owners) > 1:
@@ -346,12 +309,6 @@ def _frozen(signs: IntArray) -> IntArray:
     found = signs.copy()
     found.flags.writeable = False
     return found
-
-
-def _without(signs: IntArray, k: int) -> IntArray:
-    left = signs.copy()
-    left[k] = 0
-    return left
 
 
 def _exact_planes(H: Any, h: Any, count: int | None) -> tuple[list[list[Fraction]], int]:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array, balancing, readonly
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Facet, Partition
-from pwatrack.rational import Rational, column_space, floats, left_null_space, on_entries, rational, stacked
+from pwatrack.rational import Rational, beside, column_space, floats, left_null_space, on_entries, rational, stacked
 
 _MOST_CYCLES = 2_000  # tree edges times other facets: with more, facets that do not close are refused at once
 
@@ -79,8 +78,8 @@ class Discontinuous(Exception):
 
 
 def repaired(
-    partition: Partition, cells: Sequence[BallMatrix], inputs: int, tolerance: float
-) -> tuple[list[BallMatrix], Repair | None]:
+    partition: Partition, given: Sequence[Rational], inputs: int, tolerance: float
+) -> tuple[Sequence[Rational], Repair | None]:
     """Return F_i = [A_i b_i] of an exactly continuous field, which differ from those given by rounding at most.
 
     Where every facet is continuous already nothing is changed. Otherwise F̃_j = F̃_i + g G along a tree of facets; where
@@ -88,20 +87,20 @@ def repaired(
 
     Args:
         partition: The cells.
-        cells: F_i, (n, n + 1) each.
+        given: F_i, (n, n + 1) each.
         inputs: How many there are; their matrix stays as it is.
         tolerance: How much a row may change, of its own terms at a facet.
 
     Raises:
         Discontinuous: With every facet at which it jumps by more.
     """
-    planes = [decimals_of(partition, k) for k in range(len(partition.h))]
-    given = [cell.centre for cell in cells]
+    lines = ([*H, h] for H, h in zip(partition.exact_H, partition.exact_h, strict=True))
+    planes = [rational([line], (1, len(line))) for line in lines]  # [Hᵀ h]
     facets = partition.facets
     open_ = [f for f in facets if _across(given[f.i] - given[f.j], planes[f.k]) is None]
     if not open_:
-        return list(cells), None
-    sizes = _Sizes(partition, np.array([cell.floats for cell in cells]))
+        return given, None
+    sizes = _Sizes(partition, np.array([floats(cell) for cell in given]))
     jumps = [_jump(f, given, planes, sizes) for f in open_]
     large = [jump for jump in jumps if jump.relative > tolerance]
     if large:
@@ -115,14 +114,7 @@ def repaired(
         raise Discontinuous(jumps)
     most = np.abs(changes).max(axis=0)
     B = np.zeros((len(most), inputs))
-    repair = Repair(A=readonly(most[:, :-1]), b=readonly(most[:, -1]), B=B, relative=relative)
-    return [BallMatrix(new, cell.radius) for new, cell in zip(closed, cells, strict=True)], repair
-
-
-def decimals_of(partition: Partition, k: int) -> Rational:
-    """Return the row [Hᵀ h] of a hyperplane, exactly, (1, n + 1)."""
-    row = [*partition.exact_H[k], partition.exact_h[k]]
-    return rational([row], (1, len(row)))
+    return closed, Repair(A=readonly(most[:, :-1]), b=readonly(most[:, -1]), B=B, relative=relative)
 
 
 class _Sizes:
@@ -172,16 +164,26 @@ def _closed(
 ) -> list[Rational] | None:
     """Return F̃_i near F_i that are continuous across all facets, or None."""
     tree = _tree(facets, len(F))
-    steps = [_step(F[j] - F[i], planes[f.k], pivots[f.k]) for f, i, j in tree]
-    whole = _along(tree, steps, F[0], planes, len(F))
     used = {id(edge) for edge, _, _ in tree}
     rest = [f for f in facets if id(f) not in used]
-    if all(_across(whole[f.i] - whole[f.j], planes[f.k]) is not None for f in rest):
+
+    def along(steps: Sequence[Rational]) -> list[Rational]:
+        found: list[Any] = [F[0]] + [None] * (len(F) - 1)
+        for (f, i, j), g in zip(tree, steps, strict=True):
+            found[j] = found[i] + g * planes[f.k]
+        return found
+
+    def closes(whole: Sequence[Rational]) -> bool:
+        return all(_across(whole[f.i] - whole[f.j], planes[f.k]) is not None for f in rest)
+
+    steps = [_step(F[j] - F[i], planes[f.k], pivots[f.k]) for f, i, j in tree]
+    whole = along(steps)
+    if closes(whole):
         return whole
     if len(tree) * len(rest) > _MOST_CYCLES:
         return None
-    whole = _along(tree, _projected(tree, rest, steps, planes, len(F)), F[0], planes, len(F))
-    return whole if all(_across(whole[f.i] - whole[f.j], planes[f.k]) is not None for f in rest) else None
+    whole = along(_projected(tree, rest, steps, planes, len(F)))
+    return whole if closes(whole) else None
 
 
 def _tree(facets: Sequence[Facet], cells: int) -> list[tuple[Facet, int, int]]:
@@ -198,19 +200,6 @@ def _tree(facets: Sequence[Facet], cells: int) -> list[tuple[Facet, int, int]]:
                 tree.append((f, i, j))
                 frontier.append(j)
     return tree
-
-
-def _along(
-    tree: Sequence[tuple[Facet, int, int]],
-    steps: Sequence[Rational],
-    first: Rational,
-    planes: Sequence[Rational],
-    cells: int,
-) -> list[Rational]:
-    found: list[Any] = [first] + [None] * (cells - 1)
-    for (f, i, j), g in zip(tree, steps, strict=True):
-        found[j] = found[i] + g * planes[f.k]
-    return found
 
 
 def _projected(
@@ -230,8 +219,7 @@ def _projected(
         null = left_null_space(planes[f.k].transpose()).transpose()
         way = signs[f.j] - signs[f.i]
         blocks.append(stacked([planes[edge.k] * null * int(s) for (edge, _, _), s in zip(tree, way, strict=True)]))
-    M = stacked([block.transpose() for block in blocks]).transpose()
-    M = column_space(M)
+    M = column_space(beside(blocks))
     g = stacked([step.transpose() for step in steps])  # one row for each edge, one column for each state equation
     if M.ncols():
         g = g - M * (M.transpose() * M).inv() * (M.transpose() * g)

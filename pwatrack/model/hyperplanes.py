@@ -89,7 +89,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Shar
         away = {j: difference(rows[j], rows[to]) for j in group}
         if k == to or banned & {*group, to} or any(size is None for size in away.values()):
             continue
-        claimed = _facing(rows[k], rows[to]) * table[:, k]
+        claimed = oriented(rows[k])[1] * oriented(rows[to])[1] * table[:, k]
         if not claimed.any() or not table[:, to].any() or (table[:, to] * claimed < 0).any():
             continue
         table[:, to] = np.where(claimed != 0, claimed, table[:, to])
@@ -138,10 +138,6 @@ def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
             if size is not None:
                 found.append((size, k, k + 1 + other))
     return found
-
-
-def _facing(one: Row, other: Row) -> int:
-    return oriented(one)[1] * oriented(other)[1]
 
 
 def _has_interior(rows: Sequence[Row], signs: IntArray) -> bool:

@@ -87,10 +87,7 @@ class Loads:
         return tuple(tuple(range(k, k + load.order)) for k, load in zip(self.where, self.each, strict=True))
 
     def inputs(self, B: BallMatrix) -> tuple[int, ...] | None:
-        """Return the input that each load is added to, if all are constants that are added to inputs, exactly.
-
-        Args:
-            B: (n, m).
+        """Return the input of B (n, m) that each load is added to, if all are constants added to inputs, exactly.
 
         Example:
             >>> from pwatrack.real import Real
@@ -115,13 +112,7 @@ class Loads:
         return above(beside(A_i, self.E), beside(nothing, self.S))
 
     def sizes(self, state: Array, speed: float, known: Mapping[str, tuple[float, object]]) -> Array:
-        """Return the size of each entry of s: the one known by name, else that which pushes x by a size in 1 / speed.
-
-        Args:
-            state: Sizes of the states, (n,).
-            speed: In 1/s.
-            known: Size, and where it is from, by name.
-        """
+        """Return the size of each entry of s: the known one, else that which pushes x by a size in 1 / speed."""
         sizes = speed / np.linalg.norm(self.E.floats / state[:, None], axis=0)[list(self.where)]
         sizes = [
             known[name][0] if name in known else size for name, size in zip(self.names, sizes.tolist(), strict=True)
@@ -131,10 +122,8 @@ class Loads:
     def are(self, disturbance: Exosystem) -> bool:
         """Say whether a disturbance is such loads at all times: nothing is left over, steps or drifts."""
         Q, rates, w = disturbance.Q, disturbance.rates, disturbance.w0
-        left, frequencies = (
-            Q - self.E.floats[:, self.where] @ self.truth(Q, rates),
-            {float(d.frequency) for d in self.each},
-        )
+        left = Q - self.E.floats[:, self.where] @ self.truth(Q, rates)
+        frequencies = {float(load.frequency) for load in self.each}
         for rate, chain in spectral_terms(disturbance.S, rates):
             first, *more = (E @ w for E in chain)
             missed = np.abs(left @ first).max(initial=0.0) > 1e-12 * (np.abs(Q) @ np.abs(first)).max(initial=0.0)
@@ -146,13 +135,7 @@ class Loads:
         """Return rows that read the loads off the exosystem of a disturbance w: what of E d they can make up.
 
         A load takes what has its own frequency: a constant all that does not oscillate, also where it steps or drifts.
-
-        Args:
-            Q: The disturbance on ẋ is Q w, (n, s).
-            rates: The eigenvalue that each entry of w belongs to, (s,).
-
-        Returns:
-            (loads, s).
+        The disturbance on ẋ is Q w, Q (n, s), its `rates` are as those of `Exosystem`; the rows are (loads, s).
         """
         rows, columns = np.zeros((len(self.each), Q.shape[1])), self.E.floats[:, self.where]
         frequencies = np.array([float(load.frequency) for load in self.each])

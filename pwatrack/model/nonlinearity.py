@@ -140,6 +140,13 @@ class Nonlinearity:
     constant: Number
     direction: Any
 
+    def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
+        """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
+        slope, row = self.function.slopes[segment], BallMatrix.of([self.row])
+        offset = slope * Real.of(self.constant) + self.function.intercepts[segment]
+        across, along = (BallMatrix.of([[Real.of(v) * factor] for v in self.direction]) for factor in (slope, offset))
+        return across @ row, along
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScalarForm:
@@ -196,7 +203,9 @@ def drives_away(A: Array, element: Nonlinearity) -> list[int]:
         >>> drives_away(np.array([[0.0, 1.0], [0.0, 0.0]]), push)
         [1]
     """
-    slopes, row, d = (_doubles(values) for values in (element.function.slopes, element.row, element.direction))
+    slopes, row, d = (
+        np.array([float(v) for v in values]) for values in (element.function.slopes, element.row, element.direction)
+    )
     signs = {float(np.sign(slope)) for slope in slopes if slope}
     if len(signs) != 1 or row @ d != 0:
         return []
@@ -205,27 +214,19 @@ def drives_away(A: Array, element: Nonlinearity) -> list[int]:
     return [int(j) for j in np.flatnonzero(terms * signs.pop() > 1e-12 * size)]
 
 
-def _doubles(values: Sequence[Number]) -> Array:
-    return np.array([float(value) for value in values])
-
-
 def generate_cells(
-    A: Any, b: Any, nonlinearities: Sequence[Nonlinearity]
+    A: BallMatrix, b: BallMatrix, nonlinearities: Sequence[Nonlinearity]
 ) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
     """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
 
-    A and b are sequences, or already `BallMatrix` (b as a column).
     One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
     breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
 
     Raises:
         InvalidSpec: If there are more than 100,000 cells.
     """
-    n = b.shape[0] if isinstance(b, BallMatrix) else len(b)
-    constant = A if isinstance(A, BallMatrix) else BallMatrix.of(A, (n, n))
-    rest = b if isinstance(b, BallMatrix) else BallMatrix.of([[v] for v in b], (n, 1))
     if not nonlinearities:
-        return Partition.create(H=np.zeros((0, n)), h=[], signs=[[]], names=["everywhere"]), [constant], [rest]
+        return Partition.create(H=np.zeros((0, len(b.floats))), h=[], signs=[[]], names=["everywhere"]), [A], [b]
     rows = [element.row for element in nonlinearities for _ in element.function.breakpoints]
     offsets = [Real.of(element.constant) - s for element in nonlinearities for s in element.function.breakpoints]
     regions = Partition.regions(H=np.array([list(row) for row in rows], dtype=object), h=offsets, most=_MOST_CELLS)
@@ -234,14 +235,15 @@ def generate_cells(
     combinations = np.array([(part > 0).sum(axis=1) for part in np.split(sides, last, axis=1)]).T
     order = np.lexsort(combinations.T[::-1])
     chosen = [tuple(combination) for combination in combinations[order].tolist()]
-    names = tuple(", ".join(map(_name, nonlinearities, combination)) for combination in chosen)
+    named = [[f"{element.name} {segment}" for segment in element.function.segments] for element in nonlinearities]
+    names = tuple(", ".join(own[k] for own, k in zip(named, c, strict=True)) for c in chosen)
     slopes = [element.function.slopes for element in nonlinearities]
     alike = [tuple(all_.index(all_[k]) for all_, k in zip(slopes, c, strict=True)) for c in chosen]
-    steps = [_steps(element) for element in nonlinearities]
+    steps = [[element.on(k) for k in range(len(element.function.slopes))] for element in nonlinearities]
     return (
         regions.ordered(order, names),
-        _sums(constant, [[along for along, _ in step] for step in steps], alike),  # equal slopes share one matrix
-        _sums(rest, [[across for _, across in step] for step in steps], chosen),
+        _sums(A, [[along for along, _ in step] for step in steps], alike),  # equal slopes share one matrix
+        _sums(b, [[across for _, across in step] for step in steps], chosen),
     )
 
 
@@ -253,19 +255,3 @@ def _sums(
     for position, step in enumerate(steps):
         sums = {c: sums[c[:-1]] + step[c[-1]] for c in dict.fromkeys(c[: position + 1] for c in chosen)}
     return [sums[c] for c in chosen]
-
-
-def _steps(element: Nonlinearity) -> list[tuple[BallMatrix, BallMatrix]]:
-    """Return what an element adds to A and b on each of its segments."""
-    row, found = BallMatrix.of([element.row]), []
-    for slope, intercept in zip(element.function.slopes, element.function.intercepts, strict=True):
-        offset = slope * Real.of(element.constant) + intercept
-        across, along = (
-            BallMatrix.of([[Real.of(v) * factor] for v in element.direction]) for factor in (slope, offset)
-        )
-        found.append((across @ row, along))
-    return found
-
-
-def _name(nonlinearity: Nonlinearity, segment: int) -> str:
-    return f"{nonlinearity.name} {nonlinearity.function.segments[segment]}"

@@ -21,8 +21,17 @@ import numpy as np
 from pwatrack.arrays import TINY, Array, IntArray, balancing, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, places, stack
 from pwatrack.model.continuity import Repair
-from pwatrack.model.decoupling import check_independent, input_directions, one_to_one, too_few_inputs
-from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, output_derivatives, unsure
+from pwatrack.model.derivatives import (
+    Derivatives,
+    check_independent,
+    exact_rows,
+    input_directions,
+    last_rows,
+    one_to_one,
+    output_derivatives,
+    too_few_inputs,
+    unsure,
+)
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
 from pwatrack.rational import floats, fraction_of
 
@@ -89,8 +98,31 @@ class NormalForm:
 
     @cached_property
     def boundary(self) -> "Boundary":
-        """What bounds the cells in (ξ, η)."""
-        return _boundary(self)
+        """What bounds the cells: H_k T_i⁻¹ [ξ; η] + h_k − H_k T_i⁻¹ o_i = 0 for hyperplanes k of cells i, each once."""
+        partition, exact = self.plant.partition, self.exact
+        planes = BallMatrix.of(partition.exact_H, (len(partition.h), len(self.T[0])))
+        constants = BallMatrix.of([[v] for v in partition.exact_h], (len(partition.h), 1))
+        turned = each(lambda T_inverse: planes @ T_inverse, exact.inverse)
+        known: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
+        numbers: dict[tuple[int, tuple[str, ...]], int] = {}
+        rows, found = list[tuple[Array, float]](), list[list[int]]()
+        for H, o in zip(turned, exact.offset, strict=True):
+            if (id(H), id(o)) not in known:
+                here, h = list[int](), (constants - H @ o).centre.entries()
+                for k, (line, constant) in enumerate(zip(H.centre.tolist(), h, strict=True)):
+                    size = next(abs(v) for v in line if v)
+                    here.append(numbers.setdefault((k, tuple(str(v / size) for v in (*line, constant))), len(rows)))
+                    if here[-1] == len(rows):
+                        rows.append((H.floats[k], float(fraction_of(constant))))
+                known[id(H), id(o)] = here
+            found.append(known[id(H), id(o)])
+        signs = np.zeros((len(partition.signs), len(rows)), dtype=np.int64)
+        for own, here, side in zip(signs, found, partition.signs, strict=True):
+            own[here] = side
+        kept = np.flatnonzero(signs.any(axis=0)).tolist()  # a hyperplane may bound no cell with some T
+        rows, signs = [rows[k] for k in kept], signs[:, kept]
+        H_all = np.array([row for row, _ in rows]).reshape(len(rows), len(self.T[0]))
+        return Boundary(H=readonly(H_all), h=readonly([h for _, h in rows]), signs=signs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,15 +168,13 @@ def normal_form(
 ) -> NormalForm:
     """Bring a system to the form (11) by a change of state, linear but for the last derivatives.
 
+    Refuses fewer inputs than tracked outputs, y, ẏ, … that depend on the cell before inputs appear or in which these
+    never do, and inputs that do not act on the outputs independently, in each cell or in some mean of them.
+
     Args:
         plant: The system (1).
         input_sizes: Of the inputs, (m,); where there are more than tracked outputs, u_ff is the least in them.
         directions: Z, (m, p), instead.
-
-    Raises:
-        OutsideTheory: If there are fewer inputs than tracked outputs; y, ẏ, … depend on the cell before the inputs
-            appear, or these never appear; or inputs do not act on the outputs independently, in each cell or in some
-            mean of them.
     """
     if len(plant.tracked) > plant.B.shape[1]:
         raise too_few_inputs(plant)
@@ -202,12 +232,6 @@ def _form(
     )
 
 
-def _kept(found: Sequence[Derivatives]) -> list[int]:
-    """Return which rows c of T have c A_i as their next one in every cell."""
-    bent = {k - 1 for k, d in zip(last_rows(found), found, strict=True) if d.piecewise}
-    return [k for k in range(last_rows(found)[-1]) if k not in last_rows(found) and k not in bent]
-
-
 def _coordinates(
     exact: Matrices, found: Sequence[Derivatives], Z: BallMatrix, internal: Sequence[int]
 ) -> tuple[list[BallMatrix], list[BallMatrix]]:
@@ -244,7 +268,10 @@ def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, int
     """
     exact, n = plant.exact, plant.A.shape[1]
     T, offset = (X[0] for X in _coordinates(exact, found, Z, internal))
-    kept, free = _kept(found), [k for k in range(last_rows(found)[-1]) if k not in last_rows(found)]
+    last = last_rows(found)
+    free = [k for k in range(last[-1]) if k not in last]
+    bent = {k - 1 for k, d in zip(last, found, strict=True) if d.piecewise}
+    kept = [k for k in free if k not in bent]  # these c have c A_i as their next one in every cell
     following = [k + 1 for k in kept]
     c, c_next, o_next = T.part(kept, range(n)).centre, T.part(following, range(n)).centre, offset.part(following, [0])
     c_free, inverse = T.part(free, range(n)).centre, BallMatrix(T.centre.inv())
@@ -268,8 +295,8 @@ def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, int
     remark = (
         f"the form (11) holds but for rounding, {repair.size}: proofs and simulation are about the plant that has it"
     )
-    whole = plant.with_matrices(new)
-    return replace(whole, repair=repair.and_then(plant.repair), remarks=(*plant.remarks, remark))
+    repairs = repair.and_then(plant.repair)
+    return replace(plant, exact=new, written=None, repair=repairs, remarks=(*plant.remarks, remark))
 
 
 def _relative(plant: PWASystem, A: Array, b: Array, B: Array) -> float:
@@ -280,34 +307,6 @@ def _relative(plant: PWASystem, A: Array, b: Array, B: Array) -> float:
         rates = np.abs(given) / d[:, None]
         shares.append(change / d[:, None] / max(rates.max(), TINY))
     return max(float(share.max()) for share in shares)
-
-
-def _boundary(form: NormalForm) -> Boundary:
-    """Return H_k T_i⁻¹ [ξ; η] + h_k − H_k T_i⁻¹ o_i = 0 for each hyperplane k that bounds a cell i, each once."""
-    partition, exact = form.plant.partition, form.exact
-    planes = BallMatrix.of(partition.exact_H, (len(partition.h), len(form.T[0])))
-    constants = BallMatrix.of([[v] for v in partition.exact_h], (len(partition.h), 1))
-    turned = each(lambda T_inverse: planes @ T_inverse, exact.inverse)
-    known: dict[tuple[int, int], list[int]] = {}  # of the hyperplanes in `rows`, for cells that share T and o
-    numbers: dict[tuple[int, tuple[str, ...]], int] = {}
-    rows, found = list[tuple[Array, float]](), list[list[int]]()
-    for H, o in zip(turned, exact.offset, strict=True):
-        if (id(H), id(o)) not in known:
-            here, h = list[int](), (constants - H @ o).centre.entries()
-            for k, (line, constant) in enumerate(zip(H.centre.tolist(), h, strict=True)):
-                size = next(abs(v) for v in line if v)
-                here.append(numbers.setdefault((k, tuple(str(v / size) for v in (*line, constant))), len(rows)))
-                if here[-1] == len(rows):
-                    rows.append((H.floats[k], float(fraction_of(constant))))
-            known[id(H), id(o)] = here
-        found.append(known[id(H), id(o)])
-    signs = np.zeros((len(partition.signs), len(rows)), dtype=np.int64)
-    for own, here, side in zip(signs, found, partition.signs, strict=True):
-        own[here] = side
-    kept = np.flatnonzero(signs.any(axis=0)).tolist()  # a hyperplane may bound no cell with some T
-    rows, signs = [rows[k] for k in kept], signs[:, kept]
-    H_all = np.array([row for row, _ in rows]).reshape(len(rows), len(form.T[0]))
-    return Boundary(H=readonly(H_all), h=readonly([h for _, h in rows]), signs=signs)
 
 
 def _complement(plant: PWASystem, found: Sequence[Derivatives], Z: Array) -> list[int]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
 from pwatrack.causes import ProblemPart, Remedy, Way
@@ -16,9 +16,9 @@ from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuity, Discontinuous, Repair, repaired
 from pwatrack.model.loads import Loads
 from pwatrack.model.nonlinearity import ScalarForm
-from pwatrack.model.offset import continuous_offset
 from pwatrack.rational import beside, on_entries
 
+_ONE_BEND = 1e-9  # of the largest entry of two A: what their difference is more than g Hᵀ, and counts as rounding
 ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one of the data's own rounding
 
 
@@ -69,12 +69,7 @@ class PWASystem:
 
     Attributes:
         partition: The l cells in ℝⁿ.
-        A: (l, n, n), in 1/s times the units of the states; the doubles nearest to the exact numbers, as are all these.
-        b: (l, n).
-        B: (n, m).
-        C: (q, n), measured.
-        tracked: (p, n), to follow a reference.
-        exact: The numbers that proofs are about.
+        exact: A_i, b_i, B, C and the tracked rows: the numbers that proofs are about.
         repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
         states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
         loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
@@ -92,17 +87,12 @@ class PWASystem:
     """
 
     partition: Partition
-    A: Array
-    b: Array
-    B: Array
-    C: Array
-    tracked: Array
     exact: Matrices
-    repair: Repair | None
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     tracked_names: tuple[str, ...]
+    repair: Repair | None = None
     loads: Loads | None = None
     written: ScalarForm | None = None
     watched: "PWASystem | None" = None
@@ -139,8 +129,7 @@ class PWASystem:
 
         Raises:
             ValueError: If the shapes do not fit.
-            OutsideTheory: If cells overlap or leave a hole, or the vector
-                field jumps: one problem per facet.
+            OutsideTheory: If cells overlap or leave a hole, or the vector field jumps: one problem per facet.
         """
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
@@ -148,68 +137,53 @@ class PWASystem:
         columns = (v if isinstance(v, BallMatrix) else [[entry] for entry in v] for v in _sequence(b, cells, "b"))
         offsets = [_matrix(column, (n, 1), "b") for column in columns]
         measured = _matrix(C, (None, n), "C")
-        empty = set(partition.empty_cells)
-        kept = [i for i in range(cells) if i not in empty]
-        system = cls._of(
-            partition.without(partition.empty_cells) if empty else partition,
-            Matrices(
-                A=tuple(given[i] for i in kept),
-                b=tuple(offsets[i] for i in kept),
-                B=_matrix(B, (n, None), "B"),
-                C=measured,
-                tracked=measured if tracked is None else _matrix(tracked, (None, n), "tracked"),
-            ),
-            names=(tuple(states), tuple(inputs), tuple(outputs), tuple(tracked_names)),
-            remarks=(
-                *partition.remarks,
-                *(f"cell '{partition.names[i]}' has no interior and is left out" for i in sorted(empty)),
-            ),
+        empty = partition.empty_cells
+        kept = sorted(set(range(cells)).difference(empty))
+        exact = Matrices(
+            A=tuple(given[i] for i in kept),
+            b=tuple(offsets[i] for i in kept),
+            B=_matrix(B, (n, None), "B"),
+            C=measured,
+            tracked=measured if tracked is None else _matrix(tracked, (None, n), "tracked"),
+        )
+        named = tuple(outputs) or _numbered("y", measured.shape[0])
+        own = named if exact.tracked is measured else _numbered("w", exact.tracked.shape[0])
+        left_out = (f"cell '{partition.names[i]}' has no interior and is left out" for i in empty)
+        system = cls(
+            partition=partition.without(set(empty)) if empty else partition,
+            exact=exact,
+            states=tuple(states) or _numbered("x", n),
+            inputs=tuple(inputs) or _numbered("u", exact.B.shape[1]),
+            outputs=named,
+            tracked_names=tuple(tracked_names) or own,
+            remarks=(*partition.remarks, *left_out),
         )
         return system if continuous else system._continuous(tolerance)
 
-    @classmethod
-    def _of(
-        cls,
-        partition: Partition,
-        exact: Matrices,
-        *,
-        names: tuple[tuple[str, ...], ...],
-        remarks: tuple[str, ...],
-    ) -> "PWASystem":
-        n, m, q = exact.A[0].shape[0], exact.B.shape[1], exact.C.shape[0]
-        defaults = (("x", n), ("u", m), ("y", q))
-        states, inputs, outputs = (
-            given or _numbered(*default) for given, default in zip(names[:3], defaults, strict=True)
-        )
-        followed = names[3] or (outputs if exact.tracked is exact.C else _numbered("w", exact.tracked.shape[0]))
-        return cls(
-            partition=partition,
-            A=stack(exact.A),
-            b=stack(exact.b)[:, :, 0],
-            B=exact.B.floats,
-            C=exact.C.floats,
-            tracked=exact.tracked.floats,
-            exact=exact,
-            repair=None,
-            states=states,
-            inputs=inputs,
-            outputs=outputs,
-            tracked_names=followed,
-            remarks=remarks,
-        )
+    @cached_property
+    def A(self) -> Array:
+        """A_i, (l, n, n), in 1/s times the units of the states; the doubles nearest to `exact`, as are all these."""
+        return stack(self.exact.A)
 
-    def with_matrices(self, exact: Matrices) -> "PWASystem":
-        """Return the same system with other numbers; that they make a continuous field is for the caller to see to."""
-        return replace(
-            self,
-            A=stack(exact.A),
-            b=stack(exact.b)[:, :, 0],
-            B=exact.B.floats,
-            C=exact.C.floats,
-            tracked=exact.tracked.floats,
-            exact=exact,
-            written=None,
-        )
+    @cached_property
+    def b(self) -> Array:
+        """b_i, (l, n)."""
+        return stack(self.exact.b)[:, :, 0]
+
+    @property
+    def B(self) -> Array:
+        """Of the inputs, (n, m)."""
+        return self.exact.B.floats
+
+    @property
+    def C(self) -> Array:
+        """What is measured, (q, n)."""
+        return self.exact.C.floats
+
+    @property
+    def tracked(self) -> Array:
+        """What is to follow a reference, (p, n)."""
+        return self.exact.tracked.floats
 
     @property
     def model(self) -> "PWASystem":
@@ -254,11 +228,10 @@ class PWASystem:
 
     def _continuous(self, tolerance: float) -> "PWASystem":
         """Return the system with an exactly continuous field: see `continuity`."""
-        n = self.A.shape[1]
-        pairs = zip(self.exact.A, self.exact.b, strict=True)
-        joined = [_joined(A_i, b_i) for A_i, b_i in pairs]
+        n, exact = self.A.shape[1], self.exact
+        given = [beside([A_i.centre, b_i.centre]) for A_i, b_i in zip(exact.A, exact.b, strict=True)]
         try:
-            cells, repair = repaired(self.partition, joined, self.B.shape[1], tolerance)
+            cells, repair = repaired(self.partition, given, self.B.shape[1], tolerance)
         except Discontinuous as error:
             worst_first = sorted(error.jumps, key=lambda jump: -jump.relative)
             raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in worst_first)) from None
@@ -266,17 +239,17 @@ class PWASystem:
             return self
         A, b = (
             tuple(
-                BallMatrix(on_entries(F.centre, range(n), columns), old.radius)
-                for F, old in zip(cells, before, strict=True)
+                BallMatrix(on_entries(F, range(n), columns), old.radius) for F, old in zip(cells, before, strict=True)
             )
-            for columns, before in ((range(n), self.exact.A), ([n], self.exact.b))
+            for columns, before in ((range(n), exact.A), ([n], exact.b))
         )
         remark = (
             f"the data jump at facets by rounding, {repair.size}: proofs and simulation are about the continuous plant "
             "next to them"
         )
-        whole = self.with_matrices(replace(self.exact, A=A, b=b))
-        return replace(whole, repair=repair, remarks=(*self.remarks, remark))
+        return replace(
+            self, exact=replace(exact, A=A, b=b), written=None, repair=repair, remarks=(*self.remarks, remark)
+        )
 
     def _jump_problem(self, jump: Discontinuity, tolerance: float) -> Problem:
         facet, in_A = jump.facet, bool(jump.A.any())
@@ -314,11 +287,6 @@ class PWASystem:
         return hint, Remedy(Way.TOLERANCE, (tolerance,))
 
 
-def _joined(A: BallMatrix, b: BallMatrix) -> BallMatrix:
-    """Return [A b]."""
-    return BallMatrix(beside([A.centre, b.centre]), A.radius)
-
-
 def _sequence(values: Any, length: int, name: str) -> Any:
     if len(values) != length:
         raise ValueError(f"{name} has {len(values)} matrices, expected {length}, one per cell")
@@ -326,15 +294,32 @@ def _sequence(values: Any, length: int, name: str) -> Any:
 
 
 def _matrix(rows: Any, shape: tuple[int | None, int | None], name: str) -> BallMatrix:
-    if isinstance(rows, BallMatrix):
-        if any(w is not None and w != got for w, got in zip(shape, rows.shape, strict=True)):
-            raise ValueError(f"{name} has shape {rows.shape}, expected {shape}")
-        return rows
-    found = len(rows), len(rows[0]) if len(rows) else (shape[1] or 0)
+    ball = isinstance(rows, BallMatrix)
+    found = rows.shape if ball else (len(rows), len(rows[0]) if len(rows) else (shape[1] or 0))
     fits = all(w is None or w == got for w, got in zip(shape, found, strict=True))
-    if not fits or any(len(row) != found[1] for row in rows):
+    if not fits or not (ball or all(len(row) == found[1] for row in rows)):
         raise ValueError(f"{name} has shape {found}, expected {shape}")
-    return BallMatrix.of(rows, found)
+    return rows if ball else BallMatrix.of(rows, found)
+
+
+def continuous_offset(A_i: Array, A_j: Array, b_j: Array, H: Array, h: float) -> Array | None:
+    """Return the b_i (n,) with A_i x + b_i = A_j x + b_j wherever H x + h = 0, or None if there is none.
+
+    There is one exactly where A_i − A_j = g Hᵀ for some g; it is b_j + g h.
+
+    Example: a spring of stiffness 4 that is met at z = 0.1.
+
+        >>> free, touching = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0, 1.0], [-4.0, 0.0]])
+        >>> continuous_offset(touching, free, np.zeros(2), np.array([1.0, 0.0]), -0.1).tolist()
+        [0.0, 0.4]
+    """
+    change = A_i - A_j
+    pivot = int(np.argmax(np.abs(H)))
+    g = change[:, pivot] / H[pivot]
+    size = max(np.abs(A_i).max(), np.abs(A_j).max())
+    if np.abs(change - np.outer(g, H)).max() > _ONE_BEND * size:
+        return None
+    return readonly(b_j + g * h + 0.0)
 
 
 def linear_form_text(row: Array, names: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import accumulate, repeat
 from math import factorial, gcd, isfinite, lcm, pi
 
 import numpy as np
@@ -32,11 +33,6 @@ class OutputReference:
         """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""
         return [total_signal(courses, r) for courses, r in zip(self.courses, degrees, strict=True)]
 
-    @property
-    def smooth(self) -> float | None:
-        """The shortest time in s over which corners are rounded, or None if none are."""
-        return _shortest([course for courses in self.courses for course in courses])
-
 
 @dataclass(frozen=True)
 class StateReference:
@@ -47,11 +43,6 @@ class StateReference:
     def signals(self) -> list[Signal]:
         """Return x_d; its first derivative is continuous where rounding was asked for."""
         return [total_signal(courses, 1) for courses in self.courses]
-
-    @property
-    def smooth(self) -> float | None:
-        """The shortest time in s over which corners are rounded, or None if none are."""
-        return _shortest([course for courses in self.courses for course in courses])
 
 
 @dataclass(frozen=True)
@@ -146,10 +137,7 @@ class Exosystem:
 
     def derivative_rows(self, r: int) -> Array:
         """Return Q, Q S, …, Q Sʳ, (r + 1, q, p)."""
-        rows = [self.Q]
-        for _ in range(r):
-            rows.append(rows[-1] @ self.S)
-        return np.array(rows)
+        return np.array([*accumulate(repeat(self.S, r), np.matmul, initial=self.Q)])
 
     def __call__(self, t: float, derivative: int = 0) -> Array:
         """Return the derivative of the given order of all signals at time t in s, (q,)."""
@@ -260,14 +248,14 @@ def beside(one: Exosystem, signals: Sequence[Signal]) -> Exosystem:
     other = exosystem(signals)
     p = len(one.w0)
     moved = (replace(reset, where=slice(reset.where.start + p, reset.where.stop + p)) for reset in other.resets)
-    return Exosystem(
+    return replace(
+        one,
         S=readonly(block_diag(one.S, other.S)) if p else other.S,
         rates=np.concatenate([one.rates, other.rates]),
         Q=readonly(block_diag(one.Q, other.Q)),
         w0=readonly(np.concatenate([one.w0, other.w0])),
         resets=tuple(sorted([*one.resets, *moved], key=lambda reset: reset.t)),
         period=None,
-        end=one.end,
     )
 
 
@@ -279,12 +267,14 @@ def total_signal(courses: Sequence[Course], r: int) -> Signal:
     return total
 
 
-def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
-    """Refuse a signal that grows without bound: Theorems 2 and 3 need bounded references.
+def shortest_rounding(courses: Sequence[Sequence[Course]]) -> float | None:
+    """Return the shortest time in s over which corners are rounded, or None if none are."""
+    profiles = (course for own in courses for course in own if isinstance(course, Profile))
+    return min((course.smooth for course in profiles if course.smooth is not None), default=None)
 
-    Raises:
-        OutsideTheory: Naming the term that grows and the alternative.
-    """
+
+def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
+    """Refuse a signal that grows without bound: Theorems 2 and 3 need bounded references."""
     growing = signal.pieces[-1].unbounded_term() if signal.end is None else ""
     if growing:
         raise OutsideTheory(
@@ -298,11 +288,7 @@ def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
 
 
 def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None:
-    """Refuse a signal that is not r times differentiable.
-
-    Raises:
-        OutsideTheory: Naming the derivative, the time and the size of its jump.
-    """
+    """Refuse a signal that is not r times differentiable."""
     for order in range(r + 1):
         jump = signal.jump(order)
         if jump is not None:
@@ -316,11 +302,6 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
                     remedy=Remedy(Way.ROUNDED_CORNERS),
                 )
             )
-
-
-def _shortest(courses: Sequence[Course]) -> float | None:
-    times = [course.smooth for course in courses if isinstance(course, Profile) and course.smooth is not None]
-    return min(times, default=None)
 
 
 def _chains(signal: Signal) -> dict[complex, int]:
@@ -364,11 +345,9 @@ def _period(signals: Sequence[Signal]) -> float | None:
 def _common_period(rates: Iterable[float]) -> float | None:
     """Return the least common period in s of frequencies in rad/s that have whole-number ratios."""
     frequencies = sorted(rates)
-    if not frequencies:
+    if not frequencies or not np.isfinite(frequencies[-1] / frequencies[0]):
         return None
     first = frequencies[0]
-    if not np.isfinite(frequencies[-1] / first):
-        return None
     ratios = [Fraction(f / first).limit_denominator(1000) for f in frequencies]
     if any(abs(float(q) * first - f) > 1e-12 * f for q, f in zip(ratios, frequencies, strict=True)):
         return None

@@ -6,8 +6,6 @@ from fractions import Fraction
 
 import numpy as np
 
-from pwatrack.arrays import IntArray
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import listed
 from pwatrack.model.cells import Partition
 from pwatrack.model.nonlinearity import Nonlinearity, PiecewiseLinear, ScalarForm, generate_cells
@@ -40,7 +38,8 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
     bends = _bends(plant)
     if bends is None:
         return None
-    points = [_inner_point(plant.partition, signs) for signs in plant.partition.signs]
+    inner = (plant.partition.interior_point(signs) for signs in plant.partition.signs)
+    points = [x for x in inner if x is not None]  # every cell of a plant has an interior
     return None if _bends_inside(plant.partition, bends, points) else _collected(plant, bends, points)
 
 
@@ -52,32 +51,12 @@ def with_elements(plant: PWASystem, form: ScalarForm) -> PWASystem:
         if any(slope != slopes[0] for slope in slopes):
             kept.append(element)
             continue
-        across, along = _line(element, slopes[0], element.function.intercepts[0])
+        across, along = element.on(0)
         A, b = A + across, b + along
     partition, matrices, offsets = generate_cells(A, b, kept)
-    exact = plant.exact
-    found = PWASystem.create(
-        partition=partition,
-        A=matrices,
-        b=offsets,
-        B=exact.B,
-        C=exact.C,
-        tracked=exact.tracked,
-        states=plant.states,
-        inputs=plant.inputs,
-        outputs=plant.outputs,
-        tracked_names=plant.tracked_names,
-        continuous=True,
-    )
+    exact = replace(plant.exact, A=tuple(matrices), b=tuple(offsets))
     written = ScalarForm(A=A, b=b, elements=tuple(kept))
-    return replace(found, loads=plant.loads, written=written, remarks=plant.remarks)
-
-
-def _line(element: Nonlinearity, slope: Real, intercept: Real) -> tuple[BallMatrix, BallMatrix]:
-    """Return what a line φ adds to A and b."""
-    column, row = BallMatrix.of([[v] for v in element.direction]), BallMatrix.of([element.row])
-    offset = slope * Real.of(element.constant) + intercept
-    return column @ BallMatrix.of([[slope]]) @ row, column @ BallMatrix.of([[offset]])
+    return replace(plant, partition=partition, exact=exact, repair=None, written=written, watched=None)
 
 
 def _bends(plant: PWASystem) -> dict[int, Row] | None:
@@ -102,10 +81,8 @@ def _collected(plant: PWASystem, bends: dict[int, Row], points: Sequence[Row]) -
     elements = [_element(plant, bends, members, points) for members in groups.values()]
     A, b = plant.exact.A[0], plant.exact.b[0]
     for element in elements:
-        function = element.function
         s = _value(element.row, Fraction(0), points[0])
-        k = sum(mark.centre < s for mark in function.breakpoints)
-        across, along = _line(element, function.slopes[k], function.intercepts[k])
+        across, along = element.on(sum(mark.centre < s for mark in element.function.breakpoints))
         A, b = A - across, b - along
     return ScalarForm(A=A, b=b, elements=tuple(elements))
 
@@ -128,7 +105,7 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], po
     value = sum((left * (first - where) for where, _, left in hinges), Fraction(0))
     count = len(hinges)
     return Nonlinearity(
-        name=_between(plant, points, row, (first, hinges[-1][0])),
+        name=_between(plant, points, row, first, hinges[-1][0]),
         function=PiecewiseLinear(
             breakpoints=tuple(Real.of(where) for where, *_ in hinges),
             slopes=tuple(map(Real.of, slopes)),
@@ -145,34 +122,24 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], po
     )
 
 
-def _between(plant: PWASystem, points: Sequence[Row], row: Row, ends: tuple[Fraction, Fraction]) -> str:
+def _between(plant: PWASystem, points: Sequence[Row], row: Row, low: Fraction, high: Fraction) -> str:
     """Return the names of the cells that lie between two values of a form, of many the first; else the form."""
-    low, high = ends
     values = (_value(row, Fraction(0), x) for x in points)
     names = [name for name, value in zip(plant.cell_names, values, strict=True) if low < value < high]
     return listed(names, 1) if names else linear_form_text(np.array([float(v) for v in row]), plant.states)
 
 
 def _bends_inside(partition: Partition, planes: Collection[int], points: Sequence[Row]) -> bool:
-    """Decide whether one of some hyperplanes passes through the interior of a cell, of which each has a point."""
+    """Decide whether one of some hyperplanes passes through the interior of a cell; `points` has one inside each."""
     for signs, x in zip(partition.signs, points, strict=True):
         for k in planes:
             if signs[k]:
                 continue
-            side = _sign(_value(partition.exact_H[k], partition.exact_h[k], x))
-            if not side or partition.interior_point(_with(signs, k, -side)) is not None:
+            side, beyond = _value(partition.exact_H[k], partition.exact_h[k], x), signs.copy()
+            beyond[k] = -1 if side > 0 else 1
+            if not side or partition.interior_point(beyond) is not None:
                 return True
     return False
-
-
-def _with(signs: IntArray, k: int, side: int) -> IntArray:
-    changed = signs.copy()
-    changed[k] = side
-    return changed
-
-
-def _sign(value: Fraction) -> int:
-    return (value > 0) - (value < 0)
 
 
 def _value(H: Iterable[Fraction], h: Fraction, x: Iterable[Fraction]) -> Fraction:
@@ -183,9 +150,3 @@ def _direction(v: Row) -> Row:
     """Return a vector with its first entry that is not 0 made 1."""
     first = next(entry for entry in v if entry)
     return tuple(entry / first for entry in v)
-
-
-def _inner_point(partition: Partition, signs: IntArray) -> Row:
-    x = partition.interior_point(signs)
-    assert x is not None
-    return x

@@ -134,13 +134,9 @@ class ExponentialPolynomial:
         return _wave(*self._line("cos"))
 
     def check_size(self) -> None:
-        """Refuse what is too large before it grows further: products of sums, and powers of them, grow without end.
-
-        Raises:
-            NotRepresentable: Naming the limit.
-        """
-        count = sum(map(len, self.terms.values()))
-        highest = max(map(len, self.terms.values()), default=1) - 1
+        """Refuse what is too large before it grows further: products of sums, and powers of them, grow without end."""
+        lengths = [len(c) for c in self.terms.values()]
+        count, highest = sum(lengths), max(lengths, default=1) - 1
         if highest > _HIGHEST:
             raise NotRepresentable(f"has t to a power of {highest}, at most {_HIGHEST} is read")
         if count > _MOST_COEFFICIENTS:
@@ -153,11 +149,8 @@ class ExponentialPolynomial:
 
     def derivative(self) -> "ExponentialPolynomial":
         """Return the derivative with respect to t."""
-        terms: dict[complex, ComplexArray] = {}
-        for rate, c in self.terms.items():
-            shifted = np.append(c[1:] * np.arange(1, len(c)), 0.0)
-            terms[rate] = rate * c + shifted
-        return ExponentialPolynomial(terms)
+        shifted = {rate: np.append(c[1:] * np.arange(1, len(c)), 0.0) for rate, c in self.terms.items()}
+        return ExponentialPolynomial({rate: rate * c + shifted[rate] for rate, c in self.terms.items()})
 
     def delayed(self, delay: float) -> "ExponentialPolynomial":
         """Return the signal t ↦ self(t + delay)."""
@@ -198,10 +191,8 @@ def _wave(slope: float, phase: float) -> ExponentialPolynomial:
 
 
 def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArray) -> None:
-    for known in () if rate in terms else terms:
-        if abs(known - rate) <= _SAME * max(abs(known), abs(rate)):
-            rate = known
-            break
+    if rate not in terms:
+        rate = next((known for known in terms if abs(known - rate) <= _SAME * max(abs(known), abs(rate))), rate)
     before = terms.get(rate, np.zeros(0, dtype=np.complex128))
     length = max(len(before), len(c))
     one, two = np.pad(before, (0, length - len(before))), np.pad(c, (0, length - len(c)))
@@ -283,13 +274,11 @@ class Signal:
 
     def stacked(self) -> dict[complex, ComplexArray]:
         """Return the coefficients of all pieces by λ, each (pieces, longest)."""
-        found: dict[complex, ComplexArray] = {}
         longest: dict[complex, int] = {}
         for piece in self.pieces:
             for rate, c in piece.terms.items():
                 longest[rate] = max(longest.get(rate, 0), len(c))
-        for rate, length in longest.items():
-            found[rate] = np.zeros((len(self.pieces), length), dtype=np.complex128)
+        found = {rate: np.zeros((len(self.pieces), n), dtype=np.complex128) for rate, n in longest.items()}
         for k, piece in enumerate(self.pieces):
             for rate, c in piece.terms.items():
                 found[rate][k, : len(c)] = c

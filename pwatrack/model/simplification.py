@@ -7,7 +7,7 @@ nowhere more than w̄ from φ is, shifted down by w̄, below φ, so it is at mos
 somewhere: no other corner and offset has less than w̄ = D / 2.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain
@@ -80,7 +80,8 @@ def _ways(form: ScalarForm, element: int, width: int) -> list[Simplification]:
     for first in range(len(function.breakpoints) - width):
         other = _merged(function, first, first + width)
         if other is not None:
-            marks = (*function.breakpoints, *other.breakpoints)
+            marks = (*function.breakpoints, *other.breakpoints)  # outside all of these, both have the same slopes
+            gaps = [_at(function, mark) - _at(other, mark) for mark in marks]
             found.append(
                 Simplification(
                     element=element,
@@ -88,20 +89,14 @@ def _ways(form: ScalarForm, element: int, width: int) -> list[Simplification]:
                     first=first,
                     last=first + width,
                     function=other,
-                    largest=_deviation(function, other, marks),
+                    largest=max(abs(gap.centre) + gap.radius for gap in gaps),
                 )
             )
     return found
 
 
 def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Simplification]) -> PWASystem:
-    """Return the plant f̃ in which some elements are merged, each in one way.
-
-    Args:
-        plant: The system (1), and
-        form: its field as a sum of elements.
-        chosen: For some of these, by number, how they are merged.
-    """
+    """Return the plant f̃ in which some elements of its form are merged, each in one way; `chosen` has their numbers."""
     elements = tuple(
         replace(element, function=chosen[k].function) if k in chosen else element
         for k, element in enumerate(form.elements)
@@ -133,24 +128,14 @@ def _merged(function: PiecewiseLinear, first: int, last: int) -> PiecewiseLinear
     value = Real.of(offset) + left * breakpoints[0]
     if before:  # there φ̃ − φ is constant
         value = function.value + Real.of(offset) - function.intercepts[first]
-    return PiecewiseLinear(
-        breakpoints=breakpoints, slopes=slopes, value=value, segments=_segments(function.segments, first, last, inner)
-    )
-
-
-def _segments(names: Sequence[str], first: int, last: int, inner: tuple[Real, ...]) -> tuple[str, ...]:
-    """Return the names of the segments of φ̃."""
+    names = function.segments
     joined = names[first] if names[first] == names[last + 1] else f"{names[first]} or {names[last + 1]}"
-    return (*names[: first + 1], *names[last + 1 :]) if inner else (*names[:first], joined, *names[last + 2 :])
+    middle = (names[first], names[last + 1]) if inner else (joined,)
+    segments = (*names[:first], *middle, *names[last + 2 :])
+    return PiecewiseLinear(breakpoints=breakpoints, slopes=slopes, value=value, segments=segments)
 
 
 def _at(function: PiecewiseLinear, s: Real) -> Real:
     """Return φ(s)."""
     k = sum(mark.centre < s.centre for mark in function.breakpoints)
     return function.slopes[k] * s + function.intercepts[k]
-
-
-def _deviation(one: PiecewiseLinear, other: PiecewiseLinear, marks: Sequence[Real]) -> Fraction:
-    """Return the largest |φ − φ̃|: at one of all breakpoints, as both have the same slopes outside them."""
-    gaps = [_at(one, mark) - _at(other, mark) for mark in marks]
-    return max(abs(gap.centre) + gap.radius for gap in gaps)

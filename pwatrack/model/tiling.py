@@ -69,8 +69,7 @@ class Tiling:
                 same[piece.shape].append(piece)
             single = []
             for group in same.values():
-                matched = len(group) == 2 and group[0].weight != group[1].weight
-                if matched:
+                if len(group) == 2 and group[0].weight != group[1].weight:
                     yield group[0].owner, group[1].owner, plane
                 else:
                     single += group

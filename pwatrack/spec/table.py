@@ -12,8 +12,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Subject
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.model.lowpass import low_passed
-from pwatrack.model.profile import Table
+from pwatrack.model.profile import Table, low_passed
 from pwatrack.model.signal import LARGEST
 from pwatrack.remote_files import content
 from pwatrack.spec.signal_section import TableSection

@@ -69,11 +69,7 @@ def _goes_on(
     It is if the reference has no piece to come, and u_ff repeats or is at rest; where a state of the generator matters,
     if that is so close to its steady state by then that u_ff cannot differ by what the peak is known to, by the P of
     (17), or if it rests from the start on, inside of a cell.
-
-    Args:
-        peak: What was found in the run, and in a period.
-        ends: η̂(0), and that of the steady state, where there is one.
-        duration: Of the run, in s.
+    `ends` are η̂(0) and that of the steady state, where there is one; the duration is in s.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if system.end is not None or any(reset.t > duration for reset in system.resets):

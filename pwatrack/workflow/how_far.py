@@ -134,6 +134,7 @@ class _Inequality:
         self._sizes = spec_sizes(spec)
         goal = spec.objectives.goals.get(evidence.role)
         self._gain = evidence.role.oriented(goal.gain) if isinstance(goal, Given) else None
+        self._fixed = self._role is GENERATOR or self._gain is not None  # no gain is to be found
         self._left, self._spent, self.ended = 0, 0, False
 
     @cached_property
@@ -172,7 +173,7 @@ class _Inequality:
 
     def polynomial_between(self, name: str, now: float, found: float) -> tuple[float, int] | None:
         """Return a nearer value at which a polynomial is proved, with its degree, if there is one."""
-        if not self._for_polynomials:
+        if not self._fixed:
             return None
         seen = dict[float, int]()
 
@@ -209,16 +210,13 @@ class _Inequality:
     def _proved(self, name: str, value: float) -> bool:
         if not self._paid():
             return False
-        if self._role is GENERATOR or self._gain is not None:
+        if self._fixed:
             M = self._matrices(name, value)
-            return M is not None and self._has_P(M)
+            if M is None:
+                return False
+            return bool(_common_P(self._role, M) or (self._any_sign and prove_dichotomy(self._role, M)))
         plant = self._plant(name, value)
         return plant is not None and _some_gain(self._task(plant), _ROOM * self._rate) is not None
-
-    def _has_P(self, M: list[BallMatrix]) -> bool:
-        if _common_P(self._role, M) is not None:
-            return True
-        return self._any_sign and prove_dichotomy(self._role, M) is not None
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
@@ -256,10 +254,6 @@ class _Inequality:
     def _now(self) -> list[BallMatrix] | None:
         return self._of(self._spec.problem.plant)
 
-    @cached_property
-    def _for_polynomials(self) -> bool:
-        return self._role is GENERATOR or self._gain is not None
-
     def _enters(self, name: str, now: float) -> bool:
         """Say whether a parameter changes the inequality."""
         for value in (now * 1.01, now * 0.99) if now else (1e-3, -1e-3):
@@ -280,7 +274,7 @@ def _short(value: float) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
-def _common_P(role: Role, M: Sequence[BallMatrix], *, sizes: Array | None = None) -> Proof | None:
+def _common_P(role: Role, M: Sequence[BallMatrix]) -> Proof | None:
     """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found.
 
     Example:
@@ -290,7 +284,7 @@ def _common_P(role: Role, M: Sequence[BallMatrix], *, sizes: Array | None = None
         (True, None)
     """
     exact = different(M)
-    found = first_certificate(stack(exact), sizes=sizes)
+    found = first_certificate(stack(exact))
     return None if found is None else prove_exactly(role, exact, found.P, found.rate)
 
 

@@ -1,14 +1,16 @@
 """How far a box of uncertain parameters can be scaled about the values of the design."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from pwatrack.claims.robust import Robust
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import OutsideTheory, Undecided
 from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.solve import asking
 from pwatrack.model.box import Box
 from pwatrack.real import Real
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.pipeline import prove_for_box
+from pwatrack.workflow.pipeline import asked_of
 
 _NEAR = 1 / 99  # of the factor: where the search ends
 _DOUBLED = tuple(2.0**k for k in range(7))  # factors that are tried first
@@ -53,9 +55,14 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     """
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 
+    def box(factor: float) -> Box:
+        return tuple(interval.scaled(Real.of(factor)) for interval in uncertain)
+
     def at(factor: float) -> tuple[float, None] | None:
         try:
-            prove_for_box(spec, controller, scaled(uncertain, factor))
+            asked = replace(spec, objectives=replace(spec.objectives, uncertain=box(factor)))
+            with spec.located(), asking(spec.objectives.solver):
+                next(Robust.prove(controller, asked_of(asked, None)))
         except (Undecided, OutsideTheory) as error:
             refusals.append(Undecided(*error.problems))
             return None
@@ -69,12 +76,7 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
         low = factor
     if not low:
         raise refusals[-1]
-    return LargestBox(factor=low, beyond=beyond, box=scaled(uncertain, low))
-
-
-def scaled(box: Box, factor: float) -> Box:
-    """Return a box with all ends so many times as far from the values of the design."""
-    return tuple(interval.scaled(Real.of(factor)) for interval in box)
+    return LargestBox(factor=low, beyond=beyond, box=box(low))
 
 
 def _middle(one: float, other: float) -> float:

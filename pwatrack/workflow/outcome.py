@@ -19,8 +19,7 @@ from pwatrack.model.box import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.workflow.along import Along
-from pwatrack.workflow.bands import covered
+from pwatrack.workflow.bands import Along, covered
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 
@@ -97,9 +96,6 @@ class _Envelope:
     def largest(self) -> Array:
         """The largest size in each tenth, 0 where there is no sample, (10, q)."""
         return np.asarray(np.maximum(np.maximum(self.high, -self.low), 0.0))
-
-    def grows(self, k: int, size: float) -> bool:
-        return grows(self.high[:, k], self.low[:, k], size)
 
 
 class RunMonitor:
@@ -232,7 +228,8 @@ class RunMonitor:
             return None
         sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._error
         for k, name in enumerate(self._names):
-            if error.grows(k, sizes[k]) and error.grows(k, sizes[k] + self._caused(k)):
+            seen = error.high[:, k], error.low[:, k]
+            if grows(*seen, sizes[k]) and grows(*seen, sizes[k] + self._caused(k)):
                 last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
                 text = (
                     f"the error grows: |{name} − {name}_d| up to {last} at the samples in the last tenth of the time, "

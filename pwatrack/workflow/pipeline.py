@@ -8,8 +8,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import proved
-from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import ProvedController
+from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.headroom import Headroom
 from pwatrack.control.modes import check_loads
@@ -18,7 +17,6 @@ from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
 from pwatrack.lmi.solve import asking
-from pwatrack.model.box import Box
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import desired_flow
@@ -28,10 +26,10 @@ from pwatrack.simulation.sample_map import check_sample_time, sampling_remarks
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
+from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.workflow.headroom import room_within_limits
 from pwatrack.workflow.outcome import RunMonitor
-from pwatrack.workflow.proving import asked_of
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
@@ -42,56 +40,48 @@ MOST_KEPT = 250_000  # samples
 
 
 def design(spec: Spec, *, growing: bool = False) -> ProvedController:
-    """Find the gains and prove that the closed loop tracks: Theorem 2 or 3, or with cells merged practically.
+    """Find the gains and prove that the closed loop tracks: what `pwatrack.api.design` does, which says the rest.
 
-    Args:
-        growing: Whether to design also where x_d, the response to given inputs, is seen to grow without bound: the
-            proofs hold, and the theorem does not speak of it. For a look at how it grows.
-
-    Raises:
-        OutsideTheory: If the plant is not of form (11), or the reference is not bounded, smooth or realisable, or takes
-            more than the limits of the inputs.
-        Infeasible: If (8), (9) or (17) is proved to have no solution.
-        Undecided: If neither is proved.
-        CheckFailed: If x_d, the response to given inputs, is seen to grow without bound, unless `growing`.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> controller = design(load_spec("specs/two_mass_backlash.yaml"))
-        >>> controller.generator.shift.round(12).tolist()
-        [[1.0, 0.0], [0.0, 0.0]]
+    With `growing` a design is also made where x_d is seen to grow without bound, for a look at how it grows.
     """
     with asking(spec.objectives.solver):
-        return _exact_or_practical(spec, growing)
+        try:
+            controller, room = _with_gains(spec, growing)
+            with spec.located():
+                return proved(controller, asked_of(spec, room))
+        except PwatrackError as refusal:
+            return _practical(spec, growing, refusal)
 
 
-def _exact_or_practical(spec: Spec, growing: bool) -> ProvedController:
-    """Design for exact tracking, or with cells merged where that is refused."""
-    try:
-        return _designed(spec, growing)
-    except PwatrackError as refusal:
-        if not may_merge(spec, refusal):
-            raise
-        found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing)[0])
-        remark = f"; practical tracking is asked for, and not found: {found}"
-        if isinstance(found, ProvedController):
-            practical = found.claim(Practical)
-            little = not_worth(spec, practical)
-            if spec.objectives.practical or not little:
-                less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
-                return proved(found, asked_of(less, _room(less, found)))
-            remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
-        elif not spec.objectives.practical:
-            raise
-        told = (p.followed(remark) for p in refusal.problems)
-        raise type(refusal)(*told, evidence=refusal.evidence) from None
+def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedController:
+    """Design with cells merged where exact tracking is refused, or raise that refusal."""
+    if not may_merge(spec, refusal):
+        raise refusal
+    found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing)[0])
+    remark = f"; practical tracking is asked for, and not found: {found}"
+    if isinstance(found, ProvedController):
+        practical = found.claim(Practical)
+        little = not_worth(spec, practical)
+        if spec.objectives.practical or not little:
+            less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
+            return proved(found, asked_of(less, _room(less, found)))
+        remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
+    elif not spec.objectives.practical:
+        raise refusal
+    told = (p.followed(remark) for p in refusal.problems)
+    raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
-def _designed(spec: Spec, growing: bool) -> ProvedController:
-    """Design for exact tracking."""
-    controller, room = _with_gains(spec, growing)
-    with spec.located():
-        return proved(controller, asked_of(spec, room))
+def asked_of(spec: Spec, room: Headroom | None) -> Asked:
+    """Return what a spec asks to be proved, given what the feedforward leaves of the limits of its inputs, if any."""
+    problem, goals = spec.problem, spec.objectives
+    return Asked(
+        words=spec.words,
+        room=room,
+        box=goals.uncertain,
+        corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
+        solver=goals.solver,
+    )
 
 
 def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom | None]:
@@ -144,24 +134,13 @@ def sampling_known(spec: Spec) -> tuple[str, ...]:
 def simulate(
     spec: Spec, controller: ProvedController | None = None, runs: SampledController | None = None
 ) -> SimulatedLoop:
-    """Run the closed loop from event to event, exactly to rounding: see `simulate_flow`.
+    """Run the closed loop from event to event: what `pwatrack.api.simulate` does, which says the rest.
 
     Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
 
     Args:
-        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound, which
-            the outcome says.
+        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound.
         runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
-
-    Raises:
-        PwatrackError: Whatever `design` and `simulate_flow` raise, and InvalidSpec if the
-            generator's initial state has the wrong length, or a long run does not fit on the disk.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> result = simulate(load_spec("specs/gallery/kinked_tanks.yaml"))
-        >>> result.outcome.kind, result.response.y.shape
-        ('tracks', (2401, 1))
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
@@ -256,13 +235,6 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
         raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(desired_flow(controller.plant, trajectory), start, free=p, period=period)
-
-
-def prove_for_box(spec: Spec, controller: ProvedController, box: Box) -> Robust:
-    """Prove a design for all plants of a box: see `corners` and `prove_box`, which say what they refuse."""
-    asked = replace(spec, objectives=replace(spec.objectives, uncertain=box))
-    with spec.located(), asking(spec.objectives.solver):
-        return next(Robust.prove(controller, asked_of(asked, None)))
 
 
 def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:

@@ -15,11 +15,10 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.along import so_far
-from pwatrack.workflow.bands import bands
+from pwatrack.workflow.bands import bands, so_far
 from pwatrack.workflow.outcome import Outcome
 from pwatrack.workflow.starting import start_remarks
-from pwatrack.workflow.tracking import reference_remarks, start_fixed
+from pwatrack.workflow.tracking import reference_remarks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,7 @@ class SimulatedLoop:
             or None if it has none.
         spool: All samples and events of a run of which `response` has not all.
         w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
-            enclosed: see `workflow.along`, (10, n). None where that took too long.
+            enclosed: see `workflow.bands`, (10, n). None where that took too long.
     """
 
     spec: Spec
@@ -110,11 +109,6 @@ class SimulatedLoop:
         """The time of the last sample in s, whether it was kept or not."""
         step = self.spec.scenario.sample_time
         return (sample_count(self.spec.scenario.duration, step) - 1) * step
-
-    @property
-    def generator_start_fixed(self) -> bool:
-        """Whether the reference itself says where the desired trajectory starts."""
-        return start_fixed(self.spec, self.controller)
 
     @property
     def final_error(self) -> float:

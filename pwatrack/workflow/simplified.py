@@ -38,15 +38,10 @@ def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
 def checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     """Check what can be known before gains are sought; of the merged plant where practical tracking is to be tried.
 
-    Args:
-        facts: What is known of its plant, as from `applicability`.
+    Refuses as `check_reference` and `check_modes` do, or as `spec_generator` where the zero dynamics leave no route.
 
     Returns:
         What is known of the reference, and the sizes in force.
-
-    Raises:
-        PwatrackError: As `check_reference` and `check_modes`, or as `spec_generator` where the zero dynamics
-            leave no route; where merging cells does not help.
     """
     try:
         return _checked(spec, facts)
@@ -75,10 +70,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     """Return the design with the least of the cells merged, or why none is found.
 
     Where (9) holds for all cells too, the observer that runs these is tried as well, and the one with the smaller bound
-    of what is tracked is taken.
-
-    Args:
-        designed: Designs for a spec, whatever its plant, without claims.
+    of what is tracked is taken. `designed` designs for a spec, whatever its plant, without claims.
     """
     plant, failed = spec.problem.plant, list[PwatrackError]()
     form = scalar_form(plant)
@@ -102,8 +94,12 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     if plant.loads is None:
         watching = merged_spec(spec, ways, watched=True)
         found.append(_bounded(watching, plant, ways, refusal, designed))
+
+    def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
+        return made.claim(Practical).leaves_norm(made.tracking, made.error_sizes.tolist())
+
     proved = [controller for controller in found if controller is not None]
-    return min(proved, key=tracked_bound, default="no bound of what merging leaves out is proved")
+    return min(proved, key=bound, default="no bound of what merging leaves out is proved")
 
 
 def not_worth(spec: Spec, practical: Practical) -> str:
@@ -119,12 +115,7 @@ def not_worth(spec: Spec, practical: Practical) -> str:
 
 
 def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = False) -> Spec:
-    """Return what is designed for: the same for the plant in which some elements are merged.
-
-    Args:
-        ways: How elements of its plant are merged.
-        watched: Whether the observer runs the true cells.
-    """
+    """Return the spec for the plant in which elements are merged; `watched`: the observer runs all cells."""
     plant = spec.problem.plant
     form = scalar_form(plant)
     assert form is not None
@@ -132,11 +123,6 @@ def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = F
     if watched:
         less = replace(less, watched=plant)
     return replace(spec, problem=replace(spec.problem, plant=less))
-
-
-def tracked_bound(controller: ProvedController) -> float:
-    """Return below what the tracking error ends, of several entries in sizes."""
-    return controller.claim(Practical).leaves_norm(controller.tracking, controller.error_sizes.tolist())
 
 
 def _solve(spec: Spec) -> None:

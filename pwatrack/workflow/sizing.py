@@ -49,8 +49,7 @@ def spec_sizes(spec: Spec) -> Sizes:
     """
     plant, known = spec.problem.plant, dict[str, tuple[float, Origin]]()
     tempo, noise = _SPAN / spec.scenario.duration, spec.scenario.conditions.noise
-    sources = (_given(spec), _limits(spec), _reference(spec), _ensemble(spec))
-    for name, size, origin in (found for source in sources for found in source):
+    for name, size, origin in _told(spec):
         if name not in known and 0 < size < np.inf:
             known[name] = size, origin
     sizes = Sizes.of(plant, known, tempo=tempo)
@@ -63,12 +62,7 @@ def spec_sizes(spec: Spec) -> Sizes:
 
 
 def spec_form(spec: Spec) -> NormalForm:
-    """Return the normal form (11) of a spec's plant; of more inputs than outputs, u_ff takes the least in their sizes.
-
-    Raises:
-        OutsideTheory: If there is none; state tracking is advised only where no eigenvalue decides against it,
-            practical tracking only where cells can be merged.
-    """
+    """Return the normal form (11) of a plant; of more inputs than outputs, u_ff takes the least in their sizes."""
     plant = spec.problem.plant
     several = plant.B.shape[1] > len(plant.tracked)
     try:
@@ -80,7 +74,8 @@ def spec_form(spec: Spec) -> NormalForm:
 def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
     """Return the refusal with the kinds of tracking that may help in place of the one it names.
 
-    What is proved impossible is tried with cells merged by itself: that is not advised.
+    That is state tracking where no eigenvalue decides against it, and practical tracking where cells can be merged;
+    what is proved impossible is tried with cells merged by itself.
     """
     plant, goals = spec.problem.plant, spec.objectives
     try:
@@ -129,43 +124,38 @@ def _response(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) 
     return np.asarray(periodic_state(desired_flow(plant, trajectory), z0, free=p, period=period).z[:, :p])
 
 
-def _given(spec: Spec) -> Iterator[Known]:
+def _told(spec: Spec) -> Iterator[Known]:
+    """Yield what a spec says of sizes, in the order in which it counts."""
+    plant, scenario = spec.problem.plant, spec.scenario
     for name, size in spec.problem.sizes.items():
         yield name, size, "given"
-
-
-def _limits(spec: Spec) -> Iterator[Known]:
-    limits = spec.scenario.conditions.limits
-    for name, (low, high) in zip(spec.problem.plant.inputs, () if limits is None else limits.tolist(), strict=False):
+    limits = scenario.conditions.limits
+    for name, (low, high) in zip(plant.inputs, () if limits is None else limits.tolist(), strict=False):
         yield name, (high - low) / 2, "limits"
-
-
-def _ensemble(spec: Spec) -> Iterator[Known]:
-    region = spec.scenario.regions.get("plant")
+    for name, size in _reference(spec):
+        yield name, size, "reference"
+    region = scenario.regions.get("plant")
     if region is not None:
         radii = (region.high - region.low) / 2 if isinstance(region, BoxRegion) else region.radii
-        for name, radius in zip(spec.problem.plant.states, radii.tolist(), strict=True):
+        for name, radius in zip(plant.states, radii.tolist(), strict=True):
             yield name, radius, "ensemble"
 
 
-def _reference(spec: Spec) -> Iterator[Known]:
-    """Yield how far the reference moves each signal that it determines."""
+def _reference(spec: Spec) -> Iterable[tuple[str, float]]:
+    """Return how far the reference moves each signal that it determines."""
     plant, reference, duration = spec.problem.plant, spec.problem.reference, spec.scenario.duration
-    found: Iterable[tuple[str, float]]
+    if isinstance(reference, OutputReference):
+        return _through_xi(spec, reference)
     if isinstance(reference, SetPoint):
         y = np.abs(reference.y)
         found = [*zip(plant.tracked_names, y.tolist(), strict=True)]
         for row, size in zip(plant.tracked, y, strict=True):  # an output that is a multiple of one state says its size
             j = np.flatnonzero(row)
             found += [(plant.states[k], float(size / abs(row[k]))) for k in j if len(j) == 1]
-    elif isinstance(reference, OutputReference):
-        found = _through_xi(spec, reference)
-    else:
-        names = plant.inputs if isinstance(reference, InputReference) else plant.states
-        system = exosystem(reference.signals())
-        found = zip(names, _moves(system.states(_times(system, duration)) @ system.Q.T).tolist(), strict=True)
-    for name, size in found:
-        yield name, size, "reference"
+        return found
+    names = plant.inputs if isinstance(reference, InputReference) else plant.states
+    system = exosystem(reference.signals())
+    return zip(names, _moves(system.states(_times(system, duration)) @ system.Q.T).tolist(), strict=True)
 
 
 def _through_xi(spec: Spec, reference: OutputReference) -> Iterator[tuple[str, float]]:

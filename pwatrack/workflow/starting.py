@@ -18,11 +18,7 @@ from pwatrack.spec.wording import guess, shown
 
 
 def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
-    """Return η̂(0), in order or by the names of the states of the generator; see `consistent_start` where none is given.
-
-    Raises:
-        InvalidSpec: If it has another number of entries, or names.
-    """
+    """Return η̂(0), in order or by the generator's names of states; that of `consistent_start` if none is given."""
     given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
     if given is None or isinstance(given, Steady):
         return consistent_start(trajectory, generator)[0]
@@ -57,11 +53,7 @@ def plant_start(
 ) -> Array:
     """Return x(0); in steady state it is x_d(0), from which the plant follows its reference, or rests with it.
 
-    Args:
-        eta: η̂(0), where the reference says it; else it is that of `consistent_start`.
-
-    Raises:
-        InvalidSpec: If it has another number of entries.
+    `eta` is η̂(0), where the reference says it; else it is that of `consistent_start`.
     """
     given = spec.scenario.initial.plant
     if not isinstance(given, Steady):
@@ -71,11 +63,7 @@ def plant_start(
 
 
 def initial_values(values: Array | None, length: int, part: str) -> Array:
-    """Return where a part starts, 0 where nothing is said.
-
-    Raises:
-        InvalidSpec: If it has another number of entries.
-    """
+    """Return where a part starts, 0 where nothing is said; refuses another number of entries."""
     if values is None:
         return np.zeros(length)
     if len(values) != length:
@@ -95,8 +83,6 @@ def starts_of(
     start at 0.
 
     Args:
-        spec: It says where the observer starts, and the members.
-        trajectory: It says where x_d starts.
         plant_at: x(0).
         generator: η̂(0), if it is known.
         sizes: In which the observer makes the least of what is measured.

@@ -23,6 +23,7 @@ from pwatrack.model.reference import (
     check_bounded,
     check_smooth,
     exosystem,
+    shortest_rounding,
 )
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.bounded import bounded_response
@@ -36,13 +37,6 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """Check what can be known of the reference before an inequality is solved, and say it in a few words.
 
     That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
-
-    Args:
-        form: The normal form of its plant, where it is at hand.
-
-    Raises:
-        OutsideTheory: If the reference is none that the theorems are about, or the plant is not of form (11).
-        InvalidSpec: If a start was to be periodic and there is no period.
 
     Example:
         >>> from pwatrack import load_spec
@@ -91,11 +85,7 @@ def desired_trajectory(
 
 
 def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGenerator:
-    """Return the generator of a spec's plant in the form (11).
-
-    Raises:
-        PwatrackError: As `trajectory_generator`; state tracking is advised where no eigenvalue decides against it.
-    """
+    """Return the generator of a plant in the form (11), or advise state tracking where no eigenvalue is against it."""
     try:
         return trajectory_generator(form, preview=known)
     except PwatrackError as refusal:
@@ -159,7 +149,8 @@ def check_breaks(
 ) -> None:
     """Refuse a reference whose breaks cannot be timed well enough."""
     plant, reference, tracking = spec.problem.plant, spec.problem.reference, spec.problem.tracking
-    smooth = reference.smooth if isinstance(reference, OutputReference | StateReference) else None
+    rounded = reference.courses if isinstance(reference, OutputReference | StateReference) else ()
+    smooth = shortest_rounding(rounded)
     try:
         check_timing(
             plant,

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.workflow.outcome import Outcome, RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.tracking import start_given_twice
+from pwatrack.workflow.tracking import start_fixed, start_given_twice
 
 Over = Literal["initial", "parameters", "noise"]
 
@@ -112,13 +112,6 @@ def ensemble(
             5 % around each value that matters to the plant. "noise": the seed of the noise.
         executor: Who does the work instead of threads here, `workers` parts at a time. The result does not depend on
             it either.
-
-    Example:
-        >>> from pwatrack import load_spec, simulate
-        >>> result = simulate(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> many = ensemble(result, 4)
-        >>> many.ensemble.error.shape, bool(many.ensemble.final.max() < 1e-3)
-        ((4, 6001), True)
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
@@ -133,10 +126,14 @@ def ensemble(
             kept = _simulated(spec, variation, range(count), workers, progress)
         else:
             kept = _handed_on(executor, result, (over, count, seed), workers or 1, progress)
-        judged = [verdict for verdict in kept.verdicts if isinstance(verdict, _Judged)]
-        outcomes, figures = tuple(one.outcome for one in judged), tuple(one.figures for one in judged)
+        judged = cast("tuple[tuple[Outcome, Figures], ...]", kept.verdicts)
         return EnsembleResult(
-            nominal=result, variation=variation, seed=seed, ensemble=kept, outcomes=outcomes, figures=figures
+            nominal=result,
+            variation=variation,
+            seed=seed,
+            ensemble=kept,
+            outcomes=tuple(outcome for outcome, _ in judged),
+            figures=tuple(figures for _, figures in judged),
         )
 
 
@@ -184,22 +181,13 @@ def _part(result: SimulatedLoop, over: Over, count: int, seed: int, which: range
     return _simulated(result.spec, _VARIED[over](result, count, seed), which, 1)
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """What is said of a member."""
-
-    outcome: Outcome
-    figures: Figures
-
-
 def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop from initial states drawn from regions; parts without one start as in `result`.
-
-    Raises:
-        InvalidSpec: If there is a region for a generator whose start is fixed or has another number of entries.
-    """
+    """Return the loop from initial states drawn from regions; parts without one start as in `result`."""
     loop, spec = result.loop, result.spec
-    regions = dict(spec.scenario.regions) or _around(result)
+    regions = dict(spec.scenario.regions)
+    if not regions:
+        x, size = result.response.x, np.abs(result.response.x).max(axis=0)
+        regions = {"plant": BoxRegion(low=x[0] - size, high=x[0] + size)}
     places = {"plant": loop.at.x, "observer": loop.at.x_hat, "generator": loop.at.eta_hat}
     states, etas = spec.problem.plant.states, range(loop.at.eta_hat.stop - loop.at.eta_hat.start)
     names = {
@@ -214,7 +202,13 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
         random = np.random.default_rng([seed, number])  # so that no part depends on another
         drawn = regions[part].draw(random, count)
         if part == "generator":
-            _check_generator(result, drawn.shape[1])
+            subject: Subject = ("simulation", "ensemble", "initial", "generator")
+            if start_fixed(spec, result.controller):
+                raise start_given_twice(subject)
+            if drawn.shape[1] != len(etas):
+                message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
+                message += "one for each state of the generator"
+                raise InvalidSpec(Problem(message=message, subject=subject))
         starts[:, where] = drawn
     for start in starts:
         _observe(spec, loop, start)
@@ -232,9 +226,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
 def other_parameters(result: SimulatedLoop, count: int, seed: int) -> Variation:
     """Return the loop with plants whose parameters are drawn from intervals, and the controller as designed.
 
-    Raises:
-        InvalidSpec: If the plant depends on no parameter.
-        PwatrackError: If the plant is not of class (1) with other values; so does `member`.
+    Refuses, as does `member`, a plant that is not of class (1) with other values.
     """
     loop, spec = result.loop, result.spec
     intervals = dict(spec.scenario.intervals) or _near(result)
@@ -261,11 +253,7 @@ def other_parameters(result: SimulatedLoop, count: int, seed: int) -> Variation:
 
 
 def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop with other random numbers for its noise.
-
-    Raises:
-        InvalidSpec: If there is no noise.
-    """
+    """Return the loop with other random numbers for its noise."""
     loop = result.loop
     noise = loop.conditions.noise
     if noise is None:
@@ -294,11 +282,11 @@ def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
 
     spec = result.spec
 
-    def judge(trace: Trace) -> _Judged:
+    def judge(trace: Trace) -> tuple[Outcome, Figures]:
         watch, response = RunMonitor(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
         watch.see(response)
         figures = Figures.of(response, loop, **spec.measured)
-        return _Judged(watch.outcome(figures), figures)
+        return watch.outcome(figures), figures
 
     start = result.start.copy()
     _observe(spec, loop, start)
@@ -315,13 +303,6 @@ def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
     """Let the observer of a member start from what is measured of its own plant, where the spec asks for it."""
     if isinstance(spec.scenario.initial.observer, Measured):
         start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
-
-
-def _around(result: SimulatedLoop) -> dict[str, Region]:
-    """Return the default: within the largest size of each state of the plant in a run of where that run starts."""
-    x = result.response.x
-    size = np.abs(x).max(axis=0)
-    return {"plant": BoxRegion(low=x[0] - size, high=x[0] + size)}
 
 
 def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
@@ -348,13 +329,3 @@ def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
 def _changed(result: SimulatedLoop, parameters: Mapping[str, float]) -> dict[str, float]:
     """Return these parameters, and those that are not as designed anyway."""
     return {**(result.loop.conditions.parameters or {}), **parameters}
-
-
-def _check_generator(result: SimulatedLoop, entries: int) -> None:
-    subject: Subject = ("simulation", "ensemble", "initial", "generator")
-    where, expected = ".".join(map(str, subject)), result.response.eta_hat.shape[1]
-    if result.generator_start_fixed:
-        raise start_given_twice(subject)
-    if entries != expected:
-        message = f"{where}: {amount(entries, 'interval')}, expected {expected}, one for each state of the generator"
-        raise InvalidSpec(Problem(message=message, subject=subject))
