@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,21 +26,6 @@ REQUIRED: dict[str, Any] = {"color": "#a3195b", "linewidth": 1.1, "linestyle": (
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
-ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
-_SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
-_STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
-_ROOM = 0.06  # of a scale, above and below what it shows
-
-
-def desired_label(result: SimulatedLoop) -> str:
-    """Say where the desired trajectory comes from."""
-    return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
-
-
-def column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
-    """Return panels below each other."""
-    each = 1.7 if count <= 6 else 1.1
-    return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
 
 def canvas(
@@ -67,59 +51,15 @@ def png(figure: Figure) -> bytes:
     return file.getvalue()
 
 
-def label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:
-    """Name both axes, and show this span of time, or of whatever goes to the right."""
+def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
+    """Name both axes, and show from the first to the last of these times, or of whatever goes to the right."""
     axes.set_xlabel(x, fontsize=9)
     axes.set_ylabel(plain(y), fontsize=9)
-    axes.set_xlim(*span)
+    axes.set_xlim(shown[0], shown[-1])
     axes.tick_params(labelsize=8)
     axes.yaxis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def widen(axes: Axes, size: float) -> None:
-    """Keep an axis from magnifying rounding: it spans at least a hundredth of the size of the curve."""
-    low, high = axes.get_ylim()
-    if high - low < 0.01 * size:
-        middle = (low + high) / 2
-        axes.set_ylim(middle - 0.005 * size, middle + 0.005 * size)
-    axes.ticklabel_format(axis="y", useOffset=False)
-
-
-def zoom(
-    axes: Axes,
-    t: Array,
-    curves: Sequence[Array],
-    lines: Sequence[float] = (),
-    unit: str = "",
-    *,
-    whole: bool = False,
-) -> None:
-    """Show curves (K,) whole, but for a spike at the start that would squash the rest: that is told in words.
-
-    Lines at constant values are shown where they do not squash it either; so are bands, up to the edge.
-    """
-    values = np.array(curves)
-    low, high = float(values.min()), float(values.max())
-    size, rest = max(abs(low), abs(high)), values[:, t >= t[0] + _EARLY * (t[-1] - t[0])]
-    least, most = float(rest.min(initial=high)), float(rest.max(initial=low))
-    spikes = not whole and high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size
-    low, high = (least, most) if spikes else (low, high)
-    room = high - low or max(abs(low), abs(high)) or 1.0
-    for line in lines:
-        if low - room < line < high + room:
-            low, high = min(low, line), max(high, line)
-    margin = _ROOM * (high - low or max(abs(low), abs(high)) or 1.0)
-    axes.set_ylim(low - margin, high + margin)
-    if spikes:
-        away = values - (least + most) / 2
-        curve, k = np.unravel_index(int(np.abs(away).argmax()), away.shape)
-        arrow = "↑" if away[curve, k] > 0 else "↓"
-        axes.set_title(
-            f"{arrow} {values[curve, k]:.3g} {unit}".rstrip() + f" at t = {t[k]:.3g} s", loc="left", fontsize=8
-        )
-    widen(axes, size)
 
 
 def legend(axes: Axes, columns: int = 2) -> None:
@@ -138,24 +78,12 @@ def legend(axes: Axes, columns: int = 2) -> None:
     )
 
 
-def span(t: Array) -> tuple[float, float]:
-    """Return the first and the last of some times."""
-    return float(t[0]), float(t[-1])
-
-
-def window(result: SimulatedLoop) -> float:
-    """Return how much of either end to show: five periods of the reference, or a tenth of the time."""
-    total = float(result.response.t[-1])
-    period = result.controller.trajectory.exosystem.period
-    return min(total, 5 * period if period else total / 10)
-
-
 def plain(text: str) -> str:
     """Return text that matplotlib does not take for a formula."""
     return text.replace("$", r"\$")
 
 
-def labelled(result: SimulatedLoop, name: str) -> str:
-    """Return the name of a signal with its unit."""
-    unit = result.spec.problem.units.get(name, "")
-    return f"{name} ({unit})" if unit else name
+def limits(result: SimulatedLoop, figure: str, signal: str | None = None) -> list[float]:
+    """Return the limits of a figure of the run, or of one of its signals."""
+    asked = (wish for wish in result.spec.requirements if wish.figure == figure and wish.share is None)
+    return [wish.limit for wish in asked if wish.signal in (None, signal)]

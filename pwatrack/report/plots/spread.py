@@ -1,22 +1,25 @@
-"""Many members of an ensemble, and many rates of a design, in one picture."""
+"""Many members of an ensemble, many rates of a design, or several runs, in one picture."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+from pwatrack.arrays import Array
 from pwatrack.control.pareto import Front
-from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, span
-from pwatrack.report.wording import error_unit
+from pwatrack.report.figures import error_unit
+from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, plain
 from pwatrack.workflow.variation import EnsembleResult
+
+_STYLES = ("-", "--", "-.", ":")  # told apart without colour too
 
 
 def fan(many: EnsembleResult) -> Figure:
     """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
-    unit = error_unit(result)
+    unit = error_unit(result.spec, result.controller)
     largest = f"{max(figures.final_error for figures in many.figures):.1e} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
@@ -42,7 +45,7 @@ def fan(many: EnsembleResult) -> Figure:
         axes.plot(t, middle, label="median", **ACTUAL)
         axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
         legend(axes, columns=4)
-        label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), span(t))
+        label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
         bottom = float(low.min()) / 3
     linear.set_ylim(bottom=0)
     logarithmic.set_yscale("log")
@@ -58,7 +61,6 @@ def fan(many: EnsembleResult) -> Figure:
 def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
     """Draw the smallest gain against the decay rate for controller and observer, with the chosen points."""
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(textwrap.fill(f"{name}: what a faster decay costs", 90), fontsize=11)
     for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
         letter, rate, norm = front.role.letter, *front.chosen
@@ -73,4 +75,20 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
         axes.set_ylabel(f"‖{letter}‖ in sizes{'' if letter == 'K' else ', 1/s'}")
         axes.grid(visible=True, color="0.9")
         axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def run_errors(runs: Mapping[str, tuple[Array, Array]], unit: str) -> Figure:
+    """Draw the norm of the tracking error of each run over time, (t, error), logarithmic; '' is of several units."""
+    figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, (t, error)) in enumerate(runs.items()):
+        colour = colormaps["viridis"](0.85 * k / max(1, len(runs) - 1))
+        axes.plot(t, np.where(error > 0, error, np.nan), label=plain(name), color=colour, linestyle=_STYLES[k % 4])
+    axes.set_yscale("log")
+    axes.set_xlabel("time t (s)", fontsize=9)
+    axes.set_ylabel("tracking error" + (f" ({plain(unit)})" if unit else ""), fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.legend(loc="upper right", fontsize=8, frameon=False)
     return figure
