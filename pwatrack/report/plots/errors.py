@@ -1,6 +1,7 @@
 """Tracking and observer errors, within what is proved of them."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,7 @@ from pwatrack.report.plots.canvas import ACTUAL, BAND, BOUND, REQUIRED, ROUNDING
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.workflow.result import SimulatedLoop
 
+_Kind = Literal["output", "state", "estimate"]  # of what errors are: see `Form`
 _MOST = 8  # panels of single errors
 _BEYOND = 3.0  # times the largest error: how much of a band is shown
 _HIGH, _LOW = 1.6, 0.85  # inches of a panel, where there are one or two and where there are more
@@ -53,7 +55,7 @@ def observer_error(result: SimulatedLoop) -> Figure:
 
 
 def _panels(
-    result: SimulatedLoop, title: str, kind: str, names: Sequence[str], errors: Array, signals: Array, sizes: Array
+    result: SimulatedLoop, title: str, kind: _Kind, names: Sequence[str], errors: Array, signals: Array, sizes: Array
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each error, of many those that are furthest off, and room for their norm.
 
