@@ -17,9 +17,9 @@ from pwatrack.control.applicability import applicability
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report import summary, terminal
 from pwatrack.report.files import write_result
+from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
-from pwatrack.report.uncertain import run_rows
 from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes

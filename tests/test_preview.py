@@ -36,8 +36,8 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.parameters import box_figures
 from pwatrack.report.summary import print_design
-from pwatrack.report.uncertain import box_figures
 from pwatrack.simulation import stable_inversion as preview_module
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec

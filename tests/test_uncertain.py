@@ -25,7 +25,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
-from pwatrack.report.uncertain import box_figures, run_rows
+from pwatrack.report.parameters import box_figures, run_rows
 from pwatrack.spec.box import corners
 from pwatrack.workflow.bands import covered
 from tests.boxes import judge

@@ -53,7 +53,7 @@ def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Po
     import numpy as np
 
     from pwatrack.report.plots.canvas import png
-    from pwatrack.report.plots.sweep import curves, maps
+    from pwatrack.report.plots.spread import sweep_curves, sweep_maps
 
     names = [axis.name for axis in axes]
     at = [np.array([point.values[name] for point in points]) for name in names]
@@ -61,11 +61,11 @@ def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Po
     figures = {n: np.array([p.figures.get(n, np.nan) if p.proved else np.nan for p in points]) for n in known}
     ends = [tuple((e.inside.values[n] + e.beyond.values[n]) / 2 for n in names) for e in edges]
     if len(axes) == 1:
-        figure = curves(title, names[0], at[0], figures, [end[0] for end in ends])
+        figure = sweep_curves(title, names[0], at[0], figures, [end[0] for end in ends])
     else:
         verdicts = [point.verdict for point in points]
         pairs = [(end[0], end[1]) for end in ends]
-        figure = maps(title, (names[0], names[1]), (at[0], at[1]), verdicts, figures, pairs)
+        figure = sweep_maps(title, (names[0], names[1]), (at[0], at[1]), verdicts, figures, pairs)
     with written_at_once(path) as temporary:
         temporary.write_bytes(png(figure))
     return True

@@ -111,10 +111,10 @@ def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> N
     if picture is None or not drawn:
         return
     from pwatrack.report.plots.canvas import png
-    from pwatrack.report.plots.compare import errors
+    from pwatrack.report.plots.spread import run_errors
 
     units = {run.unit for _, run in drawn}
-    figure = errors({name: (run.t, run.error) for name, run in drawn}, units.pop() if len(units) == 1 else "")
+    figure = run_errors({name: (run.t, run.error) for name, run in drawn}, units.pop() if len(units) == 1 else "")
     with written_at_once(picture) as temporary:
         temporary.write_bytes(png(figure))
     screen.print(str(picture), soft_wrap=True)

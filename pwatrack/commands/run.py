@@ -23,11 +23,10 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import answers, asking
 from pwatrack.report import files, summary
 from pwatrack.report.files import Effort
-from pwatrack.report.how_far import texts
+from pwatrack.report.parameters import how_far_texts, largest_text
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
 from pwatrack.report.terminal import compiling, console
-from pwatrack.report.uncertain import largest_text
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
@@ -142,7 +141,7 @@ class _Made:
     @property
     def effort(self) -> Effort:
         """What it took so far."""
-        return Effort(seconds=self.seconds, answered=self.answered)
+        return {"seconds": self.seconds, "answered": self.answered}
 
     def design(
         self, status: Status, solver: Solver | None, *, growing: bool, scaled: bool
@@ -228,7 +227,7 @@ class _Made:
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
             found = self._how_far(refusal, status) if printed or not expected else None
-            for text in () if found is None else texts(found):
+            for text in () if found is None else how_far_texts(found):
                 refusal.add_note(f"  how far: {text}")
             if files.write_refusal(
                 refusal, folder, path=self.path, parameters=self.parameters, spec=spec, effort=self.effort, far=found

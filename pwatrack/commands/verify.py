@@ -17,8 +17,7 @@ from pwatrack.export.stored import LARGEST, digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed, refuses
-from pwatrack.report.bounds import bound_content
-from pwatrack.report.certificate import subject_content
+from pwatrack.report.certificate import bound_content, subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.figures import SIMULATED
 from pwatrack.report.files import gain_content, proved_content

@@ -10,7 +10,8 @@ from pwatrack.errors import Place, PwatrackError
 from pwatrack.remote_files import content
 from pwatrack.report.codes import code_of
 
-_PROPERTY = {"%": "%25", "\r": "%0D", "\n": "%0A", ":": "%3A", ",": "%2C"}
+_MESSAGE = str.maketrans({"%": "%25", "\r": "%0D", "\n": "%0A"})
+_PROPERTY = _MESSAGE | str.maketrans({":": "%3A", ",": "%2C"})
 _WIDEST = 100  # characters of a line that are shown
 _LARGEST = 4 * 2**20  # bytes of a file that is looked into
 
@@ -43,10 +44,8 @@ def _bytes(path: Path) -> bytes:
 def _meant(line: str, first: int, message: str) -> tuple[int, int]:
     """Return where in a line that is what a message is about, and how long it is."""
     quoted = re.search(r"'([^']{1,60})'", message)
-    if quoted:
-        found = re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))
-        if found:
-            return found.start(), len(quoted[1])
+    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))):
+        return found.start(), len(quoted[1])
     return min(max(first, 0), len(line)), 1
 
 
@@ -58,7 +57,8 @@ def annotation(text: str, *, title: str, file: str, line: int | None = None, col
         '::error file=a%2Cb.yaml,line=3,col=1,title=no%3A 1::a%0Ab'
     """
     place = "" if line is None else f",line={line},col={column}"
-    return f"::error file={_property(file)}{place},title={_property(title)}::{_escaped(text, '%', chr(13), chr(10))}"
+    file, title = file.translate(_PROPERTY), title.translate(_PROPERTY)
+    return f"::error file={file}{place},title={title}::{text.translate(_MESSAGE)}"
 
 
 def annotations(error: PwatrackError) -> list[str]:
@@ -88,13 +88,3 @@ def as_json(error: PwatrackError) -> str:
     ]
     notes = [note.strip() for note in getattr(error, "__notes__", ())]
     return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
-
-
-def _property(text: str) -> str:
-    return _escaped(text, *_PROPERTY)
-
-
-def _escaped(text: str, *characters: str) -> str:
-    for character in characters:
-        text = text.replace(character, _PROPERTY[character])
-    return text

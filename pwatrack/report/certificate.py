@@ -1,10 +1,11 @@
-"""What certificate.json, refusal.json and generator.json hold: plant, gains and proofs in exact numbers."""
+"""What certificate.json, refusal.json, generator.json and bounds.json hold: plant, gains, and what is proved."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.bounds import SignalBounds, bound_entry
 from pwatrack.claims.exact_text import (
     decimal,
     decimal_texts,
@@ -15,6 +16,7 @@ from pwatrack.claims.exact_text import (
 )
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
+from pwatrack.claims.robust import Robust
 from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
@@ -120,6 +122,33 @@ def _compensation_content(form: NormalForm, *, played_back: bool) -> dict[str, A
         "x_d": added.X.floats.tolist(),
         "u_ff": added.u_ff.tolist(),
         "rate": added.rate.tolist(),
+    }
+
+
+def bound_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
+    """Return the content of bounds.json."""
+    words, found = spec.words, controller.claim(SignalBounds)
+    table = [bound_entry(words, bounds) for bounds in (*found.acting, *found.starts)]
+    for robust in controller.claims_of(Robust):
+        table += [bound_entry(words, bounds, uncertain=True) for bounds in robust.bounds]
+    plant, sizes = controller.plant, controller.sizes
+    start = dict(zip(plant.states, sizes.state.tolist(), strict=True))
+    if plant.loads is not None:
+        start |= zip(plant.loads.names, sizes.load[list(plant.loads.where)].tolist(), strict=True)
+    worst = {words.signal(form): size for form, size in found.from_sizes(controller).items()}
+    return {
+        "format": "pwatrack bounds 1",
+        "name": spec.name,
+        "spec_sha256": spec.sha256,
+        "meaning": "signals are at most the sum of these bounds, each times the size of what acts; in_the_end: once "
+        "the start is forgotten; at_worst: at any time, for what acts from the start on",
+        "table": table,
+        "start_within_sizes": {
+            "sizes": start,
+            "signals": {
+                name: {"in_the_end": 0.0, "at_worst": size, "unit": unit} for (name, unit), size in worst.items()
+            },
+        },
     }
 
 

@@ -1,9 +1,8 @@
 """What controller.json says of a design, with the digest of its proof."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
@@ -18,15 +17,8 @@ from pwatrack.workflow.pipeline import start_of
 from pwatrack.workflow.result import SimulatedLoop
 
 
-@dataclass(frozen=True)
-class Written:
-    """A design as its files tell it.
-
-    Attributes:
-        certificate: What certificate.json holds, as text.
-        generator: What generator.json holds, where there is a generator.
-        controller: What controller.json holds; None for either where there are too many cells for tables.
-    """
+class Written(NamedTuple):
+    """A design as its files tell it: certificate.json as text, and the others, None where there is no such file."""
 
     certificate: str
     generator: dict[str, Any] | None
@@ -34,7 +26,7 @@ class Written:
 
 
 def written(
-    spec: Spec, controller: ProvedController, start: Mapping[str, Any] | None, failed: Sequence[str] = ()
+    spec: Spec, controller: ProvedController, start: dict[str, Any] | None, failed: Sequence[str] = ()
 ) -> Written:
     """Return a design as its files tell it; `start` and `failed` as for `stored.content`."""
     certificate, made = json_text(design_certificate(spec, controller)), controller.generator
@@ -42,8 +34,7 @@ def written(
         return Written(certificate, None, None)
     generator = None if made is None else generator_content(made)
     proof = hashlib.sha256(certificate.encode()).hexdigest()
-    known = None if start is None else dict(start)
-    told = content(spec, controller, proof=proof, generator=generator, start=known, failed=failed)
+    told = content(spec, controller, proof=proof, generator=generator, start=start, failed=failed)
     return Written(certificate, generator, told)
 
 

@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
+from pwatrack.simulation.sample_map import sampling_remarks
+from pwatrack.spec.spec import Spec
 from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 _OF_STEADY_STATE = ("largest_multiplier", "steady_state_residual")
@@ -23,12 +27,12 @@ SIMULATED = (  # the figures that no proof decides
 
 def measures(result: SimulatedLoop) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
-    steady_state, figures = result.steady_state, asdict(result.figures)
+    figures = asdict(result.figures)
     del figures["sampled"]
-    if steady_state is None:
-        return figures
-    largest = float(np.abs(steady_state.multipliers).max())
-    return figures | dict(zip(_OF_STEADY_STATE, (largest, steady_state.residual), strict=True))
+    if (steady := result.steady_state) is not None:
+        largest = float(np.abs(steady.multipliers).max())
+        figures |= zip(_OF_STEADY_STATE, (largest, steady.residual), strict=True)
+    return figures
 
 
 def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -42,13 +46,13 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
 def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
     """Return what is said of an ensemble; members count from 1, and a time that never comes is None."""
     kept, variation = many.ensemble, many.variation
-    regions, names = variation.regions.items(), variation.names
+    columns = member_figures(many) | {"mode_changes": kept.mode_changes}
     return {
         "members": len(kept.error),
         "seed": many.seed,
         "over": variation.over,
         "given": variation.given,
-        "regions": {part: _region(region, names[part]) for part, region in regions},
+        "regions": {part: _region(region, variation.names[part]) for part, region in variation.regions.items()},
         **{
             name: {
                 "median": _finite(np.nanquantile(values, 0.5, method="lower")),
@@ -56,10 +60,7 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
                 "worst": _finite(np.nanmax(values)),
                 "member": int(np.nanargmax(values)) + 1,
             }
-            for name, values in (
-                *member_figures(many).items(),
-                ("mode_changes", kept.mode_changes),
-            )
+            for name, values in columns.items()
         },
         "sampled": sorted({name for figures in many.figures for name in figures.sampled}),
         "unresolved": int(np.count_nonzero(kept.unresolved)),
@@ -95,13 +96,31 @@ def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
     }
 
 
+def design_remarks(spec: Spec, controller: ProvedController) -> list[str]:
+    """Return what was noticed of a design and is no promise."""
+    of_run = sampling_remarks(controller, spec.scenario.conditions)
+    return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *of_run]
+
+
+def error_unit(spec: Spec, controller: ProvedController) -> str:
+    """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
+    names = controller.error_names
+    return spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
+
+
+def states_unit(spec: Spec) -> str:
+    """Return the unit of a norm of all states: of several it is in sizes."""
+    states = spec.problem.plant.states
+    return spec.problem.units.get(states[0], "") if len(states) == 1 else "sizes"
+
+
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
     """Return what of a region varies, by name."""
-    box = isinstance(region, BoxRegion)
-    first, second = (region.low, region.high) if isinstance(region, BoxRegion) else (region.center, region.radii)
-    entries = zip(names, first.tolist(), second.tolist(), strict=True)
-    varied = {name: [a, b] for name, a, b in entries if (a < b if box else b > 0)}
-    return {"box" if box else "ellipsoid": varied}
+    if isinstance(region, BoxRegion):
+        ends = zip(names, region.low.tolist(), region.high.tolist(), strict=True)
+        return {"box": {name: [low, high] for name, low, high in ends if low < high}}
+    around = zip(names, region.center.tolist(), region.radii.tolist(), strict=True)
+    return {"ellipsoid": {name: [center, radius] for name, center, radius in around if radius > 0}}
 
 
 def _finite(value: Any) -> float | None:

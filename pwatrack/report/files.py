@@ -4,7 +4,6 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +19,25 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.report.bounds import bound_content
-from pwatrack.report.certificate import refusal_certificate
+from pwatrack.report.certificate import bound_content, refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.drawing import begin
 from pwatrack.report.figures import (
+    design_remarks,
     ensemble_measures,
+    error_unit,
     figure_content,
     load_content,
     measures,
     member_figures,
 )
-from pwatrack.report.how_far import content as how_far_content
 from pwatrack.report.kept_spec import keep
+from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
-from pwatrack.report.uncertain import box_figures, largest_content
-from pwatrack.report.wording import error_unit
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
-from pwatrack.simulation.sample_map import sampling_remarks
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
@@ -48,31 +45,12 @@ from pwatrack.version import versions
 from pwatrack.workflow.how_far import HowFar
 from pwatrack.workflow.largest_box import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
+Effort = Mapping[str, Mapping[str, float]]  # what a run took: `seconds` by step, programs `answered` by solver
+
 _ROWS = 10_000  # that are turned to text at a time
-
-
-@dataclass(frozen=True, kw_only=True)
-class Effort:
-    """What a run took.
-
-    Attributes:
-        seconds: Time spent, by step.
-        answered: How many programs each solver answered; what is proved while files are written is counted too.
-    """
-
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    answered: Mapping[str, int] = field(default_factory=dict)
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """What the index says of it, when it is written."""
-        return {"seconds": self.seconds, "answered": self.answered}
-
-
-NONE = Effort()
+_NONE: Effort = {"seconds": {}, "answered": {}}  # an effort that nobody measured
 
 
 def write_design(
@@ -83,7 +61,7 @@ def write_design(
     fronts: Sequence[Front] = (),
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
-    effort: Effort = NONE,
+    effort: Effort = _NONE,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
 
@@ -93,7 +71,7 @@ def write_design(
         folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
         fronts: What `pareto` returned for controller and observer.
         broken: Why a simulation of it broke off, if it did.
-        effort: What it took, for run.json.
+        effort: What it took, for run.json; what is proved while files are written is counted too.
 
     Returns:
         The folder.
@@ -116,12 +94,7 @@ def write_design(
         if fronts:
             _fronts(run, spec, fronts)
         index = _index(spec, effort) | proved_content(spec, controller)
-        index["remarks"] = [
-            *controller.plant.remarks,
-            *reference_remarks(spec, controller.form),
-            *sampling_remarks(controller, spec.scenario.conditions),
-        ]
-        index |= _requirements(checked)
+        index |= {"remarks": design_remarks(spec, controller)} | _requirements(checked)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
@@ -135,7 +108,7 @@ def write_result(
     folder: str | Path,
     *,
     many: EnsembleResult | None = None,
-    effort: Effort = NONE,
+    effort: Effort = _NONE,
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
@@ -180,24 +153,23 @@ def write_result(
 def _result_content(result: SimulatedLoop) -> dict[str, Any]:
     """Return what the index says of a simulation."""
     proved = proved_content(result.spec, result.controller)
+    # of what goes to 0: what each column that has a desired value counts in
+    sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     content: dict[str, Any] = proved | {
         "figures": proved["figures"] | figure_content(measures(result)),
-        "simulation": {"outcome": result.outcome.kind, "said": result.outcome.text}
-        | {"sampled": list(result.figures.sampled)},
+        "simulation": {
+            "outcome": result.outcome.kind,
+            "said": result.outcome.text,
+            "sampled": list(result.figures.sampled),
+        },
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
-        "tracked": _tracked_content(result),
+        "tracked": {"sizes": sizes, "unit": error_unit(result.spec, result.controller)},
     }
     for robust in result.controller.claims_of(Robust) if result.w is not None else ():
         content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
     return content
-
-
-def _tracked_content(result: SimulatedLoop) -> dict[str, Any]:
-    """Return what goes to 0: the columns of the trace that have a desired value, what each counts in, and the unit."""
-    sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
-    return {"sizes": sizes, "unit": error_unit(result)}
 
 
 def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
@@ -258,7 +230,7 @@ def write_refusal(
     path: Path,
     parameters: Mapping[str, float | str],
     spec: Spec | None = None,
-    effort: Effort = NONE,
+    effort: Effort = _NONE,
     far: HowFar | None = None,
 ) -> bool:
     """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
@@ -285,20 +257,19 @@ def write_refusal(
         index = _index(spec, effort) | {"remarks": list(spec.problem.plant.remarks)}
         if isinstance(refusal.evidence, Impossibility):
             proof = refusal_certificate(spec, refusal.evidence)
-    reasons = [
+    index |= {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code)}
+    index["reasons"] = [
         {"message": p.message, "hint": p.hint, "place": None if p.place is None else str(p.place)}
         for p in refusal.problems
     ]
-    ending: dict[str, Any] = {"verdict": refusal.code.verdict, "simulation": None, "exit": int(refusal.code)}
-    ending["reasons"] = reasons
     if far is not None:
-        ending["how_far"] = how_far_content(far)
+        index["how_far"] = how_far_content(far)
     with run_folder(folder) as run:
         if proof is not None:
             run.json(REFUSAL, proof)
         if spec is not None:
             keep(run, spec)
-        run.commit(index | ending)
+        run.commit(index)
     return proof is not None
 
 
@@ -309,7 +280,7 @@ def _unread(path: Path, parameters: Mapping[str, float | str], effort: Effort) -
         "spec": str(path),
         "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest(),
         "parameters": dict(parameters),
-        **effort.content,
+        **effort,
         "versions": versions(),
     }
 
@@ -354,6 +325,7 @@ def signal_columns(result: SimulatedLoop, response: Response) -> Sequence[tuple[
     plant = result.spec.problem.plant
     loads = () if plant.loads is None else plant.loads.names
     forms = [k for k, name in enumerate(plant.tracked_names) if name not in plant.outputs]
+    other = result.loop.conditions.sampling is not None or result.loop.conditions.noise is not None  # than y is read
     return (
         (["t"], response.t),
         (plant.states, response.x),
@@ -362,7 +334,7 @@ def signal_columns(result: SimulatedLoop, response: Response) -> Sequence[tuple[
         ([f"eta_hat{k + 1}" for k in range(response.eta_hat.shape[1])], response.eta_hat),
         (plant.outputs, response.y),
         ([f"{y}_d" for y in plant.outputs], response.y_d),
-        *([([f"{y}_measured" for y in plant.outputs], response.measured)] if _reads_other(result) else []),
+        *([([f"{y}_measured" for y in plant.outputs], response.measured)] if other else []),
         ([plant.tracked_names[k] for k in forms], response.tracked[:, forms]),
         ([f"{plant.tracked_names[k]}_d" for k in forms], response.tracked_d[:, forms]),
         (loads, response.loads),
@@ -370,11 +342,6 @@ def signal_columns(result: SimulatedLoop, response: Response) -> Sequence[tuple[
         (plant.inputs, response.u),
         ([f"{u}_ff" for u in plant.inputs], response.u_ff),
     )
-
-
-def _reads_other(result: SimulatedLoop) -> bool:
-    """Say whether a controller reads something else than y."""
-    return result.loop.conditions.sampling is not None or result.loop.conditions.noise is not None
 
 
 def _event_rows(loop: ClosedLoop, trace: Trace) -> Iterator[list[str]]:
@@ -431,6 +398,6 @@ def _index(spec: Spec, effort: Effort) -> dict[str, Any]:
         "simulation": None,
         "exit": int(ExitCode.DONE),
         "solver": spec.objectives.solver,
-        **effort.content,
+        **effort,
         "versions": versions(),
     }

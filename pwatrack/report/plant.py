@@ -9,59 +9,49 @@ from rich.table import Table
 from pwatrack.arrays import amount, complex_text
 from pwatrack.control.applicability import Applicability
 from pwatrack.errors import PwatrackError
-from pwatrack.model.cells import Facet
-from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.terminal import remark_rows, titled
-from pwatrack.report.wording import size_texts
+from pwatrack.report.terminal import titled
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that
 
 
 def print_plant(
-    console: Console,
-    name: str,
-    report: Applicability,
-    reference: str = "",
-    sizes: Sizes | None = None,
-    remarks: Sequence[str] = (),
+    console: Console, name: str, report: Applicability, reference: str, sizes: Sizes | None, remarks: Sequence[str] = ()
 ) -> None:
     """Say what the plant is, which routes there are, what is known of the reference, and which sizes are in force.
 
     Of many cells, facets or signals only the first ones.
     """
-    plant, form = report.plant, report.form
-    facets = plant.partition.facets
-    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
+    plant, form, cells, facets = report.plant, report.form, report.plant.cell_names, report.plant.partition.facets
+    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": cells}
     orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
     table = titled(name)
     table.add_row("plant (1)", f"{orders}; continuous across {amount(len(facets), 'facet')}")
-    _some_rows(table, "cell", len(plant.cell_names), lambda i: _cell_text(report, i))
-    _some_rows(table, "facet", len(facets), lambda k: _facet_text(plant, facets[k]))
+    _some_rows(table, "cell", range(len(cells)), lambda i: _cell_text(report, i))
+    _some_rows(table, "facet", facets, lambda f: f"{cells[f.i]} | {cells[f.j]}, on {plant.hyperplane_text(f.k)}")
     if form is not None:
-        table.add_row(
-            "form (11)",
-            f"relative degree {form.degrees_text}, internal states η = {', '.join(form.eta_names) or 'none'}",
-        )
+        internal = ", ".join(form.eta_names) or "none"
+        table.add_row("form (11)", f"relative degree {form.degrees_text}, internal states η = {internal}")
     for route, answer in report.routes().items():
         table.add_row(route, answer)
     table.add_row("design takes", report.taken)
     if reference:
         table.add_row("reference", reference)
-    for k, text in enumerate(size_texts(sizes, _MOST_SHOWN) if sizes else ()):
+    for k, text in enumerate(size_texts(sizes) if sizes else ()):
         table.add_row("" if k else "sizes", text)
-    remark_rows(table, (*plant.remarks, *remarks))
+    for remark in (*plant.remarks, *remarks):
+        table.add_row("remark", remark)
     console.print(table)
 
 
-def _some_rows(table: Table, kind: str, count: int, text: Callable[[int], str]) -> None:
+def _some_rows(table: Table, kind: str, things: Sequence[Any], text: Callable[[Any], str]) -> None:
     """Add a row for each of some things, or for the first of many."""
-    shown = count if count <= _MOST_SHOWN else _FEW
-    for k in range(shown):
-        table.add_row(kind, text(k))
-    if shown < count:
-        table.add_row("", f"… and {count - shown:,} more {kind}s (--json lists all)")
+    shown = things if len(things) <= _MOST_SHOWN else things[:_FEW]
+    for each in shown:
+        table.add_row(kind, text(each))
+    if len(shown) < len(things):
+        table.add_row("", f"… and {len(things) - len(shown):,} more {kind}s (--json lists all)")
 
 
 def _cell_text(report: Applicability, i: int) -> str:
@@ -70,20 +60,24 @@ def _cell_text(report: Applicability, i: int) -> str:
     return f"{name}: zero dynamics {', '.join(complex_text(complex(v)) for v in values)}" if len(values) else name
 
 
-def _facet_text(plant: PWASystem, facet: Facet) -> str:
-    return f"{plant.cell_names[facet.i]} | {plant.cell_names[facet.j]}, on {plant.hyperplane_text(facet.k)}"
-
-
-def plant_json(
+def check_json(
     name: str,
-    report: Applicability,
-    reference: str = "",
-    sizes: Sizes | None = None,
-    remarks: Sequence[str] = (),
+    report: Applicability | None,
+    reference: str,
+    sizes: Sizes | None,
+    refusal: PwatrackError | None,
+    remarks: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what `print_plant` says, for machines; `reference` is null where it is refused."""
+    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full.
+
+    `reference` is null where it is refused.
+    """
+    problems = () if refusal is None else refusal.problems
+    told = {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
+    if report is None:
+        return told
     plant, form = report.plant, report.form
-    planes = [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
+    cells, planes = plant.cell_names, [plant.hyperplane_text(k) for k in range(len(plant.partition.h))]
     values = report.zero_dynamics if report.zero_dynamics is not None else ()
     return {
         "name": name,
@@ -91,12 +85,9 @@ def plant_json(
         "inputs": list(plant.inputs),
         "outputs": list(plant.outputs),
         "tracked": list(plant.tracked_names),
-        "cells": list(plant.cell_names),
+        "cells": list(cells),
         "facets": [
-            {
-                "cells": [plant.cell_names[facet.i], plant.cell_names[facet.j]],
-                "hyperplane": planes[facet.k],
-            }
+            {"cells": [cells[facet.i], cells[facet.j]], "hyperplane": planes[facet.k]}
             for facet in plant.partition.facets
         ],
         "continuous": True,
@@ -104,8 +95,7 @@ def plant_json(
         "relative_degrees": None if form is None else list(form.degrees),
         "eta": [] if form is None else list(form.eta_names),
         "zero_dynamics": {
-            cell: [[float(v.real), float(v.imag)] for v in row]
-            for cell, row in zip(plant.cell_names, values, strict=False)
+            cell: [[float(v.real), float(v.imag)] for v in row] for cell, row in zip(cells, values, strict=False)
         },
         "routes": report.routes(),
         "design_takes": report.taken,
@@ -113,18 +103,24 @@ def plant_json(
         "sizes": sizes and {k: {"size": v, "from": sizes.origins[k]} for k, v in sizes.by_name.items()},
         "speed": sizes and sizes.speed,
         "remarks": [*plant.remarks, *remarks],
+        **told,
     }
 
 
-def check_json(
-    name: str,
-    report: Applicability | None,
-    reference: str,
-    sizes: Sizes | None,
-    refusal: PwatrackError | None,
-    remarks: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
-    plant = {} if report is None else plant_json(name, report, reference, sizes, remarks)
-    problems = () if refusal is None else refusal.problems
-    return plant | {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
+def size_texts(sizes: Sizes) -> list[str]:
+    """Return the sizes as a file would give them, of many the first, and where they are from.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> from pwatrack.workflow.sizing import spec_sizes
+        >>> size_texts(spec_sizes(load_spec("specs/gallery/two_rooms.yaml")))[1]
+        'balanced: T1, T2, y1, y2; reference: u1, u2; speed 0.001449 1/s'
+    """
+    known = sizes.by_name
+    shown = list(known)[:_MOST_SHOWN]
+    said = [f"sizes: {{{', '.join(f'{name}: {known[name]:.4g}' for name in shown)}}}"]
+    if len(known) > len(shown):
+        said.append(f"… and {len(known) - len(shown)} more sizes (--json lists all)")
+    origins = dict.fromkeys(sizes.origins[name] for name in shown)
+    groups = [f"{origin}: {', '.join(n for n in shown if sizes.origins[n] == origin)}" for origin in origins]
+    return [*said, f"{'; '.join(groups)}; speed {sizes.speed:.4g} 1/s"]

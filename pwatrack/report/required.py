@@ -8,34 +8,28 @@ from typing import Any
 from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.report.figures import measures
-from pwatrack.report.wording import error_unit
+from pwatrack.report.figures import error_unit, measures
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
-Figures = Mapping[str, Any]
-
-_ABSENT = {
-    "rise_time": "the reference does not come to rest before the last tenth of the run, or the output starts there",
-    "overshoot": "the reference does not come to rest before the last tenth of the run, or the output starts there",
+_NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"
+_NO_PERIOD = "no periodic steady state of a trajectory generator was looked for"
+_ABSENT = {  # why a run has no such figure
+    "rise_time": _NO_REST,
+    "overshoot": _NO_REST,
     "generator_rate": "there is no trajectory generator, or it has no state",
-    "largest_multiplier": "no periodic steady state of a trajectory generator was looked for",
-    "steady_state_residual": "no periodic steady state of a trajectory generator was looked for",
+    "largest_multiplier": _NO_PERIOD,
+    "steady_state_residual": _NO_PERIOD,
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A requirement and what came out.
+    """A requirement of a signal ('' where the figure is not one of a signal), and what came out, also in words.
 
-    Attributes:
-        requirement: What was asked.
-        signal: Of which signal, '' where the figure is not one of a signal.
-        found: The figure, of an ensemble that of its worst member; infinite for a time that never comes.
-        met: Whether it is kept.
-        text: What came out and what was asked, in words.
+    `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes.
     """
 
     requirement: Requirement
@@ -64,12 +58,6 @@ def required(
 ) -> tuple[Checked, ...]:
     """Hold what a spec requires against what came out; what is about a run or an ensemble that there is none of waits.
 
-    Args:
-        spec: What was asked.
-        controller: What `design(spec)` returned.
-        result: What `simulate(spec)` returned.
-        many: What `ensemble(result, …)` returned.
-
     Raises:
         InvalidSpec: If a figure is required that this run has not, such as the overshoot over a reference that never
             comes to rest.
@@ -84,7 +72,7 @@ def required(
     """
     found, problems = list[Checked](), list[Problem]()
     for asked in spec.requirements:
-        members: Sequence[Figures] = ()
+        members: Sequence[Mapping[str, Any]] = ()
         if asked.share is not None:
             members = [vars(figures) for figures in many.figures] if many else ()
         elif asked.quantity.of == "design":
@@ -100,18 +88,15 @@ def required(
             message = f"{'.'.join(map(str, asked.subject))}: there is no {asked.figure}{signal}"
             message += f": {_ABSENT[asked.figure]}" if asked.figure in _ABSENT else ""
             problems.append(Problem(message=message, subject=asked.subject, hint="leave it out"))
-        nominal = result or (many.nominal if many else None)
-        found += [
-            _checked(asked, signal, each, _unit(spec, nominal, asked, signal), sampled)
-            for signal, each in values.items()
-        ]
+        for signal, each in values.items():
+            found.append(_checked(asked, signal, each, _unit(spec, controller, asked, signal), sampled))
     if problems:
         with spec.located():
             raise InvalidSpec(*problems)
     return tuple(found)
 
 
-def _values(asked: Requirement, members: Sequence[Figures]) -> Iterator[tuple[str, dict[int, float]]]:
+def _values(asked: Requirement, members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, dict[int, float]]]:
     """Yield for each signal that is asked for, '' for none, the figure of each member that has it."""
     if asked.quantity.per is None:
         each = {k: float(figures[asked.figure]) for k, figures in enumerate(members) if asked.figure in figures}
@@ -142,14 +127,14 @@ def _checked(
     return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text)
 
 
-def _unit(spec: Spec, result: SimulatedLoop | None, asked: Requirement, signal: str) -> str:
+def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: str) -> str:
     quantity = asked.quantity
     if quantity.share:
         return "%"
     if quantity.unit == "of the signal":
         return spec.problem.units.get(signal, "")
     if quantity.unit == "of the error":
-        return error_unit(result) if result else ""
+        return error_unit(spec, controller)
     return quantity.unit
 
 

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any, Literal
@@ -41,30 +42,21 @@ _NAMES = re.compile(  # the files that a run can have: nothing else is ever remo
 )
 _PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index
 _STAGE = ".pwatrack-"
-_GOING, _COMING = (
-    "going.json",
-    "coming.json",
-)  # the index while files of the earlier run go and those of the new one come
+_GOING, _COMING = "going.json", "coming.json"  # the index while files of the earlier run go, and the new ones come
 
 
 @dataclass
 class Left:
-    """What a run leaves that is made on another machine than its folder is on.
+    """What a run leaves that is made on another machine than its folder is on: what each file holds, once there is one.
 
-    Attributes:
-        index: What `read_index` finds there: first that of the earlier run, if there is one.
-        files: What each file holds, once there is a run.
+    The index, that of the earlier run at first, is what `read_index` finds there.
     """
 
     index: dict[str, Any] | None = None
     files: dict[str, bytes] | None = None
 
     def write(self, path: str | Path) -> None:
-        """Write it where it belongs, if there is a run, as if it had been made there.
-
-        Raises:
-            InvalidSpec: If the folder cannot be written.
-        """
+        """Write it where it belongs, if there is a run, as if it had been made there; raises as `run_folder`."""
         if self.index is None or self.files is None:
             return
         with run_folder(path) as run:
@@ -89,18 +81,11 @@ def left_elsewhere(left: Left) -> Iterator[None]:
 class RunFolder:
     """Files on their way into a folder; use it through `run_folder`."""
 
-    def __init__(self, path: Path, stage: Path, left: Left | None = None) -> None:
-        self.path = path
-        self._stage = stage
-        self._left = left
-        self._names: list[str] = []
+    def __init__(self, path: Path, stage: Path, left: Left | None) -> None:
+        self.path, self._stage, self._left, self._names = path, stage, left, list[str]()
 
     def place(self, name: str) -> Path:
-        """Return the path to write the file `name` to for now.
-
-        Raises:
-            ValueError: If runs have no file of this name.
-        """
+        """Return the path to write the file `name` to for now; a ValueError if runs have no such file."""
         if not _NAMES.fullmatch(name):
             raise ValueError(f"{name} is none of the files of a run")
         self._names.append(name)
@@ -196,7 +181,8 @@ def written_at_once(path: Path) -> Iterator[Path]:
     temporary = path.with_name(prefix + secrets.token_hex(8))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(file for file in path.parent.iterdir() if _is_temporary(file, prefix))
+        earlier = re.compile(re.escape(prefix) + "[0-9a-f]{16}")
+        _sweep(file for file in path.parent.iterdir() if earlier.fullmatch(file.name))
         owner = _locked(os.open(temporary, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
             yield temporary
@@ -206,10 +192,6 @@ def written_at_once(path: Path) -> Iterator[Path]:
             os.close(owner)
     except OSError as error:
         raise _unwritable(str(path), error, "choose another path") from None
-
-
-def _is_temporary(file: Path, prefix: str) -> bool:
-    return file.name.startswith(prefix) and bool(re.fullmatch("[0-9a-f]{16}", file.name[len(prefix) :]))
 
 
 def read_index(path: str | Path) -> dict[str, Any] | None:
@@ -260,11 +242,8 @@ def _is(file: Path, known: object) -> bool:
 def _keep(file: Path) -> None:
     """Move a file out of the way that is not ours to remove, if there is one."""
     if os.path.lexists(file):
-        kept, number = file.with_name(f"{file.name}~"), 1
-        while os.path.lexists(kept):
-            number += 1
-            kept = file.with_name(f"{file.name}~{number}")
-        file.rename(kept)
+        names = (file.with_name(f"{file.name}~{number}") for number in chain([""], count(2)))
+        file.rename(next(name for name in names if not os.path.lexists(name)))
 
 
 def sweep(path: Path) -> None:

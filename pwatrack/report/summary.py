@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,22 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import sized
-from pwatrack.report.figures import ensemble_measures, load_content, measures, member_figures
+from pwatrack.report.figures import (
+    design_remarks,
+    ensemble_measures,
+    error_unit,
+    load_content,
+    measures,
+    member_figures,
+    states_unit,
+)
+from pwatrack.report.parameters import largest_text, run_rows
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
-from pwatrack.report.terminal import remark_rows, titled
-from pwatrack.report.uncertain import largest_text, run_rows
-from pwatrack.report.wording import error_unit, states_unit
-from pwatrack.simulation.sample_map import sampling_remarks
+from pwatrack.report.terminal import titled
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.largest_box import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked
@@ -38,30 +43,25 @@ def print_design(
 ) -> None:
     """Say what was proved and the gains; above all what was required and is not so."""
     table = titled(spec.name)
-    _missed_rows(table, checked)
-    _met_row(table, checked)
-    _proved_rows(table, spec, controller)
+    _required_rows(table, checked)
+    _add(table, rows(spec.words, controller))
     if largest is not None:
         table.add_row("largest box", largest_text(largest))
-    remarks = (*reference_remarks(spec, controller.form), *sampling_remarks(controller, spec.scenario.conditions))
-    remark_rows(table, (*controller.plant.remarks, *remarks))
+    _add(table, (("remark", remark) for remark in design_remarks(spec, controller)))
     console.print(table)
 
 
-def _proved_rows(table: Table, spec: Spec, controller: ProvedController) -> None:
-    for row in rows(spec.words, controller):
+def _add(table: Table, found: Iterable[tuple[str, str]]) -> None:
+    for row in found:
         table.add_row(*row)
 
 
-def _missed_rows(table: Table, checked: Sequence[Checked]) -> None:
-    for each in checked:
-        if not each.met:
-            table.add_row("missed", each.text)
-
-
-def _met_row(table: Table, checked: Sequence[Checked]) -> None:
-    met = [each.text for each in checked if each.met]
-    if met:
+def _required_rows(table: Table, checked: Sequence[Checked], simulated: str = "") -> None:
+    """Say what is missed, how a simulation went, and what is met."""
+    _add(table, (("missed", each.text) for each in checked if not each.met))
+    if simulated:
+        table.add_row("simulated", simulated)
+    if met := [each.text for each in checked if each.met]:
         table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
 
 
@@ -69,20 +69,17 @@ def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Chec
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
     table = titled(result.spec.name)
-    _missed_rows(table, checked)
-    table.add_row("simulated", f"{result.end:g} s: {result.outcome.text}")
-    _met_row(table, checked)
+    _required_rows(table, checked, f"{result.end:g} s: {result.outcome.text}")
     if conditions := result.loop.beyond_the_proofs:
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     if result.controller.trajectory.growth is not None:
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
-    _proved_rows(table, result.spec, result.controller)
+    _add(table, rows(result.spec.words, result.controller))
     for name, figure in load_content(result).items():
         unit = figure["unit"]
         size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
         table.add_row("estimate", f"of {name} at the end: {estimate}, and {size} acts")
-    for text in run_rows(result):
-        table.add_row("uncertain", text)
+    _add(table, (("uncertain", text) for text in run_rows(result)))
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
@@ -100,7 +97,7 @@ def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Chec
             f"after one period it misses itself by {steady.residual:.0e}",
         )
     _repair_rows(table, result)
-    remark_rows(table, result.remarks)
+    _add(table, (("remark", remark) for remark in result.remarks))
     console.print(table)
 
 
@@ -140,7 +137,7 @@ def _repair_rows(table: Table, result: SimulatedLoop) -> None:
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
-    figures, unit = ensemble_measures(many), error_unit(many.nominal)
+    figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
     table = titled(None)
     table.add_row(
         "ensemble",
@@ -184,11 +181,12 @@ def _signal_labels(many: EnsembleResult) -> Iterator[tuple[str, str, str]]:
     """Yield the figures of outputs and inputs, what they are called, and how they are written."""
     units = many.nominal.spec.problem.units
     for name in member_figures(many):
-        for figure, text in (("settling_time", "settling time of {} (s)"), ("largest_input", "largest {}")):
-            if name.startswith(f"{figure}_"):
-                signal = name.removeprefix(f"{figure}_")
-                of = units.get(signal, "") if figure == "largest_input" else ""
-                yield name, text.format(signal) + (f" ({of})" if of else ""), ".4g"
+        if name.startswith("settling_time_"):
+            yield name, f"settling time of {name.removeprefix('settling_time_')} (s)", ".4g"
+        elif name.startswith("largest_input_"):
+            signal = name.removeprefix("largest_input_")
+            unit = units.get(signal, "")
+            yield name, f"largest {signal}{f' ({unit})' if unit else ''}", ".4g"
 
 
 def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
@@ -199,6 +197,6 @@ def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
 def print_files(console: Console, folder: Path) -> None:
     """Say where the files of the run are, and which it found under its names and kept."""
     names = [INDEX, *(read_index(folder) or {"files": {}})["files"]]
-    console.print(f"Results in {folder!s}/: {', '.join(sorted(names))}", highlight=False, soft_wrap=True)
+    console.print(f"Results in {folder!s}/: {', '.join(sorted(names))}", soft_wrap=True)
     if kept := kept_files(folder):
-        console.print(f"Kept, as no run had left them so: {', '.join(kept)}", highlight=False, soft_wrap=True)
+        console.print(f"Kept, as no run had left them so: {', '.join(kept)}", soft_wrap=True)

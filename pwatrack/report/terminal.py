@@ -9,7 +9,6 @@ import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -44,13 +43,13 @@ def refusals_as(style: Style) -> Iterator[None]:
 @contextmanager
 def compiling(screen: Console, *, meant: bool = True) -> Iterator[None]:
     """Say on a console that the simulation is compiled, if that takes a while; not where refusals are for machines."""
-    with while_compiling(partial(_say, screen)) if meant and STYLE.get() == "text" else nullcontext():
+
+    def say(kept: bool) -> None:
+        left = "once: it is kept for later runs" if kept else "as in each run: no folder is writable that would keep it"
+        screen.print(f"Compiling the simulation, {left}")
+
+    with while_compiling(say) if meant and STYLE.get() == "text" else nullcontext():
         yield
-
-
-def _say(screen: Console, kept: bool) -> None:
-    left = "once: it is kept for later runs" if kept else "as in each run: no folder is writable that would keep it"
-    screen.print(f"Compiling the simulation, {left}")
 
 
 def visible(text: str) -> str:
@@ -128,10 +127,8 @@ def _end(code: int, *messages: str) -> NoReturn:
     """End the program with messages on stderr, if it takes them."""
     for stream, texts in ((sys.stdout, ()), (sys.stderr, messages)):
         try:
-            if texts:
-                errors = console(stderr=True)
-                for text in texts:
-                    errors.print(text, soft_wrap=True)
+            for text in texts:
+                console(stderr=True).print(text, soft_wrap=True)
             if stream is not None:
                 stream.flush()
         except OSError:  # full: what still waits to be printed goes nowhere
@@ -176,19 +173,8 @@ def _hints_last(problems: Sequence[Problem], code: ExitCode, *, excerpts: bool =
 def titled(title: str | None) -> Table:
     """Return an empty table of labels and sentences."""
     table = Table(
-        show_header=False,
-        box=None,
-        padding=(0, 2, 0, 0),
-        title=title if title else None,
-        title_justify="left",
-        title_style="bold",
+        show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left", title_style="bold"
     )
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     return table
-
-
-def remark_rows(table: Table, remarks: Sequence[str]) -> None:
-    """Add what was noticed and is no promise."""
-    for remark in remarks:
-        table.add_row("remark", remark)

@@ -1,4 +1,4 @@
-"""What all pictures have in common: styles, sizes, titles, labels, scales."""
+"""What all pictures have in common: styles, sizes, titles, labels, and where panels are: as large as labels allow."""
 
 import textwrap
 import warnings
@@ -10,9 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import LayoutEngine
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array
-from pwatrack.report.plots.layout import Panels
 from pwatrack.workflow.result import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
@@ -27,21 +29,9 @@ REQUIRED: dict[str, Any] = {"color": "#a3195b", "linewidth": 1.1, "linestyle": (
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
-ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
-_SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
-_STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
-_ROOM = 0.06  # of a scale, above and below what it shows
-
-
-def desired_label(result: SimulatedLoop) -> str:
-    """Say where the desired trajectory comes from."""
-    return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
-
-
-def column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
-    """Return panels below each other."""
-    each = 1.7 if count <= 6 else 1.1
-    return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
+_PAD = 1 / 24  # inches between what panels need, and around it
+_FIRST = (0.6, 0.05, 0.2, 0.3)  # inches that a panel may need to the left, right, above and below
+_ROUNDS = 3  # of measuring: ticks change with the size of a panel, but seldom more than once
 
 
 def canvas(
@@ -52,7 +42,7 @@ def canvas(
     FigureCanvasAgg(figure)
     conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant))
     lines = [*textwrap.wrap(result.spec.name, 90), *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
-    figure.set_layout_engine(Panels(figure.suptitle(plain("\n".join(lines)), fontsize=10)))
+    figure.set_layout_engine(_Panels(figure.suptitle(plain("\n".join(lines)), fontsize=10)))
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]
 
@@ -67,59 +57,15 @@ def png(figure: Figure) -> bytes:
     return file.getvalue()
 
 
-def label(axes: Axes, x: str, y: str, span: tuple[float, float]) -> None:
-    """Name both axes, and show this span of time, or of whatever goes to the right."""
+def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
+    """Name both axes, and show from the first to the last of these times, or of whatever goes to the right."""
     axes.set_xlabel(x, fontsize=9)
     axes.set_ylabel(plain(y), fontsize=9)
-    axes.set_xlim(*span)
+    axes.set_xlim(shown[0], shown[-1])
     axes.tick_params(labelsize=8)
     axes.yaxis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def widen(axes: Axes, size: float) -> None:
-    """Keep an axis from magnifying rounding: it spans at least a hundredth of the size of the curve."""
-    low, high = axes.get_ylim()
-    if high - low < 0.01 * size:
-        middle = (low + high) / 2
-        axes.set_ylim(middle - 0.005 * size, middle + 0.005 * size)
-    axes.ticklabel_format(axis="y", useOffset=False)
-
-
-def zoom(
-    axes: Axes,
-    t: Array,
-    curves: Sequence[Array],
-    lines: Sequence[float] = (),
-    unit: str = "",
-    *,
-    whole: bool = False,
-) -> None:
-    """Show curves (K,) whole, but for a spike at the start that would squash the rest: that is told in words.
-
-    Lines at constant values are shown where they do not squash it either; so are bands, up to the edge.
-    """
-    values = np.array(curves)
-    low, high = float(values.min()), float(values.max())
-    size, rest = max(abs(low), abs(high)), values[:, t >= t[0] + _EARLY * (t[-1] - t[0])]
-    least, most = float(rest.min(initial=high)), float(rest.max(initial=low))
-    spikes = not whole and high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size
-    low, high = (least, most) if spikes else (low, high)
-    room = high - low or max(abs(low), abs(high)) or 1.0
-    for line in lines:
-        if low - room < line < high + room:
-            low, high = min(low, line), max(high, line)
-    margin = _ROOM * (high - low or max(abs(low), abs(high)) or 1.0)
-    axes.set_ylim(low - margin, high + margin)
-    if spikes:
-        away = values - (least + most) / 2
-        curve, k = np.unravel_index(int(np.abs(away).argmax()), away.shape)
-        arrow = "↑" if away[curve, k] > 0 else "↓"
-        axes.set_title(
-            f"{arrow} {values[curve, k]:.3g} {unit}".rstrip() + f" at t = {t[k]:.3g} s", loc="left", fontsize=8
-        )
-    widen(axes, size)
 
 
 def legend(axes: Axes, columns: int = 2) -> None:
@@ -138,24 +84,85 @@ def legend(axes: Axes, columns: int = 2) -> None:
     )
 
 
-def span(t: Array) -> tuple[float, float]:
-    """Return the first and the last of some times."""
-    return float(t[0]), float(t[-1])
-
-
-def window(result: SimulatedLoop) -> float:
-    """Return how much of either end to show: five periods of the reference, or a tenth of the time."""
-    total = float(result.response.t[-1])
-    period = result.controller.trajectory.exosystem.period
-    return min(total, 5 * period if period else total / 10)
-
-
 def plain(text: str) -> str:
     """Return text that matplotlib does not take for a formula."""
     return text.replace("$", r"\$")
 
 
-def labelled(result: SimulatedLoop, name: str) -> str:
-    """Return the name of a signal with its unit."""
-    unit = result.spec.problem.units.get(name, "")
-    return f"{name} ({unit})" if unit else name
+def limits(result: SimulatedLoop, figure: str, signal: str | None = None) -> list[float]:
+    """Return the limits of a figure of the run, or of one of its signals."""
+    asked = (wish for wish in result.spec.requirements if wish.figure == figure and wish.share is None)
+    return [wish.limit for wish in asked if wish.signal in (None, signal)]
+
+
+class _Panels(LayoutEngine):
+    """Panels in a grid under a title, the names of those below each other in line.
+
+    Each panel is measured once, and again only if ticks have changed since. The layout of matplotlib measures twice,
+    and once more for names in line, which takes longer than to draw.
+
+    Args:
+        title: That of the figure.
+    """
+
+    _adjust_compatible = False
+    _colorbar_gridspec = False
+
+    def __init__(self, title: Text) -> None:
+        super().__init__()
+        self._title = title
+
+    def execute(self, fig: Any) -> None:
+        """Place the panels, when the figure is drawn for the first time."""
+        panels = [axes for axes in fig.axes if axes.get_in_layout()]  # a panel that is placed is no longer
+        if not panels:
+            return
+        pad, (_, height) = _PAD * fig.dpi, fig.bbox.size
+        self._title.set_y(1 - pad / height)
+        below = height - self._title.get_window_extent().height - 2 * pad
+        needs = np.tile(np.array(_FIRST) * fig.dpi, (len(panels), 1))
+        _place(panels, needs + pad, fig.bbox.size, below)
+        for _ in range(_ROUNDS):
+            ticks = _ticks(panels)
+            needs = np.array([_needs(axes) for axes in panels])
+            offsets = [axes.yaxis.label.get_position()[0] - axes.bbox.x0 for axes in panels]
+            _place(panels, needs + pad, fig.bbox.size, below)
+            if _ticks(panels) == ticks:
+                break
+        first = [axes.get_subplotspec().colspan.start for axes in panels]
+        for axes, column in zip(panels, first, strict=True):
+            furthest = min(offset for offset, c in zip(offsets, first, strict=True) if c == column)
+            axes.yaxis.set_label_coords(furthest / axes.bbox.width, 0.5)
+
+
+def _needs(axes: Axes) -> tuple[float, float, float, float]:
+    """Return the pixels that a panel needs to the left, right, above and below for what is written there."""
+    inner, outer = axes.bbox, axes.get_tightbbox(for_layout_only=True)
+    if outer is None:
+        return 0.0, 0.0, 0.0, 0.0
+    return inner.x0 - outer.x0, outer.x1 - inner.x1, outer.y1 - inner.y1, inner.y0 - outer.y0
+
+
+def _ticks(panels: Sequence[Axes]) -> list[list[float]]:
+    return [axis.get_majorticklocs().tolist() for axes in panels for axis in (axes.xaxis, axes.yaxis)]
+
+
+def _place(panels: Sequence[Axes], needs: Array, size: Sequence[float], top: float) -> None:
+    """Give each panel its place, with what the neediest of its row and column needs, (panels, 4) in pixels."""
+    specs: list[Any] = [axes.get_subplotspec() for axes in panels]
+    grid = specs[0].get_gridspec()
+    columns = _intervals(size[0], grid.get_width_ratios(), [s.colspan for s in specs], needs[:, :2])
+    rows = _intervals(top, grid.get_height_ratios(), [s.rowspan for s in specs], needs[:, 2:])
+    for axes, (x0, x1), (y1, y0) in zip(panels, columns, top - rows, strict=True):
+        axes.set_position(Bbox([[x0 / size[0], y0 / size[1]], [x1 / size[0], y1 / size[1]]]))
+
+
+def _intervals(length: float, ratios: Sequence[float], spans: Sequence[range], needs: Array) -> Array:
+    """Return where each panel begins and ends in one direction, (panels, 2): needs are before and after it."""
+    before, after = np.zeros(len(ratios)), np.zeros(len(ratios))
+    for span, (first, last) in zip(spans, needs, strict=True):
+        before[span.start] = max(before[span.start], first)
+        after[span.stop - 1] = max(after[span.stop - 1], last)
+    inner = np.array(ratios) / np.sum(ratios) * max(1.0, length - before.sum() - after.sum())
+    ends = np.cumsum(before + inner + after) - after
+    return np.array([(ends[span.start] - inner[span.start], ends[span.stop - 1]) for span in spans])

@@ -10,7 +10,7 @@ from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.model.pwa import linear_form_text
-from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain, span
+from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
 from pwatrack.spec.expression import LinearForm
 from pwatrack.workflow.result import SimulatedLoop
 
@@ -49,7 +49,7 @@ def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Fig
         f"{name} ({min(unit)})" if len(unit) == 1 and min(unit) else name
         for name, unit in zip(names, units, strict=True)
     ]
-    label(axes, labels[0], labels[1], (limits[0, 0], limits[0, 1]))
+    label(axes, labels[0], labels[1], limits[0])
     legend(axes, columns=4)
     figure.draw_without_rendering()  # only now is it known where things are
     placed: list[Bbox] = []
@@ -88,20 +88,17 @@ def active_cells(result: SimulatedLoop) -> Figure:
         _grouped([name for name in dict.fromkeys(part.cells) if name in names], part.cells)
         for part, names in zip(parts, seen, strict=True)
     ]
-    figure, panels = canvas(
-        result,
-        f"Active cells: {result.figures.mode_changes} changes",
-        [[k] for k in range(len(parts))],
-        height=1.4 + sum(max(0.9, 0.3 + 0.22 * len(names)) for names in rows),
-        ratios=[max(0.9, 0.3 + 0.22 * len(names)) for names in rows],
-    )
+    title = f"Active cells: {result.figures.mode_changes} changes"
+    heights = [max(0.9, 0.3 + 0.22 * len(names)) for names in rows]
+    mosaic = [[k] for k in range(len(parts))]
+    figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
     for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
         for row, group in enumerate(names.values()):
             bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] in group])
             axes.broken_barh(joined(bars, trace.t[-1] / COLUMNS), (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
         axes.set_yticks(range(len(names)), [plain(name) for name in names], fontsize=8)
         axes.set_ylim(len(names) - 0.4, -0.6)
-        label(axes, "time t (s)" if k == len(parts) - 1 else "", part.name, span(trace.t))
+        label(axes, "time t (s)" if axes is panels[-1] else "", part.name, trace.t)
     return figure
 
 

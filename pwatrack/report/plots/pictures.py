@@ -14,8 +14,7 @@ from pwatrack.workflow.result import SimulatedLoop
 def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture, by file name.
 
-    tracking_error and observer_error are the paper's Figure 2, internal_states
-    its Figure 3, steady_state its Figure 4.
+    tracking_error and observer_error are the paper's Figure 2, internal_states its Figure 3, steady_state its Figure 4.
     """
     of_result = {
         "tracking_error.png": tracking_error,
@@ -32,6 +31,6 @@ def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
     if result.response.estimates.shape[1]:
         of_result["estimates.png"] = estimates
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
-    for k, forms in enumerate(result.spec.scenario.portraits):
-        found[f"portrait_{k + 1}.png"] = partial(portrait, result, forms)
+    for k, forms in enumerate(result.spec.scenario.portraits, 1):
+        found[f"portrait_{k}.png"] = partial(portrait, result, forms)
     return found

@@ -1,34 +1,25 @@
 """Signals over time, each beside what it should be: outputs, states, inputs, loads, internal states."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
-from pwatrack.report.plots.canvas import (
-    ACTUAL,
-    BAND,
-    DESIRED,
-    ENLARGED,
-    ESTIMATE,
-    LIMIT,
-    REQUIRED,
-    canvas,
-    column,
-    desired_label,
-    label,
-    labelled,
-    legend,
-    span,
-    window,
-    zoom,
-)
-from pwatrack.report.plots.requirements import limits, step_lines
+from pwatrack.report.plots.canvas import ACTUAL, BAND, DESIRED, ESTIMATE, LIMIT, REQUIRED, canvas, label, legend, limits
+from pwatrack.simulation.figures import Move
+from pwatrack.simulation.trace import last_tenth
 from pwatrack.workflow.result import SimulatedLoop
 
 _MOST = 12  # states in a picture
+_ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
+_SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
+_STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
+_ROOM = 0.06  # of a scale, above and below what it shows
+_FLAT = 0.01  # of the size of a curve: an axis spans at least that
+_Curve = tuple[Array, str, dict[str, Any]]  # of each signal, (K, ·); its label and style
 _Lines = Callable[[Axes, int], list[float]]  # draws lines into the panel of a signal, and returns their values
 
 
@@ -42,41 +33,34 @@ def outputs(result: SimulatedLoop) -> Figure:
 
     def lines(axes: Axes, k: int) -> list[float]:
         tracked = k < len(plant.tracked_names)
-        return step_lines(axes, result, names[k], actual[:, k], desired[:, k]) if tracked else []
+        return _step_lines(axes, result, names[k], actual[:, k], desired[:, k]) if tracked else []
 
-    return _pairs(result, "Outputs", names, actual, desired, ("output", "desired"), lines)
+    curves = [(actual, "output", ACTUAL), (desired, "desired", DESIRED)]
+    return _over_time(result, "Outputs", names, curves, lines, ends=True)
 
 
 def states(result: SimulatedLoop) -> Figure:
     """Draw each state beside where it should be and what the observer takes it for."""
     response, names = result.response, result.spec.problem.plant.states[:_MOST]
     more = len(result.spec.problem.plant.states) - len(names)
-    figure, panels = column(result, f"States{f', without {more} more' if more else ''}", len(names))
-    for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
-        curves = [values[:, k] for values in (response.x, response.x_d, response.x_hat)]
-        for values, style, said in zip(
-            curves, (ACTUAL, DESIRED, ESTIMATE), ("plant", "desired", "estimate"), strict=True
-        ):
-            axes.plot(response.t, values, label=said, **style)
-        zoom(axes, response.t, curves, unit=result.spec.problem.units.get(name, ""))
-        label(axes, "time t (s)" if k == len(names) - 1 else "", labelled(result, name), span(response.t))
-    legend(panels[0], columns=3)
-    return figure
+    curves = [(response.x, "plant", ACTUAL), (response.x_d, "desired", DESIRED), (response.x_hat, "estimate", ESTIMATE)]
+    return _over_time(result, f"States{f', without {more} more' if more else ''}", names, curves)
 
 
 def estimates(result: SimulatedLoop) -> Figure:
     """Draw the estimate of each unknown load beside what it is."""
     loads, response = result.controller.plant.loads, result.response
     assert loads is not None
-    return _pairs(result, "Unknown loads", loads.names, response.estimates, response.loads, ("estimate", "load"))
+    curves = [(response.estimates, "estimate", ACTUAL), (response.loads, "load", DESIRED)]
+    return _over_time(result, "Unknown loads", loads.names, curves, ends=True)
 
 
 def control_input(result: SimulatedLoop) -> Figure:
     """Draw each input with its feedforward part, its limits and what is proved of it, whole and at both ends."""
     response, names = result.response, result.spec.problem.plant.inputs
-    labels = ("input (19)", "its feedforward part (16)")
+    said = ("input (19)", "its feedforward part (16)")
     if result.controller.tracking == "state":
-        labels = ("input (10)", "its feedforward part")
+        said = ("input (10)", "its feedforward part")
 
     def lines(axes: Axes, k: int) -> list[float]:
         drawn = list[float]()
@@ -95,78 +79,129 @@ def control_input(result: SimulatedLoop) -> Figure:
                 axes.fill_between(response.t, middle - band, middle + band, where=near, label="proved", **BAND)
         return drawn
 
-    return _pairs(result, "Control input", names, response.u, response.u_ff, labels, lines)
+    curves = [(response.u, said[0], ACTUAL), (response.u_ff, said[1], DESIRED)]
+    return _over_time(result, "Control input", names, curves, lines, ends=True)
 
 
 def internal_states(result: SimulatedLoop) -> Figure:
     """Draw each internal state η with its desired trajectory from the generator (Figure 3)."""
-    response, names = result.response, result.controller.trajectory.names
-    figure, panels = column(result, "Internal states" if result.controller.generator else "States", len(names))
-    for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
-        axes.plot(response.t, response.eta[:, k], label="plant", **ACTUAL)
-        axes.plot(response.t, response.eta_hat[:, k], label=desired_label(result), **DESIRED)
-        label(axes, "time t (s)" if k == len(names) - 1 else "", labelled(result, name), span(response.t))
-        curves = [response.eta[:, k], response.eta_hat[:, k]]
-        zoom(axes, response.t, curves, unit=result.spec.problem.units.get(name, ""))
-    legend(panels[0])
-    return figure
+    title = "Internal states" if result.controller.generator else "States"
+    curves = [(result.response.eta, "plant", ACTUAL), (result.response.eta_hat, _desired_label(result), DESIRED)]
+    return _over_time(result, title, result.controller.trajectory.names, curves)
 
 
 def steady_state(result: SimulatedLoop) -> Figure:
     """Draw the generator's periodic steady state over two periods (Figure 4)."""
-    trace = result.steady_state
+    trace, names = result.steady_state, result.controller.trajectory.names
     assert trace is not None
-    names = result.controller.trajectory.names
     period = trace.t[-1]
     title = f"Periodic steady state of the desired trajectory, period {period:.6g} s"
-    figure, panels = column(result, title, len(names))
+    figure, panels = _column(result, title, len(names))
     t = np.concatenate([trace.t, trace.t[1:] + period])
-    for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
-        values = trace.z[:, k]
-        axes.plot(t, np.concatenate([values, values[1:]]), label=desired_label(result), **ACTUAL)
+    for axes, name, values in zip(panels, names, trace.z.T, strict=False):
+        axes.plot(t, np.concatenate([values, values[1:]]), label=_desired_label(result), **ACTUAL)
         axes.axvline(period, color="0.5", linewidth=0.8, linestyle=":", label="one period")
-        label(
-            axes,
-            "time t in two periods (s)" if k == len(names) - 1 else "",
-            labelled(result, name),
-            span(t),
-        )
+        label(axes, "time t in two periods (s)" if axes is panels[-1] else "", _labelled(result, name), t)
     legend(panels[0])
     return figure
 
 
-def _pairs(
+def _over_time(
     result: SimulatedLoop,
     title: str,
     names: Sequence[str],
-    actual: Array,
-    desired: Array,
-    labels: tuple[str, str],
+    curves: Sequence[_Curve],
     lines: _Lines = lambda _axes, _k: [],
+    *,
+    ends: bool = False,
 ) -> Figure:
-    """Draw pairs of curves: one pair over the whole time and, where it is long, both ends; several below each other."""
-    t, units = result.response.t, result.spec.problem.units
-    spans = [span(t)]
-    ends = window(result)
-    if len(names) == 1 and ends < ENLARGED * (t[-1] - t[0]):
+    """Draw curves of signals below each other; of one alone, where it is long and `ends` are asked for, both ends."""
+    t, units, period = result.response.t, result.spec.problem.units, result.controller.trajectory.exosystem.period
+    end = min(float(t[-1]), 5 * period if period else float(t[-1]) / 10)  # five periods of the reference, or a tenth
+    enlarged = ends and len(names) == 1 and end < _ENLARGED * (t[-1] - t[0])
+    if enlarged:
         figure, panels = canvas(result, title, [[0, 0], [1, 2]], height=5.2)
-        spans += [(float(t[0]), ends), (float(t[-1]) - ends, float(t[-1]))]
+        spans = [(t[0], t[-1]), (float(t[0]), end), (float(t[-1]) - end, float(t[-1]))]
         panels[1].set_title("start", fontsize=9)
         panels[2].set_title("end", fontsize=9)
         for small in panels[1:]:
             small.locator_params(axis="x", nbins=6)
     else:
-        figure, panels = column(result, title, len(names))
-        spans *= len(names)
+        figure, panels = _column(result, title, len(names))
+        spans = [(t[0], t[-1])] * len(names)
     for k, (axes, (first, last)) in enumerate(zip(panels, spans, strict=True)):
-        signal = k if len(names) > 1 else 0
+        signal = 0 if enlarged else k
         shown = (t >= first) & (t <= last)
-        curves = [values[shown, signal] for values in (actual, desired)]
-        for text, values, style in zip(labels, curves, (ACTUAL, DESIRED), strict=True):
+        drawn = [values[shown, signal] for values, _, _ in curves]
+        for values, (_, text, style) in zip(drawn, curves, strict=True):
             axes.plot(t[shown], values, label=text, **style)
-        drawn = lines(axes, signal)
-        bottom = k == len(panels) - 1 or len(names) == 1
-        label(axes, "time t (s)" if bottom else "", labelled(result, names[signal]), (first, last))
-        zoom(axes, t[shown], curves, drawn, units.get(names[signal], ""), whole=signal < k)
+        constant = lines(axes, signal)
+        below = "time t (s)" if enlarged or axes is panels[-1] else ""
+        label(axes, below, _labelled(result, names[signal]), (first, last))
+        _zoom(axes, t[shown], drawn, constant, units.get(names[signal], ""), whole=signal < k)
     legend(panels[0], columns=5)
     return figure
+
+
+def _column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
+    """Return panels below each other."""
+    each = 1.7 if count <= 6 else 1.1
+    return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
+
+
+def _zoom(axes: Axes, t: Array, curves: Sequence[Array], lines: Sequence[float], unit: str, *, whole: bool) -> None:
+    """Show curves (K,) whole, but for a spike at the start that would squash the rest: that is told in words.
+
+    Lines at constant values are shown where they do not squash it either; so are bands, up to the edge.
+    """
+    values = np.array(curves)
+    low, high = float(values.min()), float(values.max())
+    size, rest = max(abs(low), abs(high)), values[:, t >= t[0] + _EARLY * (t[-1] - t[0])]
+    least, most = float(rest.min(initial=high)), float(rest.max(initial=low))
+    spikes = not whole and high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size
+    low, high = (least, most) if spikes else (low, high)
+    room = high - low or max(abs(low), abs(high)) or 1.0
+    for line in lines:
+        if low - room < line < high + room:
+            low, high = min(low, line), max(high, line)
+    margin = _ROOM * (high - low or max(abs(low), abs(high)) or 1.0)
+    axes.set_ylim(low - margin, high + margin)
+    if spikes:
+        away = values - (least + most) / 2
+        curve, k = np.unravel_index(int(np.abs(away).argmax()), away.shape)
+        arrow = "↑" if away[curve, k] > 0 else "↓"
+        said = f"{arrow} {values[curve, k]:.3g} {unit}".rstrip() + f" at t = {t[k]:.3g} s"
+        axes.set_title(said, loc="left", fontsize=8)
+    low, high = axes.get_ylim()
+    if high - low < _FLAT * size:  # rounding is not magnified
+        middle = (low + high) / 2
+        axes.set_ylim(middle - _FLAT / 2 * size, middle + _FLAT / 2 * size)
+    axes.ticklabel_format(axis="y", useOffset=False)
+
+
+def _step_lines(axes: Axes, result: SimulatedLoop, name: str, y: Array, y_d: Array) -> list[float]:
+    """Draw when an output must have settled, within which band, and how far it may go beyond; return the values."""
+    t, drawn = result.response.t, list[float]()
+    move = Move(result.spec.scenario.bands.get(name))
+    move.see(t, y, y_d)
+    move.end(float(t[last_tenth(len(t)).start]))
+    for limit in limits(result, "settling_time", name):
+        axes.axvline(move.start + limit, label="required", **REQUIRED)
+        for edge in (-move.band, move.band):
+            late = t >= move.start + limit
+            axes.plot(t[late], (move.target if move.rests else y_d[late]) + edge + 0 * t[late], **REQUIRED)
+    for limit in limits(result, "overshoot", name) if move.distance else ():
+        drawn.append(move.target + limit * move.distance)
+        axes.plot([move.start, t[-1]], drawn[-1:] * 2, label="required", **REQUIRED)
+    return drawn
+
+
+def _desired_label(result: SimulatedLoop) -> str:
+    """Say where the desired trajectory comes from."""
+    return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
+
+
+def _labelled(result: SimulatedLoop, name: str) -> str:
+    """Return the name of a signal with its unit."""
+    unit = result.spec.problem.units.get(name, "")
+    return f"{name} ({unit})" if unit else name

@@ -1,22 +1,43 @@
-"""Many members of an ensemble, and many rates of a design, in one picture."""
+"""Many results in one picture: members of an ensemble, rates of a design, runs, points of a sweep."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from pwatrack.arrays import Array
 from pwatrack.control.pareto import Front
-from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, span
-from pwatrack.report.wording import error_unit
+from pwatrack.report.figures import error_unit
+from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, plain
 from pwatrack.workflow.variation import EnsembleResult
+
+_STYLES = ("-", "--", "-.", ":")  # told apart without colour too
+_SHOWN = {"rate": "proved decay rate (1/s)", "norm_K": "‖K‖ in sizes", "final_error": "final error"}
+_LOGARITHMIC = ("final_error",)
+_COLOURS = {  # of verdicts
+    "proved": "#12355b",
+    "proved by a polynomial": "#2f7f86",
+    "practical": "#8cc5a4",
+    "check failed": "#4f83b5",
+    "infeasible": "#e08e2b",
+    "outside the theory": "#c9c9c9",
+    "undecided": "#f2d7a8",
+    "invalid spec": "#8f8f8f",
+    "lost": "#000000",
+    "crashed": "#b42318",
+}
 
 
 def fan(many: EnsembleResult) -> Figure:
     """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
-    unit = error_unit(result)
+    unit = error_unit(result.spec, result.controller)
     largest = f"{max(figures.final_error for figures in many.figures):.1e} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
@@ -42,7 +63,7 @@ def fan(many: EnsembleResult) -> Figure:
         axes.plot(t, middle, label="median", **ACTUAL)
         axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
         legend(axes, columns=4)
-        label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), span(t))
+        label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
         bottom = float(low.min()) / 3
     linear.set_ylim(bottom=0)
     logarithmic.set_yscale("log")
@@ -58,7 +79,6 @@ def fan(many: EnsembleResult) -> Figure:
 def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
     """Draw the smallest gain against the decay rate for controller and observer, with the chosen points."""
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(textwrap.fill(f"{name}: what a faster decay costs", 90), fontsize=11)
     for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
         letter, rate, norm = front.role.letter, *front.chosen
@@ -74,3 +94,77 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
         axes.grid(visible=True, color="0.9")
         axes.legend(fontsize=8, frameon=False)
     return figure
+
+
+def run_errors(runs: Mapping[str, tuple[Array, Array]], unit: str) -> Figure:
+    """Draw the norm of the tracking error of each run over time, (t, error), logarithmic; '' is of several units."""
+    figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, (t, error)) in enumerate(runs.items()):
+        colour = colormaps["viridis"](0.85 * k / max(1, len(runs) - 1))
+        axes.plot(t, np.where(error > 0, error, np.nan), label=plain(name), color=colour, linestyle=_STYLES[k % 4])
+    axes.set_yscale("log")
+    axes.set_xlabel("time t (s)", fontsize=9)
+    axes.set_ylabel("tracking error" + (f" ({plain(unit)})" if unit else ""), fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.legend(loc="upper right", fontsize=8, frameon=False)
+    return figure
+
+
+def sweep_curves(title: str, name: str, at: Array, figures: Mapping[str, Array], ends: Sequence[float]) -> Figure:
+    """Draw figures over one parameter; where there is none, nothing is proved. `ends` are where the proof ends."""
+    shown = [(key, text) for key, text in _SHOWN.items() if key in figures]
+    rows, order = max(1, len(shown)), np.argsort(at)
+    figure = Figure(figsize=(7.5, 1.0 + 2.0 * rows), layout="constrained")
+    figure.suptitle(title, fontsize=10)
+    panels = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (key, text) in zip(panels, shown, strict=False):
+        axes.plot(at[order], figures[key][order], marker="o", markersize=3, color=_COLOURS["proved"])
+        for end in ends:
+            axes.axvline(end, color="0.45", linewidth=0.8, linestyle=":")
+        if key in _LOGARITHMIC and np.nanmin(figures[key]) > 0:
+            axes.set_yscale("log")
+        axes.set_ylabel(text, fontsize=9)
+        axes.grid(color="0.9")
+    figure.axes[-1].set_xlabel(name)
+    return figure
+
+
+def sweep_maps(
+    title: str,
+    names: tuple[str, str],
+    at: tuple[Array, Array],
+    verdicts: Sequence[str],
+    figures: Mapping[str, Array],
+    ends: Sequence[tuple[float, float]],
+) -> Figure:
+    """Draw the verdict and figures over two parameters, with the ends of the proof."""
+    shown = [(key, text) for key, text in _SHOWN.items() if key in figures and np.isfinite(figures[key]).any()]
+    figure = Figure(figsize=(4.2 * (1 + len(shown)), 3.8), layout="constrained")
+    figure.suptitle(title, fontsize=10)
+    first, *others = figure.subplots(1, 1 + len(shown), squeeze=False)[0]
+    codes = np.array([list(_COLOURS).index(verdict) for verdict in verdicts], dtype=float)
+    _map(first, at, codes, cmap=ListedColormap(list(_COLOURS.values())), vmin=-0.5, vmax=len(_COLOURS) - 0.5)
+    for verdict in dict.fromkeys(verdicts):
+        first.plot([], [], "s", color=_COLOURS[verdict], label=verdict)
+    first.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=7, frameon=False)
+    for axes, (key, text) in zip(others, shown, strict=True):
+        values = figures[key]
+        logarithmic = key in _LOGARITHMIC and np.nanmin(values) > 0
+        drawn = _map(axes, at, values, norm="log" if logarithmic else "linear", cmap="viridis")
+        figure.colorbar(drawn, ax=axes, location="top", label=text)
+    for axes in (first, *others):
+        if ends:
+            axes.plot(*np.array(sorted(ends)).T, ".", color="white", markersize=4, markeredgecolor="black")
+        axes.set_xlabel(names[0])
+        axes.set_ylabel(names[1])
+    return figure
+
+
+def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> ScalarMappable:
+    """Colour a grid, or points that are none."""
+    x, y = (np.unique(part) for part in at)
+    if len(x) * len(y) == len(values):
+        return axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
+    return axes.scatter(*at, c=values, s=20, **style)

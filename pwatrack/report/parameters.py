@@ -1,6 +1,6 @@
-"""What is said of uncertain parameters: what is proved for all of their box, and what a run shows of it."""
+"""What is said of parameters: of a box of uncertain ones, and of values with which what was refused is proved."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ from pwatrack.control.words import sized
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.workflow.bands import covered
+from pwatrack.workflow.how_far import HowFar, Proved
 from pwatrack.workflow.largest_box import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 
 
-def since(result: SimulatedLoop) -> tuple[int, float]:
+def _since(result: SimulatedLoop) -> tuple[int, float]:
     """Return from which tenth of a run on, and from which time in s, w is what it is taken for in the end.
 
     It is the last tenth, or as many as hold a period of the reference.
@@ -33,7 +34,7 @@ def box_figures(result: SimulatedLoop, robust: Robust) -> dict[str, dict[str, fl
 
     Returns:
         For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
-        time of `since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
+        time of `_since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
     """
     assert result.w is not None
     seen, late = dict[Form, float](), 0.9 * result.end
@@ -43,7 +44,7 @@ def box_figures(result: SimulatedLoop, robust: Robust) -> dict[str, dict[str, fl
         for kind, k in robust.bounds[0].sizes:
             size = float(np.abs(errors[kind][last, k]).max(initial=0.0))
             seen[kind, k] = max(size, seen.get((kind, k), 0.0))
-    reached = robust.reached(result.w[since(result)[0] :].max(axis=0))
+    reached = robust.reached(result.w[_since(result)[0] :].max(axis=0))
     bound, words = result.controller.with_left(reached), result.spec.words
     return {words.signal(form)[0]: {"bound": bound[form], "seen": seen[form]} for form in bound}
 
@@ -71,18 +72,63 @@ def run_rows(result: SimulatedLoop) -> Iterator[str]:
 
 
 def _along_text(result: SimulatedLoop, robust: Robust) -> str:
-    found = box_figures(result, robust)
     units = dict(result.spec.words.signal(form) for form in robust.bounds[0].sizes)
-    shown = ((name, f" {units[name]}".rstrip(), figures) for name, figures in found.items())
-    start = since(result)[1]
+    start = _since(result)[1]
     window = f" from t = {start:.6g} s on" if start else ""
     while_small = f"in the end, as long as w is no larger than in this run{window}"
-    if covered(result.spec.objectives.uncertain, result.loop.conditions):
-        texts = []
-        for name, unit, f in shown:
-            late = ", not yet" if f["seen"] > f["bound"] else ""
-            texts.append(f"{sized(name)} ≤ {up(f['bound'])}{unit}, here {f['seen']:.3g}{unit}{late}")
+    inside, texts = covered(result.spec.objectives.uncertain, result.loop.conditions), list[str]()
+    for name, found in box_figures(result, robust).items():
+        unit, late = f" {units[name]}".rstrip(), ", not yet" if found["seen"] > found["bound"] else ""
+        here = f", here {found['seen']:.3g}{unit}{late}" if inside else ""
+        texts.append(f"{sized(name)} ≤ {up(found['bound'])}{unit}{here}")
+    if inside:
         here = f"and at the samples of the last tenth here: {'; '.join(texts)}"
         return f"the plant of this run is one of them; {while_small}, {here}"
-    texts = [f"{sized(name)} ≤ {up(f['bound'])}{unit}" for name, unit, f in shown]
     return f"this run is not one of them; {while_small}: {', '.join(texts)}"
+
+
+def how_far_texts(found: HowFar) -> list[str]:
+    """Say how far away a refused inequality is, in sentences.
+
+    Example:
+        >>> near = Proved(parameter="k2", now=1.2, value=0.68998, degree=2)
+        >>> how_far_texts(HowFar(claim="(17)", parameters=(near,), rate=None, asked=0.0))
+        ['(17) is proved with k2 = 0.68998 (now 1.2)']
+        >>> how_far_texts(HowFar(claim="(8)", parameters=(), rate=0.24, asked=0.3))[0]
+        '(8) is proved at a rate of 0.24 1/s (asked: 0.3 1/s)'
+    """
+    said = []
+    if found.asked:
+        slower = "at no slower rate that was tried" if found.rate is None else f"at a rate of {found.rate:g} 1/s"
+        said.append(f"{found.claim} is proved {slower} (asked: {found.asked:g} 1/s)")
+    quadratic = [p for p in found.parameters if p.degree == 2]
+    if quadratic:
+        said.append(f"{found.claim} is proved with {_listed(quadratic)}")
+    elif found.entering:
+        said.append(f"{found.claim}: no value of a single parameter was found with which it is proved")
+    else:
+        named = "what has a name under 'parameters' is looked at"
+        said.append(f"{found.claim}: no parameter of the file enters it: {named}")
+    if found.ended:
+        said.append("the search ended before all values were tried: there may be nearer ones, and other parameters")
+    for degree in sorted({p.degree for p in found.parameters} - {2}):
+        nearer = [p for p in found.parameters if p.degree == degree]
+        said.append(f"by a polynomial of degree {degree} in place of a common P with {_listed(nearer)}")
+    return said
+
+
+def _listed(found: Sequence[Proved]) -> str:
+    *some, last = [f"{p.parameter} = {p.value:g} (now {p.now:g})" for p in found]
+    return f"{', '.join(some)} or {last}, each by itself" if some else last
+
+
+def how_far_content(found: HowFar) -> dict[str, Any]:
+    """Return what run.json says of how far away a refused inequality is."""
+    return {
+        "inequality": found.claim,
+        "parameters": [
+            {"name": p.parameter, "now": p.now, "proved": p.value, "degree": p.degree} for p in found.parameters
+        ],
+        "complete": not found.ended,
+        "rate": {"asked": found.asked, "proved": found.rate} if found.asked else None,
+    }
