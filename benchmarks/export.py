@@ -40,7 +40,7 @@ from pwatrack.errors import PwatrackError
 from pwatrack.export.c import FLAGS, write
 from pwatrack.export.controller import Controller
 from pwatrack.export.fmu import c_compiler, packed, write_fmu
-from pwatrack.export.fmu_models import controller_parts
+from pwatrack.export.fmu_models import controller_model
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed
@@ -203,7 +203,7 @@ def fmu_bits(code: Source, subject: Subject, expected: Any) -> int:
     with tempfile.TemporaryDirectory() as place:
         for version in (2, 3):
             path = Path(place) / f"fmi{version}.fmu"
-            parts = controller_parts(code, h * len(subject.y), {})
+            parts = controller_model(code, h * len(subject.y), {})
             write_fmu(packed(parts, 2 if version == 2 else 3, c_compiler()), path)
             block = Block(path, Path(place))
             inputs, names = block.named("", "input"), list(subject.file.plant.inputs)

@@ -340,7 +340,7 @@ def certify(
 ) -> None:
     """Write a certificate as a development for Coq, whose kernel proves the theorem for these gains."""
     with refusals():
-        from pwatrack.commands.certify import certify
+        from pwatrack.commands.verify import certify
 
         files = certify(path, out)
         typer.echo(f"Development in {out}/: {', '.join(files)}")
@@ -404,17 +404,17 @@ def _run(
 ) -> None:
     with refusals(), _drawing(options.get("plots", "none")) as drawing:
         from pwatrack.batch.find import run_name
-        from pwatrack.commands.run import Members, run
+        from pwatrack.commands.run import run
 
         folder = out or Path("runs") / run_name(path)
         task = partial(run, path, folder, parameters or [], solver, drawing=drawing, **options)
         if members is None or scheduler is None:
-            task(members=Members(**members) if members else None)
+            task(members=members)
             return
         from pwatrack.batch.cluster import Cluster
 
         with Cluster(scheduler) as cluster:
-            task(members=Members(executor=cluster, workers=cluster.jobs, **members))
+            task(members={"executor": cluster, "workers": cluster.jobs, **members})
 
 
 def _drawing(plots: str) -> "AbstractContextManager[Executor | None]":

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from pwatrack.export.languages import LANGUAGES
+from pwatrack.export.notation import LANGUAGES
 from pwatrack.report.terminal import compiling, console, refusals
 
 Set = Annotated[
@@ -89,7 +89,7 @@ def export_to_fmu(
     """Write controller and plant as FMUs for co-simulation."""
     _check_sample_time(sample_time)
     with refusals():
-        from pwatrack.commands.export_fmu import export_fmu
+        from pwatrack.commands.export import export_fmu
         from pwatrack.spec.load import assignments
 
         with compiling(console(stderr=True)):

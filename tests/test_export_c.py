@@ -18,7 +18,7 @@ from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.c import FLAGS, header, write
 from pwatrack.export.fmu import packed
-from pwatrack.export.fmu_models import controller_parts
+from pwatrack.export.fmu_models import controller_model
 from pwatrack.export.source import Source, prefix
 from pwatrack.export.source import said as in_comment
 from tests.conftest import SPECS
@@ -448,7 +448,7 @@ def test_no_title_gives_a_name_that_is_taken(machine: Subject, tmp_path: Path, t
 def test_no_title_gives_the_name_of_a_source_of_its_fmu(machine: Subject) -> None:
     for version in (2, 3):
         code = Source(file=machine.file, name="loop", single=False, given=False, unproved=())
-        found = packed(controller_parts(code, 1.0, {}), version, None)
+        found = packed(controller_model(code, 1.0, {}), version, None)
         taken = {PurePosixPath(file).stem.lower() for file in found if file.endswith((".c", ".h"))} - {"loop"}
         assert {"model", f"fmi{version}"} <= taken
         for name in taken:

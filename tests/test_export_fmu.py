@@ -23,7 +23,7 @@ from pwatrack.commands.export import of_spec
 from pwatrack.export.c import FLAGS
 from pwatrack.export.controller import Controller
 from pwatrack.export.fmu import Version, c_compiler, compiled, packed, write_fmu
-from pwatrack.export.fmu_models import controller_parts, plant_parts
+from pwatrack.export.fmu_models import controller_model, plant_model
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source
 from pwatrack.model.cells import Partition
@@ -79,8 +79,8 @@ def source_of(file: ControllerFile, *, given: bool = False) -> Source:
 
 def written(spec: Spec, file: ControllerFile, version: Version, folder: Path, *, given: bool = False) -> list[Path]:
     found = []
-    for parts in (controller_parts(source_of(file, given=given), 10.0, {}), plant_parts(spec, "loop")):
-        found.append(folder / f"{parts.model.identifier}_fmi{version}.fmu")
+    for parts in (controller_model(source_of(file, given=given), 10.0, {}), plant_model(spec, "loop")):
+        found.append(folder / f"{parts.identifier}_fmi{version}.fmu")
         write_fmu(packed(parts, version, COMPILER), found[-1])
     return found
 
@@ -117,7 +117,7 @@ def test_they_are_valid_whole_and_the_same_again(
 def test_a_binary_without_a_needed_function_is_noticed(
     machine: tuple[Spec, ControllerFile], version: Version, tmp_path: Path
 ) -> None:
-    parts = plant_parts(machine[0], "loop")
+    parts = plant_model(machine[0], "loop")
     found = {k.removeprefix("sources/"): v.decode() for k, v in packed(parts, version, None).items() if "sources/" in k}
     for name in NEEDED[version][::18]:  # all of them take a minute
         library = tmp_path / f"{name}.so"
@@ -170,7 +170,7 @@ def test_the_sources_compile_in_a_compilers_own_mode(name: str, standard: str) -
     assert COMPILER is not None
     spec = exact(name)
     for version in VERSIONS:
-        found = packed(plant_parts(spec, "loop"), version, None)
+        found = packed(plant_model(spec, "loop"), version, None)
         sources = {k.removeprefix("sources/"): v.decode() for k, v in found.items() if "sources/" in k}
         assert compiled(sources, COMPILER, [f"-std={standard}", "-O0", "-Werror"])
 
@@ -218,7 +218,7 @@ def test_the_controller_is_the_stored_one_in_every_bit(
 ) -> None:
     file = made(name)[2]
     path = tmp_path / "controller.fmu"
-    write_fmu(packed(controller_parts(source_of(file, given=given), 10.0, {}), version, COMPILER), path)
+    write_fmu(packed(controller_model(source_of(file, given=given), 10.0, {}), version, COMPILER), path)
     assert validate_fmu(str(path)) == []
     random, python, h = np.random.default_rng(1), Controller(file), EXACT[name][0]
     N, p = len(file.L), len(file.trajectory.eta)
@@ -309,7 +309,7 @@ def test_a_plant_is_exact_however_many_crossings_a_step_has(seed: int, version: 
     wanted, _ = precise(flow, z0, trace)
     spec = in_scenario(exact("two_mass_machine"), conditions=Conditions(plant=of), initial=InitialStates(plant=x))
     path = tmp_path / "plant.fmu"
-    write_fmu(packed(plant_parts(spec, "loop"), version, COMPILER), path)
+    write_fmu(packed(plant_model(spec, "loop"), version, COMPILER), path)
     block = Block(path, tmp_path)
     block.set(of.inputs, u)
     for k in range(20):
@@ -333,7 +333,7 @@ def test_a_dip_below_a_border_is_seen_and_a_pass_above_it_is_none(seed: int, tmp
     of = PWASystem.create(partition=partition, A=[A, A], b=np.zeros((2, 4)), B=np.eye(4, 1), C=np.eye(1, 4))
     spec = in_scenario(exact("two_mass_machine"), conditions=Conditions(plant=of), initial=InitialStates(plant=z0[:4]))
     path = tmp_path / "plant.fmu"
-    write_fmu(packed(plant_parts(spec, "loop"), 3, COMPILER), path)
+    write_fmu(packed(plant_model(spec, "loop"), 3, COMPILER), path)
     block = Block(path, tmp_path)
     cells = [block.get(["diagnosis.cell"])[0]]
     for start, end in ((0.0, low), (low, near.duration)):
@@ -359,7 +359,7 @@ def test_a_dip_within_a_step_leaves_its_trace(seed: int, tmp_path: Path) -> None
     assert len(trace.events) == 2
     spec = in_scenario(exact("two_mass_machine"), conditions=Conditions(plant=of), initial=InitialStates(plant=z0[:4]))
     path = tmp_path / "plant.fmu"
-    write_fmu(packed(plant_parts(spec, "loop"), 3, COMPILER), path)
+    write_fmu(packed(plant_model(spec, "loop"), 3, COMPILER), path)
     block = Block(path, tmp_path)
     block.step(0.0, near.duration)
     trail = np.abs(trace.z[-1] - expm(F * near.duration) @ z0).max()
@@ -414,7 +414,7 @@ int main(void)
 def test_nothing_is_undefined_from_any_state(name: str, tmp_path: Path) -> None:
     """At rest, on a facet, far away, beyond all numbers: a step is done, or the state is kept."""
     spec = exact(name)
-    for file, text in plant_parts(spec, "loop").sources.items():
+    for file, text in plant_model(spec, "loop").sources.items():
         (tmp_path / file).write_text(text, encoding="utf-8")
     cells = f"#define CELLS {len(spec.problem.plant.A)}u"
     (tmp_path / "main.c").write_text(cells + FAULTS, encoding="utf-8")

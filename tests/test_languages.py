@@ -6,8 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pwatrack.cli import app
-from pwatrack.export.languages import LANGUAGES
-from pwatrack.export.notation import printed
+from pwatrack.export.notation import LANGUAGES, printed
 from pwatrack.export.structured_text import ST
 
 

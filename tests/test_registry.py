@@ -11,7 +11,7 @@ import pytest
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS, STATEMENT, data, rows
-from pwatrack.commands.told import told_design
+from pwatrack.commands.verify import told_design
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.lmi.audit.certificate import DESIGN

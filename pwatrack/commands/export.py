@@ -1,11 +1,11 @@
-"""A spec, a run folder or a controller.json -> exported code, with what is proved of it."""
+"""A spec, a run folder or a controller.json -> exported code and FMUs, with what is proved of it."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.export.languages import LANGUAGES
+from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
+from pwatrack.export.fmu_models import controller_model, plant_model
+from pwatrack.export.notation import LANGUAGES
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
 from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
@@ -29,6 +31,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
 
 _STEPS = 1000  # of a test vector
+_DURATION = 10.0  # s: how long the FMU of a controller may run whose spec is not at hand
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def export(
     target: Path,
     out: Path,
     *,
-    parameters: Any,
+    parameters: Mapping[str, Any],
     sample_time: float | None,
     name: str | None,
     single: bool,
@@ -71,22 +74,14 @@ def export(
     unproved: bool,
     failed: bool,
 ) -> list[str]:
-    """Write a controller for a machine.
+    """Write a controller in one of `LANGUAGES` to a folder, and return the names of the files.
 
     Args:
-        to: In which one of `LANGUAGES`.
         target: A spec, a run folder or a controller.json.
-        out: The folder for the code.
-        parameters: Replacements, for a spec.
-        sample_time: In s, for a spec that has none.
+        parameters, sample_time: Replacements, and in s what the controller is sampled with; for a spec.
         name: Prefix of all names; by default from the name of the spec.
-        single: Whether in single floats.
         given: Whether the reference comes from outside.
-        unproved: Whether to write what is not proved, too.
-        failed: Whether to write the controller of a run that failed, too.
-
-    Returns:
-        The names of the files.
+        unproved, failed: Whether to write what is not proved, and the controller of a run that failed, too.
 
     Raises:
         InvalidSpec: If what is exported has no sample time, or cannot be read or written.
@@ -97,33 +92,93 @@ def export(
     try:
         return [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:
-        raise unwritable(out, error) from None
+        raise _unwritable(out, error) from None
 
 
-def unwritable(out: Path, error: OSError) -> InvalidSpec:
-    """Return the refusal of a folder that cannot be written to."""
-    return InvalidSpec(Problem(message=f"cannot write to {out}: {error.strerror or error}"))
+def export_fmu(
+    target: Path,
+    out: Path,
+    *,
+    parameters: Mapping[str, Any],
+    sample_time: float | None,
+    name: str | None,
+    versions: Sequence[Version],
+    of: Sequence[Literal["controller", "plant"]],
+    given: bool,
+    unproved: bool,
+    failed: bool,
+) -> list[str]:
+    """Write FMUs for co-simulation, and return in sentences what was written. The rest is as for `export`.
+
+    Args:
+        target: As there; for a plant its spec must be at hand.
+        versions: Of FMI.
+        of: What is written: its controller, its plant.
+
+    Raises:
+        InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
+            not for what is exported.
+        CheckFailed: If the controller is not proved, unless `unproved`; if its run failed, unless `failed`; if a
+            compiler that is there makes no binary.
+    """
+    made = dict[str, Model]()
+    if "controller" not in of:
+        unused = {"--sample-time": sample_time is not None, "--reference outside": given, "--unproved": unproved}
+        unused["--failed"] = failed
+        if any(unused.values()):
+            names = ", ".join(name for name, there in unused.items() if there)
+            message = f"{names}: that is for a controller, and only the plant is exported"
+            raise InvalidSpec(message, hint="leave it out, or export the controller, too: --of both")
+        path = _stored_file(target, parameters, None)
+        spec = load_spec(target, parameters) if path is None else _its_spec(read(path), path.parent)
+    else:
+        subject = subject_of(target, parameters, sample_time, given, unproved, failed)
+        code, spec = subject.source(prefix(name or subject.file.name), given=given), subject.spec
+        resources = {file: text.encode() for file, text in subject.beside.items()}
+        made["controller"] = controller_model(code, _DURATION if spec is None else spec.scenario.duration, resources)
+    if "plant" in of:
+        if spec is None:
+            message = f"{target}: the spec that it was made from is not at hand, or was changed since"
+            hint = "--of controller exports the controller by itself; a spec exports its plant"
+            raise InvalidSpec(message, hint=hint)
+        made["plant"] = plant_model(spec, prefix(name or spec.name))
+    return _write_fmus(made, versions, out)
+
+
+def _write_fmus(made: Mapping[str, Model], versions: Sequence[Version], out: Path) -> list[str]:
+    compiler = c_compiler()
+    inside = "sources and a Linux binary" if compiler else "sources only: no C compiler for Linux on x86-64 was found"
+    try:
+        found = {
+            (version, part, out / f"{model.identifier}_fmi{version}.fmu"): packed(model, version, compiler)
+            for part, model in made.items()
+            for version in versions
+        }
+        for (_, _, path), files in found.items():
+            write_fmu(files, path)
+    except RuntimeError as error:
+        raise CheckFailed(f"the FMU's own sources were not compiled: {error}") from None
+    except OSError as error:
+        raise _unwritable(out, error) from None
+    return [f"FMI {version}.0 of the {part} in {path}, {inside}" for version, part, path in found]
+
+
+def _unwritable(out: Path, error: OSError) -> InvalidSpec:
+    return InvalidSpec(f"cannot write to {out}: {error.strerror or error}")
 
 
 def subject_of(
-    target: Path, parameters: Any, sample_time: float | None, given: bool, unproved: bool, failed: bool
+    target: Path, parameters: Mapping[str, Any], sample_time: float | None, given: bool, unproved: bool, failed: bool
 ) -> Subject:
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
-    if stored(target, parameters, sample_time):
-        path = target / CONTROLLER if target.is_dir() else target
-        found = _stored(path, given)
-    else:
-        found = of_spec(load_spec(target, parameters), sample_time, given)
+    path = _stored_file(target, parameters, sample_time)
+    found = of_spec(load_spec(target, parameters), sample_time, given) if path is None else _stored(path, given)
     against = [
         ("not proved", found.unproved, "--unproved", unproved),
         ("its run failed", found.file.failed, "--failed", failed),
     ]
     problems = [
-        Problem(
-            message=f"{target}: {what}: {line}",
-            subject=None,
-            hint=f"{option} exports it all the same, and its header says so",
-        )
+        Problem(message=f"{target}: {what}: {line}", hint=f"{option} exports it all the same, and its header says so")
         for what, lines, option, meant in against
         for line in lines
         if not meant
@@ -133,17 +188,14 @@ def subject_of(
     return found
 
 
-def stored(target: Path, parameters: Any, sample_time: float | None) -> bool:
-    """Say whether what is exported is stored, and no spec.
-
-    Raises:
-        InvalidSpec: If it is, and is to be changed.
-    """
-    found = target.is_dir() or target.suffix == ".json"
-    if found and (parameters or sample_time is not None):
+def _stored_file(target: Path, parameters: Mapping[str, Any], sample_time: float | None) -> Path | None:
+    """Return the controller.json that is exported; None where it is a spec, which alone can be changed."""
+    if not target.is_dir() and target.suffix != ".json":
+        return None
+    if parameters or sample_time is not None:
         message = f"{target}: --set and --sample-time go with a spec, not with a controller that is stored"
         raise InvalidSpec(message, hint="export the spec with them, or design with them and export that run")
-    return found
+    return target / CONTROLLER if target.is_dir() else target
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
@@ -172,12 +224,10 @@ def _simulated(
     """Return a controller with what it reads in the first steps of its simulation."""
     sampling = spec.scenario.conditions.sampling
     if sampling is None:
-        raise InvalidSpec(
-            Problem(message=f"{spec.path}: the controller has no sample time", subject=None, hint="--sample-time")
-        )
+        raise InvalidSpec(f"{spec.path}: the controller has no sample time", hint="--sample-time")
     if not has_tables(controller):
         message = f"{spec.path}: the controller has {len(controller.plant.A):,} cells, too many for its tables"
-        raise InvalidSpec(Problem(message=message, subject=None, hint=f"at most {MOST_LISTED:,} are exported"))
+        raise InvalidSpec(message, hint=f"at most {MOST_LISTED:,} are exported")
     h, end = sampling.sample_time, controller.trajectory.exosystem.end
     last = min(steps * h, np.inf if end is None else end)
     short = replace(spec, scenario=replace(spec.scenario, duration=float(last), sample_time=h))
@@ -203,7 +253,7 @@ def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
 def _stored(path: Path, given: bool) -> Subject:
     """Return a controller from its file, with its proof beside it if it is there."""
     file, folder = read(path), path.parent
-    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), its_spec(file, folder)
+    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), _its_spec(file, folder)
     text = certificate.read_bytes() if certificate.is_file() else b""
     if not text:
         unproved.append(f"there is no {CERTIFICATE} beside it")
@@ -211,10 +261,12 @@ def _stored(path: Path, given: bool) -> Subject:
         unproved.append(f"the {CERTIFICATE} beside it is not the one that it names")
     else:
         verify(folder, None if spec is None else spec.path)
-    unproved += _other_gains(file, text)
+    proved = json.loads(text) if text else {"K": file.K, "L": file.L}
+    if any([[float(v) for v in row] for row in proved.get(of) or []] != getattr(file, of) for of in ("K", "L")):
+        unproved.append("the proof is about other gains")
     if file.program is None:
         hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
-        raise InvalidSpec(Problem(message=f"{path}: the controller has no sample time", subject=None, hint=hint))
+        raise InvalidSpec(f"{path}: the controller has no sample time", hint=hint)
     if spec is not None:
         again = with_gains(spec, file)
         controller = pipeline.design(again, growing=True)
@@ -227,18 +279,7 @@ def _stored(path: Path, given: bool) -> Subject:
     return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"), None)
 
 
-def _other_gains(file: ControllerFile, certificate: bytes) -> Sequence[str]:
-    """Return whether a certificate is about other gains than a controller has."""
-    if not certificate:
-        return []
-    proved = json.loads(certificate)
-    same = all(
-        [[float(v) for v in row] for row in proved.get(letter) or []] == getattr(file, letter) for letter in ("K", "L")
-    )
-    return [] if same else ["the proof is about other gains"]
-
-
-def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
+def _its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     """Return the spec that the run in a folder was made from, as it was then; None where that is not at hand."""
     path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
     spec = None if path is None else load(path, file.set)

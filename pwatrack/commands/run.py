@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from rich.status import Status
 
@@ -33,32 +33,9 @@ from pwatrack.workflow import pipeline
 from pwatrack.workflow.how_far import HowFar, how_far
 from pwatrack.workflow.largest_box import LargestBox, largest_box
 from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.variation import EnsembleResult, Over, ensemble
+from pwatrack.workflow.variation import EnsembleResult, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Members:
-    """An ensemble that is asked for: see `ensemble`."""
-
-    count: int
-    over: Over = "initial"
-    seed: int = 1
-    executor: Executor | None = None
-    workers: int | None = None
-
-    def of(self, result: SimulatedLoop, progress: Callable[[int], object]) -> EnsembleResult:
-        """Return that ensemble of a run."""
-        return ensemble(
-            result,
-            self.count,
-            over=self.over,
-            seed=self.seed,
-            workers=self.workers,
-            executor=self.executor,
-            progress=progress,
-        )
 
 
 def run(
@@ -71,7 +48,7 @@ def run(
     fronts: bool = False,
     scaled: bool = False,
     stored: Path | None = None,
-    members: Members | None = None,
+    members: Mapping[str, Any] | None = None,
     plots: Plots = "all",
     drawing: Executor | None = None,
     shown: Shown = "summary",
@@ -84,7 +61,7 @@ def run(
         solver: Which interior-point solver to ask, instead of the one in the spec.
         simulated: Whether to simulate.
         fronts, scaled: Whether to find what other rates would cost, how far a box can be scaled; without a simulation.
-        stored, members: A controller.json that is simulated instead of a new one, and an ensemble of its loop.
+        stored, members: A controller.json that is simulated instead of a new one, and what `ensemble` of it takes.
         plots, drawing: Whether pictures are drawn, or only if the run does not end as its spec expects; who else draws.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.
@@ -105,7 +82,7 @@ def run(
             result = made.simulated(spec, controller, status) if simulated else None
             if result is not None and members:
                 with made.timed("ensemble"):
-                    many = members.of(result, _shown(status, members.count))
+                    many = ensemble(result, **members, progress=_shown(status, members["count"]))
             elif not simulated:
                 status.update("Finding the smallest gains at other rates")
                 with made.timed("pareto"):
@@ -241,9 +218,8 @@ class _Made:
         if self.spec is None or not isinstance(refusal.evidence, Impossibility):
             return None
         with self.timed("how far"), asking(self.spec.objectives.solver), suppress(PwatrackError):
-            return how_far(
-                self.spec, refusal.evidence, lambda what: status.update(f"Looking how far away it is: {what}")
-            )
+            said = "Looking how far away it is: "
+            return how_far(self.spec, refusal.evidence, lambda what: status.update(said + what))
         return None
 
 
@@ -276,8 +252,7 @@ def _shown(status: Status, members: int) -> Callable[[int], object]:
 
 
 def _fronts(spec: Spec, controller: ProvedController) -> list[Front]:
-    gains, plant = controller.design, controller.plant
-    sizes = controller.sizes
+    gains, plant, sizes = controller.design, controller.plant, controller.sizes
     with spec.located(), asking(spec.objectives.solver):
         return [
             pareto(Task.of(plant, CONTROLLER, sizes=sizes), gains.K, gains.controller.rate),

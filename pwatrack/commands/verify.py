@@ -1,54 +1,55 @@
-"""Prove a certificate again from its file, and make the files of its folder again from it and its spec."""
+"""Prove a certificate again from its file, and make its design and the files of its folder again, without a solver."""
 
 import json
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pwatrack.claims.bounds import BOUNDS
-from pwatrack.claims.exact_text import CLOSE, decimal_texts
-from pwatrack.claims.registry import STATEMENT
-from pwatrack.commands.told import merged_as_told, told_design, told_gains
+from pwatrack.claims.cost import read_costs
+from pwatrack.claims.decay import read_proofs
+from pwatrack.claims.exact_text import CLOSE, decimal_texts, doubles
+from pwatrack.claims.practical import merged_ways
+from pwatrack.claims.registry import STATEMENT, read
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
+from pwatrack.control.synthesis import Gains
+from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
+from pwatrack.export.coq import development
+from pwatrack.export.source import prefix, write_texts
 from pwatrack.export.stored import LARGEST, digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed, refuses
-from pwatrack.report.certificate import bound_content, subject_content
+from pwatrack.lmi.dichotomy import Dichotomy
+from pwatrack.report.certificate import bound_content, output_form, subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.figures import SIMULATED
 from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.headroom import room_within_limits
+from pwatrack.workflow.pipeline import asked_of
+from pwatrack.workflow.simplified import merged_spec
 from pwatrack.workflow.sizing import spec_sizes
+from pwatrack.workflow.tracking import desired_trajectory
 
 CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
-_ALONE = (  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
-    *(
-        "format",
-        "spec",
-        "simulation",
-        "exit",
-        "seconds",
-        "answered",
-        "versions",
-        "remarks",
-        "requirements",
-        "conditions",
-        "files",
-    ),
-    *("estimates", "tracked", "preview", "ensemble", "largest_box"),
-)
+_ALONE = """
+format spec simulation exit seconds answered versions remarks requirements conditions files
+estimates tracked preview ensemble largest_box
+"""  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
 _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
+_NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
 
 def verify(path: Path, spec: Path | None = None) -> list[str]:
-    """Check a certificate, or a run folder that holds one.
+    """Check a certificate, or a run folder that holds one, and return in sentences what was checked.
 
     What a proof speaks of is read from the spec; the files beside it are written again from the certificate and the
     spec, by what writes them, and compared whole.
@@ -57,14 +58,11 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         path: certificate.json, or the folder it is in.
         spec: The spec it should belong to; without it, that of `spec_of`.
 
-    Returns:
-        What was checked, in sentences.
-
     Raises:
         InvalidSpec: If a file cannot be read.
         CheckFailed: With everything that does not hold.
     """
-    file, text = certificate_text(path)
+    file, text = _certificate_text(path)
     said, faults = audit(text)
     if not faults:
         content, folder = parsed(text), file.parent
@@ -77,7 +75,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
             if named is None:
                 said.append("not compared with a spec: none is at hand; name it with --spec")
                 if file.name != REFUSAL:
-                    _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults, exactly=True)
+                    _compare("gains.json", folder, _told_gains(content), said, faults, exactly=True)
             else:
                 described = load(named, content["set"])
                 faults += _against_spec(content, described)
@@ -88,7 +86,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         except (AuditFault, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             faults.append(f"it, or a file beside it, is not that of a run: {type(error).__name__}: {error}"[:200])
     if faults:
-        raise CheckFailed(*(Problem(message=f"{file}: {fault}", subject=None) for fault in faults))
+        raise CheckFailed(*(f"{file}: {fault}" for fault in faults))
     beside = file.parent / REFUSAL
     if file.name == CERTIFICATE and content.get("practical") is not None and beside.is_file():
         verify(beside, spec)
@@ -96,16 +94,66 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     return said
 
 
-def certificate_text(path: Path) -> tuple[Path, str]:
-    """Return the certificate that a path is, or that is in the folder it is, and its text."""
-    file = path if not path.is_dir() else _certificate_in(path)
-    return file, _read(file)
+def certify(path: Path, out: Path) -> list[str]:
+    """Write what Coq checks of a certificate to a folder, and return the names of the files. Args: as `verify`.
+
+    Raises:
+        InvalidSpec: If a file cannot be read, or nothing in it is of the kind that the theory speaks of.
+        CheckFailed: If the certificate does not hold, or is not that of its folder and spec.
+    """
+    verify(path)
+    file, text = _certificate_text(path)
+    return write_texts(development(parsed(text), prefix(file.resolve().parent.name)), out)
 
 
-def _certificate_in(folder: Path) -> Path:
-    """Return the certificate of a run folder, or the refusal where there is only that."""
-    refusal, certificate = folder / REFUSAL, folder / CERTIFICATE
-    return refusal if refusal.is_file() and not certificate.is_file() else certificate
+def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
+    """Return the design that an audited certificate tells, with the plant and the reference of a spec.
+
+    Raises:
+        ValueError: If gains or elements do not fit to the spec.
+        PwatrackError: As `desired_trajectory`.
+    """
+    true = spec.problem.plant
+    spec = _merged_as_told(spec, content)
+    form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None
+    trajectory, generator = desired_trajectory(spec, True, form)
+    plant = spec.problem.plant if generator is None else generator.form.plant
+    proofs = read_proofs(content)
+    for proof in proofs:
+        if isinstance(proof, Dichotomy) and generator is not None:
+            generator = replace(generator, certificate=proof)
+    controller = ProvedController(
+        plant=plant,
+        running=plant if content["practical"] is None else true,
+        design=Gains(K=doubles(content["K"]), L=doubles(content["L"]), controller=_NOT_TOLD, observer=_NOT_TOLD),
+        trajectory=trajectory,
+        generator=generator,
+        proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
+        sizes=spec_sizes(spec),
+    )
+    room = room_within_limits(spec, trajectory, generator, controller.sizes)
+    return read(content, controller, asked_of(spec, room))
+
+
+def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:
+    """Return the spec that a certificate is about: with those cells merged that are merged there."""
+    practical = content["practical"]
+    if practical is None:
+        return spec
+    ways = merged_ways(practical["merged"], spec.problem.plant)
+    return merged_spec(spec, ways, watched=practical["observer_runs"] == "all cells")
+
+
+def _told_gains(content: dict[str, Any]) -> dict[str, Any]:
+    """Return what gains.json holds."""
+    return gain_content(doubles(content["K"]), doubles(content["L"]), read_costs(content))
+
+
+def _certificate_text(path: Path) -> tuple[Path, str]:
+    """Return the certificate that a path is, or that is in the folder it is, and its text; a refusal, if only that."""
+    if path.is_dir():
+        path = next((path / name for name in (CERTIFICATE, REFUSAL) if (path / name).is_file()), path / CERTIFICATE)
+    return path, _read(path)
 
 
 def _tell_failed(file: Path, said: list[str], faults: list[str]) -> None:
@@ -130,7 +178,7 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
     """Yield what of a certificate is not what the spec asks for."""
     impossible, asked = refuses(content), spec
     if not impossible:
-        spec = merged_as_told(spec, content)
+        spec = _merged_as_told(spec, content)
         if bool(content["uncertain"]) != bool(spec.objectives.uncertain):
             yield f"the uncertain parameters are not those of {spec.path}"
     listed = "elements" not in content["plant"]
@@ -138,7 +186,8 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
     yield from (f"{name} is not that of {spec.path}" for name, value in subject.items() if content[name] != value)
     if content["spec_sha256"] != asked.sha256:
         yield f"{spec.path} has other bytes than the spec it was made for"
-    norms = dict.fromkeys("KL", 0.0) if impossible else _norms(content, spec)
+    gains = [doubles(content[letter]) for letter in "KL" if not impossible]
+    norms = dict(zip("KL", spec_sizes(spec).norms(*gains), strict=True)) if gains else {}
     for role, goal in spec.objectives.goals.items():
         part, letter = role.name, role.letter
         given = goal.gain if isinstance(goal, Given) else None
@@ -151,12 +200,6 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
             yield f"{letter} is not the one that {spec.path} asks to be proved"
         elif proofs and number(proofs[0].get("rate", 0)) > Fraction(repr(demands(goal)[0])):
             yield f"{part}: a rate was refused that {spec.path} does not ask for"
-
-
-def _norms(content: dict[str, Any], spec: Spec) -> dict[str, float]:
-    """Return the norms of both gains in the sizes of a spec."""
-    K, L, _ = told_gains(content)
-    return dict(zip("KL", spec_sizes(spec).norms(K, L), strict=True))
 
 
 def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[str]:
@@ -183,14 +226,14 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     made = written(spec, controller, known_start(spec, controller))
     for name in _different(content, parsed(made.certificate), exactly=True):
         faults.append(f"{_WORDS.get(name, name + ' is')} not {'those' if name in _WORDS else 'that'} of {spec.path}")
-    _compare("gains.json", folder, gain_content(*told_gains(content)), said, faults, exactly=True)
+    _compare("gains.json", folder, _told_gains(content), said, faults, exactly=True)
     _compare(BOUNDS, folder, bound_content(spec, controller), said, faults)
     _compare("generator.json", folder, made.generator, said, faults)
     if made.controller is not None and (told := _json(folder / CONTROLLER)) is not None:
         again = made.controller | {"sha256": digest(told), "failed": told.get("failed")}
         other = spec.scenario.conditions.sampling is None and told.get("program") is not None  # that of another file
         _compare(CONTROLLER, folder, again, said, faults, ["program"] * other)
-    _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
+    _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE.split())
 
 
 def _compare(
@@ -199,7 +242,7 @@ def _compare(
     made: Any,
     said: list[str],
     faults: list[str],
-    alone: Sequence[str] = (),
+    alone: Collection[str] = (),
     *,
     exactly: bool = False,
 ) -> None:
@@ -207,18 +250,19 @@ def _compare(
     told = _json(folder / name)
     if told is None:
         return
-    made, left = {} if made is None else json.loads(json_text(made)), [key for key in told if key in alone]
-    told = {key: value for key, value in told.items() if key not in alone}
-    made = {key: value for key, value in made.items() if key not in alone}
-    for key in _PARTLY if name == INDEX else ():
+    left = [key for key in told if key in alone]
+    told, made = (_without(tree, alone) for tree in (told, {} if made is None else json.loads(json_text(made))))
+    for key, own in _PARTLY.items() if name == INDEX else ():
         if isinstance(told.get(key), dict) and key in made:
-            own = [one for one in told[key] if one in _PARTLY[key]]
-            told[key] = {one: value for one, value in told[key].items() if one not in own}
-            made[key] = {one: value for one, value in made[key].items() if one not in _PARTLY[key]}
-            left += [f"{key}.{one}" for one in own]
+            left += [f"{key}.{one}" for one in told[key] if one in own]
+            told[key], made[key] = _without(told[key], own), _without(made[key], own)
     wrong = _different(told, made, exactly=exactly)
     faults += [f"{', '.join(wrong)} in {name} is not what was proved"] * bool(wrong)
     said.append(f"{name} beside it tells the same{', but for what it alone tells: ' * bool(left)}{', '.join(left)}")
+
+
+def _without(tree: dict[str, Any], keys: Collection[str]) -> dict[str, Any]:
+    return {key: value for key, value in tree.items() if key not in keys}
 
 
 def _different(told: dict[str, Any], made: dict[str, Any], *, exactly: bool) -> list[str]:
@@ -256,11 +300,11 @@ def _json(path: Path) -> Any:
     try:
         content = parsed(_read(path), float) if path.is_file() else None
     except AuditFault as fault:
-        raise CheckFailed(Problem(message=f"{path}: {fault}", subject=None)) from None
+        raise CheckFailed(f"{path}: {fault}") from None
     except (ValueError, RecursionError):
-        raise CheckFailed(Problem(message=f"{path} is not JSON", subject=None)) from None
+        raise CheckFailed(f"{path} is not JSON") from None
     if content is not None and not isinstance(content, dict):
-        raise CheckFailed(Problem(message=f"{path} holds no mapping", subject=None))
+        raise CheckFailed(f"{path} holds no mapping")
     return content
 
 
@@ -268,10 +312,9 @@ def _read(path: Path) -> str:
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
-            raise InvalidSpec(Problem(message=f"{path} is no regular file", subject=None))
+            raise InvalidSpec(f"{path} is no regular file")
         if found.st_size > LARGEST:
-            message = f"{path} has {found.st_size:,} bytes, at most {LARGEST:,} are read"
-            raise InvalidSpec(Problem(message=message, subject=None))
+            raise InvalidSpec(f"{path} has {found.st_size:,} bytes, at most {LARGEST:,} are read")
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidSpec(Problem(message=f"cannot read {path}: {error}", subject=None)) from None
+        raise InvalidSpec(f"cannot read {path}: {error}") from None

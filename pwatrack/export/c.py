@@ -1,12 +1,12 @@
 """A controller in C99: header and source, and beside them a test vector, build files and a page of advice."""
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from textwrap import indent
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pwatrack.export.controller import Controller
 from pwatrack.export.notation import Language, most, names, printed
@@ -32,12 +32,11 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 
 def header(source: Source) -> str:
     """Return the header."""
-    found, of = source.step, source.program.sizes
-    counts = _state_bytes(source, found), _constant_bytes(source, found)
-    multiplications, additions, comparisons = _operations(found)
+    of, (state, constants) = source.program.sizes, _bytes(source)
+    multiplications, additions, comparisons = _operations(source.step)
     sizes = (
-        f"State        {counts[0]} bytes",
-        f"Constants    {counts[1]} bytes",
+        f"State        {state} bytes",
+        f"Constants    {constants} bytes",
         f"One step     at most {multiplications} products and quotients, {additions} sums, {comparisons} comparisons"
         " of floats",
     )
@@ -49,10 +48,10 @@ def header(source: Source) -> str:
         "q": of["q"],
         "m": of["m"],
         "s": of["s"] if source.given else 0,
-        "state_bytes": counts[0],
-        "constant_bytes": counts[1],
+        "state_bytes": state,
+        "constant_bytes": constants,
         "real": "float" if source.single else "double",
-        "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(found)),
+        "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(source.step)),
     }
     return template("c_header.h", **values)
 
@@ -60,9 +59,8 @@ def header(source: Source) -> str:
 def code(source: Source) -> str:
     """Return the source."""
     found = source.step
-    language, used, types = _language(source, found), names(found.body), _types(source)
-    kept = {f"new_{variable.name}" for variable in found.kept}
-    own = [variable for variable in found.own if variable.name in used - kept]
+    language, real = _language(source), f"{source.name}_real"
+    used = names(found.body) - {f"new_{variable.name}" for variable in found.kept}
 
     def lines(text: str, depth: int) -> str:
         return indent(printed(text, language), "    " * depth)
@@ -70,17 +68,19 @@ def code(source: Source) -> str:
     values = {
         "name": source.name,
         "upper": source.name.upper(),
-        "real": types["real"],
+        "real": real,
         "zero": language.words["0.0"],
         "m": source.program.sizes["m"],
         "widths": " && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[source.single]),
-        "constants": "\n".join(_constant(source, found, name) for name in found.constants),
+        "constants": "\n".join(_constant(source, name) for name in found.constants),
         "sizes": " + ".join(f"sizeof({name})" for name in found.constants),
-        "own": "\n".join(f"    {'ROUNDED ' * (v.name == PRODUCT)}{_declared(source, v)}" for v in own),
+        "own": "\n".join(
+            f"    {'ROUNDED ' * (v.name == PRODUCT)}{_declared(source, v)}" for v in found.own if v.name in used
+        ),
         "hold": lines(found.hold, 1),
         "body": lines(found.body, 1),
         "begin": lines(found.begin, 2),
-        "ref": f", const {types['real']} ref[]" if source.given else "",
+        "ref": f", const {real} ref[]" if source.given else "",
         "pass_ref": ", ref" if source.given else "",
         "unused": "" if source.given else "    (void)ref;\n",
         "missing": "(y == NULL) || (ref == NULL)" if source.given else "y == NULL",
@@ -101,15 +101,12 @@ def initialiser(values: Any, *, single: bool = False) -> str:
     return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * single
 
 
-def _state_bytes(source: Source, found: Step) -> int:
-    """Return the bytes of the state."""
-    widths = _widths(source)
-    size, width = sum((v.length or 1) * widths[v.kind] for v in _state(found)), widths["real"]
-    return -(-size // width) * width
-
-
-def _constant_bytes(source: Source, found: Step) -> int:
-    return sum(values.size * _widths(source)[kind] for kind, values in found.constants.values())
+def _bytes(source: Source) -> tuple[int, int]:
+    """Return the bytes of the state, which are a multiple of those of a float, and of the constants."""
+    real = 4 if source.single else 8
+    widths: dict[Kind, int] = {"real": real, "whole": 4, "side": 1, "flag": 4}
+    state = sum((variable.length or 1) * widths[variable.kind] for variable in _state(source.step))
+    return -(-state // real) * real, sum(v.size * widths[kind] for kind, v in source.step.constants.values())
 
 
 def _operations(found: Step) -> tuple[int, int, int]:
@@ -123,11 +120,6 @@ def _types(source: Source) -> dict[Kind, str]:
     return {"real": f"{source.name}_real", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
 
 
-def _widths(source: Source) -> dict[Kind, int]:
-    """Return the bytes of a number of each type."""
-    return {"real": 4 if source.single else 8, "whole": 4, "side": 1, "flag": 4}
-
-
 def _state(found: Step) -> tuple[Variable, ...]:
     """Return the fields of the state."""
     return (*found.kept, Variable("ready", "flag", what="set by init"))
@@ -139,9 +131,9 @@ def _declared(source: Source, variable: Variable) -> str:
     return f"{_types(source)[variable.kind]} {variable.name}{length};{what}"
 
 
-def _language(source: Source, found: Step) -> Language:
+def _language(source: Source) -> Language:
     """Return C, with what is remembered in `state`, and what it will be in `next`."""
-    kept, number = {variable.name for variable in found.kept}, "{}f" if source.single else "{}"
+    kept, suffix = {variable.name for variable in source.step.kept}, "f" * source.single
 
     def name(text: str) -> str:
         if text in kept:
@@ -159,7 +151,7 @@ def _language(source: Source, found: Step) -> Language:
         within="/* within */",
         truth="{} != 0u",
         words={"and": "&&", "or": "||", "not": "!", "True": "1u", "False": "0u"}
-        | {text: number.format(text) for text in ("0.0", "1.0")},
+        | {text: f"{text}{suffix}" for text in ("0.0", "1.0")},
         remainder="{} % {}",
         name=name,
         element="{}[{}]",
@@ -169,30 +161,28 @@ def _language(source: Source, found: Step) -> Language:
     )
 
 
-def _constant(source: Source, found: Step, name: str) -> str:
-    kind, values = found.constants[name]
-    shape = "".join(f"[{size}]" for size in values.shape)
+def _constant(source: Source, name: str) -> str:
+    kind, values = source.step.constants[name]
     rows = str(values.tolist()).replace("[", "{").replace("]", "}")
     rows = (initialiser(values, single=source.single) if kind == "real" else rows).replace("}, {", "},\n    {")
-    return f"static const {_types(source)[kind]} {name}{shape} =\n    {rows};"
+    return f"static const {_types(source)[kind]} {name}{_shape(values)} =\n    {rows};"
 
 
 def _vector(source: Source, arrays: dict[str, Any]) -> str:
     lines = [f'#include "{source.name}.h"\n', f"#define VECTOR_STEPS {len(arrays['y'])}\n"]
     for name, values in arrays.items():
         rows = ",\n    ".join(initialiser(row, single=source.single) for row in values)
-        shape = "".join(f"[{size}]" for size in values.shape)
-        lines.append(f"static const {source.name}_real vector_{name}{shape} = {{\n    {rows}}};\n")
+        lines.append(f"static const {source.name}_real vector_{name}{_shape(values)} = {{\n    {rows}}};\n")
     return "\n".join(lines)
+
+
+def _shape(values: NDArray[Any]) -> str:
+    return "".join(f"[{size}]" for size in values.shape)
 
 
 def _advice(source: Source, vector: Vector) -> dict[str, object]:
     """Return what the page and the replay say of this controller."""
-    plant, program, found = source.file.plant, source.program, source.step
-
-    def signals(names: Sequence[str]) -> str:
-        return ", ".join(source.signals(names))
-
+    plant, program, (state, constants) = source.file.plant, source.program, _bytes(source)
     proved = (
         "It is NOT PROVED: " + "; ".join(source.unproved) + "."
         if source.unproved
@@ -211,11 +201,11 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
     return {
         "title": source.file.name,
         "proved": failed + proved,
-        "bytes": _state_bytes(source, found),
-        "constants": _constant_bytes(source, found),
+        "bytes": state,
+        "constants": constants,
         "h": repr(program.sampling.sample_time),
-        "y": signals(plant.outputs),
-        "u": signals(plant.inputs),
+        "y": ", ".join(source.signals(plant.outputs)),
+        "u": ", ".join(source.signals(plant.inputs)),
         "ref": "ref" if source.given else "NULL",
         "vector_ref": "vector_w[k]" if source.given else "NULL",
         "reference": reference,

@@ -9,24 +9,25 @@ import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
+from uuid import UUID
 
 from pwatrack.export.source import template
 from pwatrack.version import __version__
 
 Version = Literal[2, 3]
-OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+_OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 _PLATFORMS: Mapping[Version, str] = {2: "linux64", 3: "x86_64-linux"}
 _TIME = (1980, 1, 1, 0, 0, 0)  # of all files: the same content is the same file
 _UNKNOWN = "@token@"
-BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 _UNITS: dict[str, tuple[float, dict[str, int]]] = {
-    **{name: (1.0, {name: 1}) for name in BASE},
+    **{name: (1.0, {name: 1}) for name in _BASE},
     "g": (1e-3, {"kg": 1}),
     "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
     "J": (1.0, {"kg": 1, "m": 2, "s": -2}),
@@ -36,14 +37,11 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "Hz": (1.0, {"s": -1}),
     "C": (1.0, {"A": 1, "s": 1}),
     "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
-    "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
-    "ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
-    "Ω": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+    **dict.fromkeys(("Ohm", "ohm", "Ω"), (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2})),
     "F": (1.0, {"kg": -1, "m": -2, "s": 4, "A": 2}),
     "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}),
     "T": (1.0, {"kg": 1, "s": -2, "A": -1}),
-    "l": (1e-3, {"m": 3}),
-    "L": (1e-3, {"m": 3}),
+    **dict.fromkeys(("l", "L"), (1e-3, {"m": 3})),
     "min": (60.0, {"s": 1}),
     "h": (3600.0, {"s": 1}),
     "deg": (pi / 180, {"rad": 1}),
@@ -78,77 +76,49 @@ class ModelVariable:
     whole: bool = False
     held: bool = False
 
-    @property
-    def variability(self) -> str:
-        """In the words of FMI."""
-        if self.causality == "parameter":
-            return "fixed"
-        return "discrete" if self.held or self.whole else "continuous"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What a description is about.
+    """What an FMU is made of.
 
     Attributes:
         identifier: Its name in C.
         title, description: Of it, for people.
-        token: What tells it apart from every other one.
         variables: All of them, in order.
         step: The only length of a step in s, or whole multiples of it; None for any length.
         preferred: A length of steps, and how long it may run, in s.
-        files: Names of the C files.
+        sources: C files and headers by name, without those of FMI.
+        resources: Other files by name.
     """
 
     identifier: str
     title: str
     description: str
-    token: str
-    variables: tuple[ModelVariable, ...]
+    variables: Sequence[ModelVariable]
     step: float | None
     preferred: tuple[float, float]
-    files: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Parts:
-    """What an FMU is made of.
-
-    Attributes:
-        model: What its description says; its token and files are filled in.
-        sources: C files and headers by name, without those of FMI.
-        resources: Other files by name.
-    """
-
-    model: Model
     sources: Mapping[str, str]
     resources: Mapping[str, bytes]
 
 
-def packed(parts: Parts, version: Version, compiler: str | None) -> dict[str, bytes]:
-    """Return all files of an FMU by their paths.
-
-    Args:
-        parts: What it is made of.
-        version: Of FMI.
-        compiler: The path of a C compiler, or None for sources only.
+def packed(model: Model, version: Version, compiler: str | None) -> dict[str, bytes]:
+    """Return all files of an FMU by their paths; without a compiler these are its sources only.
 
     Raises:
-        RuntimeError: If it does not compile the sources.
+        RuntimeError: If the compiler refuses the sources.
     """
     main = f"fmi{version}.c"
-    sources = {main: template(main), "instance.h": template("instance.h"), **parts.sources}
-    model = replace(parts.model, files=tuple(name for name in sources if name.endswith(".c")))
-    whole = [description(model, version), *(text.encode() for text in sources.values())]
-    token = hashlib.sha256(b"".join(whole)).hexdigest()
-    token = "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:32]))
-    model = replace(model, token="{" + token + "}" if version == 2 else token)
-    sources = {name: text.replace(_UNKNOWN, model.token) for name, text in sources.items()}
-    found = {"modelDescription.xml": description(model, version)}
+    sources = {main: template(main), "instance.h": template("instance.h"), **model.sources}
+    files = [name for name in sources if name.endswith(".c")]
+    whole = [_description(model, version, files, ""), *(text.encode() for text in sources.values())]
+    token = str(UUID(hashlib.sha256(b"".join(whole)).hexdigest()[:32]))  # tells it apart from every other one
+    token = f"{{{token}}}" if version == 2 else token
+    sources = {name: text.replace(_UNKNOWN, token) for name, text in sources.items()}
+    found = {"modelDescription.xml": _description(model, version, files, token)}
     found |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if version == 3:
-        found["sources/buildDescription.xml"] = build_description(model)
-    found |= {f"resources/{name}": content for name, content in parts.resources.items()}
+        found["sources/buildDescription.xml"] = _build_description(model, files)
+    found |= {f"resources/{name}": content for name, content in model.resources.items()}
     if compiler is not None:
         found[f"binaries/{_PLATFORMS[version]}/{model.identifier}.so"] = compiled(sources, compiler)
     return found
@@ -174,7 +144,7 @@ def compiled(sources: Mapping[str, str], compiler: str, options: Sequence[str] =
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         names = [name for name in sources if name.endswith(".c")]
-        command = [compiler, *OPTIONS, *options, "-o", "model.so", *names, "-lm"]
+        command = [compiler, *_OPTIONS, *options, "-o", "model.so", *names, "-lm"]
         found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if found.returncode:
             errors = [line for line in found.stderr.splitlines() if "error" in line] or [f"exit {found.returncode}"]
@@ -189,21 +159,21 @@ def c_compiler() -> str | None:
     return next((path for path in map(shutil.which, ("cc", "gcc", "clang")) if path), None)
 
 
-def description(model: Model, version: Version) -> bytes:
+def _description(model: Model, version: Version, files: Sequence[str], token: str) -> bytes:
     """Return modelDescription.xml."""
     root = ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": f"{version}.0",
             "modelName": _line(model.title),
-            "guid" if version == 2 else "instantiationToken": model.token,
+            "guid" if version == 2 else "instantiationToken": token,
             "description": _line(model.description),
             "license": "It belongs to its user: LICENSE-EXCEPTION of pwatrack",
             "generationTool": f"pwatrack {__version__}",
             "variableNamingConvention": "structured",
         },
     )
-    _interface(root, model, version)
+    _interface(root, model, version, files)
     _units(root, model)
     categories = ET.SubElement(root, "LogCategories")
     for name in ("logStatusWarning", "logStatusError"):
@@ -217,19 +187,19 @@ def description(model: Model, version: Version) -> bytes:
     return _text(root)
 
 
-def build_description(model: Model) -> bytes:
+def _build_description(model: Model, files: Sequence[str]) -> bytes:
     """Return sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
     options = "-std=c99 -O2 -ffp-contract=off"
     sources = ET.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=options)
-    for name in model.files:
+    for name in files:
         ET.SubElement(sources, "SourceFile", name=name)
     ET.SubElement(configuration, "Library", name="m", external="true")
     return _text(root)
 
 
-def _interface(root: ET.Element, model: Model, version: Version) -> None:
+def _interface(root: ET.Element, model: Model, version: Version, files: Sequence[str]) -> None:
     state = "FMUstate" if version == 2 else "FMUState"
     said = {
         "modelIdentifier": model.identifier,
@@ -243,9 +213,9 @@ def _interface(root: ET.Element, model: Model, version: Version) -> None:
         said["fixedInternalStepSize"] = repr(model.step)
     interface = ET.SubElement(root, "CoSimulation", said)
     if version == 2:
-        files = ET.SubElement(interface, "SourceFiles")
-        for name in model.files:
-            ET.SubElement(files, "File", name=name)
+        sources = ET.SubElement(interface, "SourceFiles")
+        for name in files:
+            ET.SubElement(sources, "File", name=name)
 
 
 def _units(root: ET.Element, model: Model) -> None:
@@ -261,7 +231,9 @@ def _units(root: ET.Element, model: Model) -> None:
 
 def _variable(variables: ET.Element, variable: ModelVariable, number: int, version: Version) -> None:
     said = {"name": variable.name, "valueReference": str(number), "description": _line(variable.description)}
-    said |= {"causality": variable.causality, "variability": variable.variability}
+    variability = "discrete" if variable.held or variable.whole else "continuous"
+    said["causality"] = variable.causality
+    said["variability"] = "fixed" if variable.causality == "parameter" else variability
     of: dict[str, str] = {"unit": _line(variable.unit)} if variable.unit else {}
     of |= {} if variable.start is None else {"start": repr(variable.start)}
     if version == 3:
@@ -332,7 +304,7 @@ def base_unit(text: str) -> BaseUnit | None:
             powers[name] = powers.get(name, 0) + power * count
     if not text or place != len(text):
         return None
-    return BaseUnit({name: powers[name] for name in BASE if powers.get(name)}, factor, 0.0)
+    return BaseUnit({name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0)
 
 
 def _symbol(text: str) -> tuple[float, Mapping[str, int]] | None:

@@ -4,13 +4,14 @@ That engine goes from crossing to crossing.
 """
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from pwatrack.arrays import EPS, Array
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.export.c import code, header, initialiser
-from pwatrack.export.fmu import Model, ModelVariable, Parts
+from pwatrack.export.fmu import Model, ModelVariable
 from pwatrack.export.source import Source, reference_unit, said, template
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
@@ -25,16 +26,12 @@ _ORDER = (
 _MOST_NUMBERS = 2**19  # of A_i and b_i: 4 MB
 _MOST_TERMS = 24  # of a step
 _LONGEST = 2.0**20  # s
+_FEW_CELLS = 32  # that a description names
+_TIME = ModelVariable(name="simulation.time", causality="independent", description="time", unit="s")
 
 
-def controller_parts(c: Source, duration: float, resources: dict[str, bytes]) -> Parts:
-    """Return what the FMU of a controller is made of.
-
-    Args:
-        c: The controller, in doubles.
-        duration: How long it may run, in s.
-        resources: Files beside it.
-    """
+def controller_model(c: Source, duration: float, resources: Mapping[str, bytes]) -> Model:
+    """Return the model of a controller in doubles, that may run so long, in s, with files beside it."""
     variables, of = _controller_variables(c), c.program.sizes
     step, late = c.program.sampling.sample_time, c.program.sampling.delay
     proved = (
@@ -43,44 +40,55 @@ def controller_parts(c: Source, duration: float, resources: dict[str, bytes]) ->
         else " ".join(["Proved for the gains as printed.", *c.claims])
     )
     failed = f"FAILED: {'; '.join(c.file.failed)}. " if c.file.failed else ""
-    model = Model(
+    shown = f"    (void)memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n"
+    values = {
+        **_reals(variables),
+        "name": c.name,
+        "sample_time": repr(step),
+        "ref": f"&of->real[{1 + of['q']}]" if c.given else "NULL",
+        "X": of["q"] + of["m"],
+        "next": of["m"] if late else 0,
+        "show_next": shown if late else "",
+        **{key: of[key] for key in ("q", "m", "n", "N", "p")},
+    }
+    return Model(
         identifier=f"{c.name}_controller",
         title=f"{c.file.name}: controller",
         description=f"{failed}Runs once every {step!r} s. {proved} {_ORDER}",
-        token="",
         variables=variables,
         step=step,
         preferred=(step, duration),
-        files=(),
+        sources={f"{c.name}.h": header(c), f"{c.name}.c": code(c), "model.h": template("controller.h", **values)},
+        resources=resources,
     )
+
+
+def _reals(variables: Sequence[ModelVariable]) -> dict[str, object]:
+    """Return what a template says of the variables that are no whole numbers."""
     reals = [variable for variable in variables if not variable.whole]
-    values = {
-        "name": c.name,
-        "inputs": sum(variable.causality == "input" for variable in reals),
-        "parameter": next(k for k, variable in enumerate(reals) if variable.causality == "parameter"),
+    causalities = [variable.causality for variable in reals]
+    return {
+        "inputs": causalities.count("input"),
+        "parameter": causalities.index("parameter"),
         "reals": len(reals),
-        "sample_time": repr(step),
-        "ref": f"&of->real[{1 + of['q']}]" if c.given else "NULL",
         "start": initialiser([0.0 if variable.start is None else variable.start for variable in reals]),
-        "X": of["q"] + of["m"],
-        "next": of["m"] if late else 0,
-        "show_next": f"    (void)memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n"
-        if late
-        else "",
-        **{key: of[key] for key in ("q", "m", "n", "N", "p")},
     }
-    sources = {f"{c.name}.h": header(c), f"{c.name}.c": code(c), "model.h": template("controller.h", **values)}
-    return Parts(model=model, sources=sources, resources=resources)
 
 
-def _controller_variables(c: Source) -> tuple[ModelVariable, ...]:
+def _controller_variables(c: Source) -> list[ModelVariable]:
     plant, of, eta = c.file.plant, c.program.sizes, c.file.trajectory.eta
     named = dict(zip(plant.loads.where, plant.loads.names, strict=True)) if plant.loads else {}
     loads = list[str]()
     for k in range(of["N"] - of["n"]):  # a sinusoid has two entries, the first with its name
         loads.append(named[k] if k in named else f"{loads[-1]}.quadrature")
-    states, start = [*plant.states, *loads], c.file.start
-    x_hat, eta_hat = (start.x_hat, start.eta_hat) if start else ([0.0] * of["N"], [0.0] * of["p"])
+    states, (x_hat, eta_hat) = [*plant.states, *loads], c.file.started
+    cells = ": " + ", ".join(f"{k} {name}" for k, name in enumerate(plant.cells[:_FEW_CELLS]))
+    desired = cells if len(c.program.sides) == len(plant.cells) else ", of those left where cells are merged"
+    told = {
+        "status": "0; 1: the reference has ended; -1: a number was not finite, the output is held",
+        "cell": f"cell of the observer{cells}",
+        "cell_desired": f"cell of the desired state{desired}",
+    }
 
     def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> ModelVariable:
         held = causality in ("output", "local")
@@ -89,12 +97,12 @@ def _controller_variables(c: Source) -> tuple[ModelVariable, ...]:
     def unit_of(name: str) -> str:
         return plant.units.get(name, "")
 
-    return (
-        ModelVariable(name="simulation.time", causality="independent", description="time", unit="s"),
+    return [
+        _TIME,
         *(of_kind("input", name, "measured now", unit_of(name), 0.0) for name in plant.outputs),
         *(
             of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
-            for name in (c.program.reference if c.given else ())
+            for name in c.program.reference
         ),
         *(of_kind("output", name, "put out from the start of the step", unit_of(name)) for name in plant.inputs),
         *(
@@ -112,22 +120,10 @@ def _controller_variables(c: Source) -> tuple[ModelVariable, ...]:
             of_kind("parameter", f"start.eta{k + 1}", f"what the generator starts with: {name}", "", value)
             for k, (name, value) in enumerate(zip(eta, eta_hat, strict=True))
         ),
-        *_diagnosis(c),
-    )
-
-
-def _diagnosis(c: Source) -> list[ModelVariable]:
-    names = c.file.plant.cells
-    cells = ": " + ", ".join(f"{k} {name}" for k, name in enumerate(names[:32]))
-    same = cells if len(c.program.sides) == len(names) else ", of those left where cells are merged"
-    said = {
-        "status": "0; 1: the reference has ended; -1: a number was not finite, the output is held",
-        "cell": f"cell of the observer{cells}",
-        "cell_desired": f"cell of the desired state{same}",
-    }
-    return [
-        ModelVariable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
-        for name, text in said.items()
+        *(
+            ModelVariable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
+            for name, text in told.items()
+        ),
     ]
 
 
@@ -141,119 +137,103 @@ def _reference(name: str) -> str:
     return "reference." + re.sub(r"\W", "_", name)
 
 
-def plant_parts(spec: Spec, name: str) -> Parts:
-    """Return what the FMU of the plant that a spec simulates is made of.
-
-    Args:
-        spec: The spec.
-        name: Prefix of its C names.
+def plant_model(spec: Spec, name: str) -> Model:
+    """Return the model of the plant that a spec simulates, with a prefix of its C names.
 
     Raises:
         InvalidSpec: If it has too many cells.
     """
     plant, scenario = spec.scenario.conditions.plant or spec.problem.plant, spec.scenario
-    cells, n = plant.b.shape
-    if plant.A.size + plant.b.size > _MOST_NUMBERS:
+    numbers = plant.A.size + plant.b.size
+    if numbers > _MOST_NUMBERS:
         raise InvalidSpec(
-            Problem(
-                message=f"the plant has {cells:,} cells: A_i and b_i are {plant.A.size + plant.b.size:,} numbers, "
-                f"and at most {_MOST_NUMBERS:,} are exported",
-                subject=None,
-            )
+            f"the plant has {len(plant.b):,} cells: A_i and b_i are {numbers:,} numbers, "
+            f"and at most {_MOST_NUMBERS:,} are exported"
         )
     inputs, B = _inputs(spec, plant)
-    outputs, C = _outputs(plant)
-    given = scenario.initial.plant
-    if isinstance(given, Steady):
-        trajectory, generator = desired_trajectory(spec, False)
-        given = plant_start(spec, trajectory, generator, trajectory.eta0)
-    start = np.zeros(n) if given is None else np.asarray(given, dtype=np.float64)
-    variables = _plant_variables(spec, plant, inputs, outputs, start)
-    reals = [variable for variable in variables if not variable.whole]
-    text = {"name": name, "NAME": name.upper(), "title": said(spec.name), "spec": spec.sha256}
-    text |= {"n": str(n), "states": ", ".join(plant.states), "inputs_said": ", ".join(v.name for v in inputs)}
-    values: dict[str, object] = {
-        **text,
-        "q": len(C),
-        "C": initialiser(C),
-        "inputs": len(inputs),
-        "parameter": len(reals) - n,
-        "reals": len(reals),
-        "start": initialiser([0.0 if variable.start is None else variable.start for variable in reals]),
+    rows = dict(zip(plant.outputs, plant.C, strict=True))
+    rows |= {k: row for k, row in zip(plant.tracked_names, plant.tracked, strict=True) if k not in plant.outputs}
+    variables = _plant_variables(spec, plant, inputs, rows)
+    values = {
+        **_reals(variables),
+        "name": name,
+        "NAME": name.upper(),
+        "title": said(spec.name),
+        "spec": spec.sha256,
+        "n": len(plant.states),
+        "states": ", ".join(plant.states),
+        "inputs_said": ", ".join(variable.name for variable in inputs),
+        "q": len(rows),
+        "C": initialiser([*rows.values()]),
+        "m": len(inputs),
+        **_tables(plant, B),
     }
-    engine: dict[str, object] = {**text, "m": len(inputs), **_tables(plant, B)}
-    changed = scenario.conditions.parameters or {}
-    other = ", ".join(f"{key} = {value:g}" for key, value in changed.items())
-    model = Model(
+    other = ", ".join(f"{key} = {value:g}" for key, value in (scenario.conditions.parameters or {}).items())
+    sources = {f"{name}.h": "plant.h", f"{name}.c": "plant.c", "model.h": "plant_model.h"}
+    return Model(
         identifier=f"{name}_plant",
         title=f"{spec.name}: plant",
         description=f"Exact between communication points; inputs are held over a step. {other and f'With {other}.'}",
-        token="",
         variables=variables,
         step=None,
         preferred=(scenario.sample_time, scenario.duration),
-        files=(),
+        sources={file: template(form, **values) for file, form in sources.items()},
+        resources={},
     )
-    sources = {
-        f"{name}.h": template("plant.h", **engine),
-        f"{name}.c": template("plant.c", **engine),
-        "model.h": template("plant_model.h", **values),
-    }
-    return Parts(model=model, sources=sources, resources={})
 
 
 def _inputs(spec: Spec, plant: PWASystem) -> tuple[list[ModelVariable], Array]:
     """Return inputs, loads that are estimated, and disturbances of the spec, with their columns in ẋ."""
-    units, disturbance, columns = spec.problem.units, spec.scenario.conditions.disturbance, list(plant.B.T)
-    found = [_input(name, "held over a step", units.get(name, "")) for name in plant.inputs]
-    if spec.problem.plant.loads is not None:
-        loads = spec.problem.plant.loads
-        for name, k in zip(loads.names, loads.where, strict=True):
-            found.append(_input(name, "load, held over a step", units.get(name, "")))
-            columns.append(loads.E.floats[:, k])
+    units, loads, disturbance = spec.problem.units, spec.problem.plant.loads, spec.scenario.conditions.disturbance
+    found, columns = list[ModelVariable](), list[Array]()
+
+    def add(name: str, text: str, unit: str, column: Array) -> None:
+        text = f"{text}, held over a step" if text else "held over a step"
+        found.append(ModelVariable(name=name, causality="input", description=text, unit=unit, start=0.0))
+        columns.append(column)
+
+    for k, name in enumerate(plant.inputs):
+        add(name, "", units.get(name, ""), plant.B[:, k])
+    if loads is not None:
+        for k, name in zip(loads.where, loads.names, strict=True):
+            add(name, "load", units.get(name, ""), loads.E.floats[:, k])
     if disturbance is not None:
         for k, name in enumerate(plant.states):
             if disturbance.Q[k].any():
-                text = f"added to the derivative of {name}, held over a step"
-                found.append(_input(f"disturbance.{name}", text, _per_second(units.get(name, ""))))
-                columns.append(np.eye(len(plant.states))[k])
+                rate = f"{units[name]}/s" if units.get(name) else ""
+                add(f"disturbance.{name}", f"added to the derivative of {name}", rate, np.eye(len(plant.states))[k])
     return found, np.array(columns).T
 
 
-def _input(name: str, text: str, of_unit: str) -> ModelVariable:
-    return ModelVariable(name=name, causality="input", description=text, unit=of_unit, start=0.0)
-
-
-def _per_second(text: str) -> str:
-    return f"{text}/s" if text else ""
-
-
-def _outputs(plant: PWASystem) -> tuple[list[tuple[str, str]], Array]:
-    """Return what is measured, and what is tracked beside it: names with words, and rows on x."""
-    names, rows = [(name, "measured") for name in plant.outputs], list(plant.C)
-    for name, row in zip(plant.tracked_names, plant.tracked, strict=True):
-        if name not in plant.outputs:
-            names.append((name, "tracked"))
-            rows.append(row)
-    return names, np.array(rows)
-
-
 def _plant_variables(
-    spec: Spec, plant: PWASystem, inputs: list[ModelVariable], outputs: list[tuple[str, str]], start: Array
-) -> tuple[ModelVariable, ...]:
-    units = spec.problem.units
-    found = [ModelVariable(name="simulation.time", causality="independent", description="time", unit="s"), *inputs]
-    for name, text in [*outputs, *((name, "state") for name in plant.states)]:
-        found.append(ModelVariable(name=name, causality="output", description=text, unit=units.get(name, "")))
-    for name, value in zip(plant.states, start.tolist(), strict=True):
-        text = f"{name} at the start"
-        found.append(
+    spec: Spec, plant: PWASystem, inputs: Sequence[ModelVariable], outputs: Iterable[str]
+) -> list[ModelVariable]:
+    start, units = spec.scenario.initial.plant, spec.problem.units
+    if isinstance(start, Steady):
+        trajectory, generator = desired_trajectory(spec, False)
+        start = plant_start(spec, trajectory, generator, trajectory.eta0)
+    start = np.zeros(len(plant.states)) if start is None else np.asarray(start, dtype=np.float64)
+    words = {name: "measured" if name in plant.outputs else "tracked" for name in outputs}
+    cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cell_names[:_FEW_CELLS]))
+    return [
+        _TIME,
+        *inputs,
+        *(
+            ModelVariable(name=name, causality="output", description=text, unit=units.get(name, ""))
+            for name, text in [*words.items(), *((name, "state") for name in plant.states)]
+        ),
+        *(
             ModelVariable(
-                name=f"start.{name}", causality="parameter", description=text, unit=units.get(name, ""), start=value
+                name=f"start.{name}",
+                causality="parameter",
+                description=f"{name} at the start",
+                unit=units.get(name, ""),
+                start=value,
             )
-        )
-    cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cell_names[:32]))
-    return (*found, ModelVariable(name="diagnosis.cell", causality="output", description=f"cell: {cells}", whole=True))
+            for name, value in zip(plant.states, start.tolist(), strict=True)
+        ),
+        ModelVariable(name="diagnosis.cell", causality="output", description=f"cell: {cells}", whole=True),
+    ]
 
 
 def _tables(plant: PWASystem, B: Array) -> dict[str, object]:
@@ -262,18 +242,17 @@ def _tables(plant: PWASystem, B: Array) -> dict[str, object]:
     H, h, signs = plant.partition.H, plant.partition.h, plant.partition.signs
     if not len(h):
         H, h, signs = np.zeros((1, n)), np.zeros(1), np.zeros((1, 1), dtype=np.int64)
-    steps: dict[bytes, tuple[float, int]] = {}
-    for A, b in zip(plant.A, plant.b, strict=True):
-        key = A.tobytes() + b.tobytes()
-        if key not in steps:
-            steps[key] = _step(A, b, B)
-    each = [steps[A.tobytes() + b.tobytes()] for A, b in zip(plant.A, plant.b, strict=True)]
-    found: dict[str, object] = {"cells": len(signs), "planes": len(h), "degree": max(degree for _, degree in each)}
-    found["unit"] = repr(float(unit(n + m + 1) / EPS))
-    tables = {"A": plant.A, "b": plant.b, "B": B, "step": [step for step, _ in each], "H": H, "h": h}
+    steps, degrees = zip(*(_step(A, b, B) for A, b in zip(plant.A, plant.b, strict=True)), strict=True)
+    tables = {"A": plant.A, "b": plant.b, "B": B, "step": steps, "H": H, "h": h}
     text = {name: initialiser(values) for name, values in tables.items()}
     text["signs"] = str(signs.tolist()).replace("[", "{").replace("]", "}")
-    return found | {name: values.replace("}, {", "},\n    {") for name, values in text.items()}
+    return {
+        "cells": len(signs),
+        "planes": len(h),
+        "degree": max(degrees),
+        "unit": repr(float(unit(n + m + 1) / EPS)),
+        **{name: values.replace("}, {", "},\n    {") for name, values in text.items()},
+    }
 
 
 def _step(A: Array, b: Array, B: Array) -> tuple[float, int]:

@@ -20,8 +20,6 @@ _FREE = ("units", "set")  # their keys are names of signals and parameters
 _NAMES = {"end": "until"}  # what is no name in MATLAB
 _NO_LIMIT = {"low": -np.inf, "high": np.inf, "change": np.inf}
 
-_NO_STATE = "    error('{name}:state', 'state must come from {name}_init')"
-
 
 def _named(found: Step) -> Language:
     """Return MATLAB, with what is remembered in `state` and constants in `t`."""
@@ -63,7 +61,8 @@ def functions(source: Source) -> dict[str, str]:
         for part, size in sizes.items()
     )
     parts = ", ".join(f"'{variable.name}'" for variable in found.kept)
-    checks = f"if ~isstruct(state) || ~all(isfield(state, {{{parts}}}))\n{_NO_STATE.format(name=name)}\nend\n{checks}"
+    error = f"    error('{name}:state', 'state must come from {name}_init')"
+    checks = f"if ~isstruct(state) || ~all(isfield(state, {{{parts}}}))\n{error}\nend\n{checks}"
     own = [f"{v.name} = zeros({v.length}, 1);" for v in found.own if v.length and v.name in used]
     own.append(f"u = zeros({of['m']}, 1);")
     kept = [f"state.{v.name} = zeros({v.length}, 1);" for v in found.kept if v.length]
@@ -130,14 +129,10 @@ def _content(value: Any, key: str = "") -> Any:
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        return _cell([_content(part) for part in value])
+        cells = np.empty((len(value), 1), dtype=object)
+        for k, part in enumerate(value):
+            cells[k, 0] = _content(part)
+        return cells
     if numbers.ndim == 1:
         return numbers[:, None]
     return np.moveaxis(numbers, 0, -1) if numbers.ndim > 2 else numbers
-
-
-def _cell(values: list[Any]) -> NDArray[Any]:
-    found = np.empty((len(values), 1), dtype=object)
-    for k, value in enumerate(values):
-        found[k, 0] = value
-    return found

@@ -1,15 +1,21 @@
-"""The notation in which a step is written once, printed in other languages.
+"""The notation in which a step is written once, and the languages that it is printed in.
 
 It is a part of Python: assignments, `if` with `elif` and `else`, `for` over a range of two whole numbers, indices from
 0, + - * / %, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by itself is a
-comment.
+comment. A new language is a module with a function `write`, and a line of `LANGUAGES`.
 """
 
 import ast
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 from textwrap import indent
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pwatrack.export.source import Source, Vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +72,7 @@ def printed(text: str, language: Language) -> str:
             u[k] := 2.0 * (u[k - 1] + 1.0);
         END_FOR;
     """
-    return "\n".join(_Printer(language).statements(ast.parse(text).body))
+    return "\n".join(map(_Printer(language).statement, ast.parse(text).body))
 
 
 def names(text: str) -> set[str]:
@@ -116,12 +122,8 @@ def most(text: str, reals: Set[str]) -> Counter[str]:
 class _Printer:
     language: Language
 
-    def statements(self, body: Sequence[ast.stmt]) -> Iterator[str]:
-        for statement in body:
-            yield self.statement(statement)
-
     def block(self, body: Sequence[ast.stmt]) -> str:
-        return indent("\n".join(self.statements(body)), "    ")
+        return indent("\n".join(map(self.statement, body)), "    ")
 
     def statement(self, node: ast.stmt) -> str:
         language = self.language
@@ -136,7 +138,7 @@ class _Printer:
                 orelse=[],
             ):
                 if language.once and stop - first == 1:
-                    return language.once.format(language.name(index), first, "\n".join(self.statements(node.body)))
+                    return language.once.format(language.name(index), first, "\n".join(map(self.statement, node.body)))
                 return language.loop.format(language.name(index), first, stop - 1, self.block(node.body))
             case ast.If():
                 return (self.branches(node, language.branch) + language.end).rstrip()
@@ -199,3 +201,46 @@ class _Printer:
             case ast.BinOp(left=left, op=ast.Sub(), right=ast.Constant(value=1)):
                 return self.value(left)
         return f"{self.inner(node)} + 1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A language that a controller is exported in.
+
+    Attributes:
+        module: Of this room, where `write` is.
+        help: What is written, in a sentence.
+        example: Arguments of a command that writes it.
+        single: Whether it may be in single floats.
+    """
+
+    module: str
+    help: str
+    example: str
+    single: bool = True
+
+    @property
+    def write(self) -> Callable[["Source", "Vector", Path], list[str]]:
+        """What writes a controller to a folder, with what it reads in a test, and returns the names of the files."""
+        found: Callable[[Source, Vector, Path], list[str]] = import_module(f"pwatrack.export.{self.module}").write
+        return found
+
+
+LANGUAGES = {
+    "c": Target(
+        module="c",
+        help="Write a controller in C99, with a test vector of its simulation.",
+        example="runs/two_mass_machine --out firmware --float32",
+    ),
+    "st": Target(
+        module="structured_text",
+        help="Write a controller as a function block in Structured Text of IEC 61131-3.",
+        example="runs/two_mass_machine --out plc --float32",
+    ),
+    "mat": Target(
+        module="matlab",
+        help="Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it.",
+        example="runs/two_mass_machine --out matlab",
+        single=False,
+    ),
+}

@@ -23,8 +23,7 @@ def plant_system(controller: ProvedController, name: str, units: Mapping[str, st
 
     Args:
         controller: The design that it is for.
-        name: Of the system.
-        units: Of the signals.
+        name, units: Of the system, of its signals.
         start: x(0), (n,).
 
     Raises:

@@ -80,8 +80,7 @@ class Source:
     def routine(self) -> "ControllerArrays":
         """The same as arrays."""
         found = routine(self.program, self.real)
-        last = found.last
-        if last > _LAST_TICK:
+        if (last := found.last) > _LAST_TICK:
             raise InvalidSpec(f"the reference has pieces up to tick {last}, more than a whole number of 32 bits counts")
         return found
 
@@ -98,12 +97,7 @@ class Source:
         return [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
-        """Return what stands at the top: what it is, what is proved, digests, signals.
-
-        Args:
-            sizes: Lines on its size, if anything is known of that.
-            reference: What is to be said of a reference that is made inside.
-        """
+        """Return what stands at the top: what it is, what is proved, digests, lines on its size, signals."""
         of, part = self.program.sizes, self.file
         signals = self.signals([*part.plant.outputs, *part.plant.inputs])
         y, u = ", ".join(signals[: of["q"]]), ", ".join(signals[of["q"] :])
@@ -156,7 +150,7 @@ def prefix(title: str) -> str:
 
 def template(name: str, /, **values: object) -> str:
     """Return a file of `templates` with each @key@ replaced that has a value."""
-    text = files("pwatrack.export.templates").joinpath(name).read_text(encoding="utf-8")
+    text = files("pwatrack.export").joinpath(f"templates/{name}").read_text(encoding="utf-8")
     return re.sub(r"@(\w+)@", lambda found: str(values.get(found[1], found[0])), text)
 
 
@@ -202,7 +196,7 @@ def in_ascii(text: str) -> str:
     """Return a text with what is read as the same in ASCII, where there is something: m³ is m3, µm um, η eta."""
     text = re.sub(r"[µμ](?=\w)", "u", text)
     found = []
-    for sign in unicodedata.normalize("NFKD", "".join(_ASCII.get(sign, sign) for sign in text)):
+    for sign in unicodedata.normalize("NFKD", text):
         greek = re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(sign, ""))
         if sign in _ASCII:
             found.append(_ASCII[sign])

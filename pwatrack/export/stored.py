@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
@@ -15,7 +16,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.program import Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.spec.spec import Spec
@@ -36,11 +37,9 @@ def content(
     start: dict[str, Any] | None,
     failed: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return what controller.json holds.
+    """Return what controller.json holds of `design(spec)`.
 
     Args:
-        spec: What was asked.
-        controller: What `design(spec)` returned.
         proof: The digest of certificate.json.
         generator: What generator.json holds.
         start: `x_hat` (with what it has of loads) and `eta_hat`, where they are known.
@@ -78,8 +77,8 @@ def digest(found: dict[str, Any]) -> str:
 def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, Any]:
     """Return the part `program` of the file."""
     inside, outside = (program(controller, conditions, given=given) for given in (False, True))
-    assert inside.follows is not None
     follows = inside.follows
+    assert follows is not None
     made = {
         "turn": follows.turn.tolist(),
         "w0": follows.w0.tolist(),
@@ -101,11 +100,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
 
 
 def read(path: Path) -> ControllerFile:
-    """Return a controller from its file.
-
-    Raises:
-        InvalidSpec: If it cannot be read, is of another version, has been changed, or is not as its schema says.
-    """
+    """Return a controller from its file. Raises: as `parsed`, and if it cannot be read."""
     try:
         if path.stat().st_size > LARGEST:
             raise _refused(path, f"it has more than {LARGEST:,} bytes")
@@ -116,9 +111,11 @@ def read(path: Path) -> ControllerFile:
 
 
 def parsed(found: Any, path: Path) -> ControllerFile:
-    """Return a controller from what its file holds. Args and raises: as `read`."""
-    from pydantic import ValidationError
+    """Return a controller from what its file holds.
 
+    Raises:
+        InvalidSpec: If it is of another version, has been changed, or is not as its schema says.
+    """
     version = found.get("format") if isinstance(found, dict) else None
     if version != FORMAT:
         said = f"'{version}'"[:80] if isinstance(version, str) else "none that is known"
@@ -140,12 +137,7 @@ def parsed(found: Any, path: Path) -> ControllerFile:
 
 
 def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> SampledController:
-    """Return the program of a file.
-
-    Args:
-        known: The file; it has one.
-        given: Whether the reference comes from outside.
-        single: Whether it is for single floats.
+    """Return the program of a file that has one, with its reference from outside where it is given.
 
     Raises:
         InvalidSpec: If single floats do not hold its numbers.
@@ -154,9 +146,9 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
     part, plant = known.program, known.plant
     assert part is not None
     side, followed = ("outside", part.outside) if given else ("inside", part.inside)
-    cells, n, m, q, N = len(plant.cells), len(plant.states), len(plant.inputs), len(plant.outputs), len(known.L)
+    cells, n, m, q = map(len, (plant.cells, plant.states, plant.inputs, plant.outputs))
     planes, sides, guards = len(plant.h), len(followed.sides), len(followed.guards)
-    p, s = len(known.trajectory.eta), len(part.outside.reference if given else part.inside.w0)
+    N, p, s = len(known.L), len(known.trajectory.eta), len(part.outside.reference if given else part.inside.w0)
     columns = N - n + p + s + 1
 
     if n > N or not (cells and sides):
@@ -201,18 +193,13 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
 
 
 def _follows(inside: Inside, turn: Array) -> Follows:
-    return Follows(
-        turn=turn,
-        w0=np.array(inside.w0, dtype=np.float64),
-        pieces=tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces),
-        end=inside.end,
-    )
+    pieces = tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces)
+    return Follows(turn=turn, w0=np.array(inside.w0, dtype=np.float64), pieces=pieces, end=inside.end)
 
 
 def _check_runs(known: ControllerFile) -> None:
     """Refuse a file whose program has tables that do not fit each other."""
-    inside = runs(known, given=False)
-    runs(known, given=True)
+    inside, _ = (runs(known, given=given) for given in (False, True))
     follows, of = inside.follows, inside.sizes
     assert follows is not None
     if [*map(len, known.started)] != [of["N"], of["p"]]:
@@ -232,7 +219,7 @@ def _has(values: Any, shape: tuple[int, ...]) -> bool:
 
 
 def _refused(path: Path, what: str, hint: str = "") -> InvalidSpec:
-    return InvalidSpec(Problem(message=f"{path}: {what}", subject=None, hint=hint))
+    return InvalidSpec(f"{path}: {what}", hint=hint)
 
 
 def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
@@ -313,12 +300,7 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
 def check_same(
     spec: Spec, controller: ProvedController, known: ControllerFile
 ) -> tuple[Spec, SampledController | None]:
-    """Return the spec with the sample time of a stored controller, and its program.
-
-    Args:
-        spec: The spec, with its gains.
-        controller: These gains, proved for the plant of the spec.
-        known: The file.
+    """Return a spec that has the gains of a stored controller, with its sample time, and its program.
 
     Raises:
         InvalidSpec: If plant, reference or the limits of the program are not those of the spec.
@@ -356,6 +338,5 @@ def _different(one: Any, other: Any, place: str) -> Iterator[str]:
 
 
 def _other(what: str) -> InvalidSpec:
-    message = f"the stored controller is not one for this spec: {what}"
     hint = "'simulation: {plant: {parameters: …}}' runs a controller on another plant than it was designed for"
-    return InvalidSpec(Problem(message=message, subject=None, hint=hint))
+    return InvalidSpec(f"the stored controller is not one for this spec: {what}", hint=hint)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pwatrack.export.notation import Language, names, printed
 from pwatrack.export.source import Source, Vector, in_ascii, reference_unit, said, template, write_texts
-from pwatrack.export.step import Kind, Step, Variable
+from pwatrack.export.step import Kind, Variable
 
 ST = Language(
     assign="{} := {};",
@@ -87,8 +87,8 @@ class Names:
 
 def function_block(source: Source) -> str:
     """Return a controller as a function block."""
-    found, of = source.step, source.program.sizes
-    called, used, floats = _called(source, found), names(found.body), _floats(source)
+    found, of, called, floats = source.step, source.program.sizes, _called(source), _floats(source)
+    used, cells = names(found.body), ", ".join(f"{k} {name}" for k, name in enumerate(source.file.plant.cells))
     types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
 
     def declared(variable: Variable) -> str:
@@ -105,7 +105,7 @@ def function_block(source: Source) -> str:
     return template(
         "st_block.st",
         name=called.block,
-        about="\n".join([*source.about(), *wrap(said(_cells(source)), 118, subsequent_indent=" " * 13)]),
+        about="\n".join([*source.about(), *wrap(said(f"cells        {cells}"), 118, subsequent_indent=" " * 13)]),
         real=floats,
         inputs="\n".join([*_signals(called.inputs, floats), declared(Variable("reset", "flag", what="start anew"))]),
         outputs="\n".join([*_signals(called.outputs, floats), *(declared(v) for v in found.kept if v.name in FIXED)]),
@@ -126,7 +126,7 @@ def function_block(source: Source) -> str:
 
 def program_text(source: Source) -> str:
     """Return a program with an instance of the block, and a task of its sample time in a comment."""
-    called, floats = _called(source, source.step), _floats(source)
+    called, floats = _called(source), _floats(source)
     put_out = [signal for signal in called.outputs if signal.entry[0] == "u"]
     assigned = [*(signal.called for signal in called.inputs), "reset"]
     read = [*((signal.called, signal.called) for signal in put_out), (called.fault, "status < 0")]
@@ -149,18 +149,8 @@ def program_text(source: Source) -> str:
     )
 
 
-def _called(source: Source, found: Step) -> Names:
-    variables = (*found.kept, *found.own)
-    own = ["y", "u", "given", _READY, _LARGEST, *found.constants, *(variable.name for variable in variables)]
-    return block_names(source, dict.fromkeys(own))
-
-
 def _floats(source: Source) -> str:
     return "REAL" if source.single else "LREAL"
-
-
-def _cells(source: Source) -> str:
-    return "cells        " + ", ".join(f"{k} {name}" for k, name in enumerate(source.file.plant.cells))
 
 
 def _signals(signals: Iterable[Port], floats: str) -> list[str]:
@@ -205,11 +195,8 @@ def _number(value: Any) -> str:
 
 
 def write(source: Source, vector: Vector, out: Path) -> list[str]:
-    """Write the function block, and a program that calls it, to a folder and return the names of the files.
-
-    Nothing is said of `vector`, what it would read in a test.
-    """
-    del vector
+    """Write the function block, and a program that calls it, to a folder and return the names of the files."""
+    del vector  # nothing is said of what it would read in a test
     texts = {f"{source.name}.st": function_block(source), f"{source.name}_program.st": program_text(source)}
     return write_texts(texts, out)
 
@@ -236,31 +223,27 @@ def legal(name: str, taken: set[str]) -> str:
     return found
 
 
-def block_names(source: Source, own: Iterable[str]) -> Names:
-    """Return the names in a function block: signals keep theirs where these are legal, what is its own gives way.
-
-    Args:
-        source: The controller.
-        own: All names in the notation.
-    """
-    plant, block, program = source.file.plant, f"FB_{source.name}", f"PRG_{source.name}"
+def _called(source: Source) -> Names:
+    """Return the names in a function block: signals keep theirs where these are legal, what is its own gives way."""
+    plant, found = source.file.plant, source.step
+    block, program = f"FB_{source.name}", f"PRG_{source.name}"
     taken = {*KEYWORDS, *(name.upper() for name in (*FIXED, block, program))}
 
     def unit(text: str) -> str:
         return f", in {said(text)}" if text else ""
 
     def signals(which: Literal["y", "u"], labels: Iterable[str], what: str) -> tuple[Port, ...]:
-        found = []
+        ports = []
         for k, label in enumerate(labels):
             called = legal(label, taken)
             other = "" if called == label else f"; {said(label)} in the spec"
-            found.append(Port(called, (which, k), what + unit(plant.units.get(label, "")) + other))
-        return tuple(found)
+            ports.append(Port(called, (which, k), what + unit(plant.units.get(label, "")) + other))
+        return tuple(ports)
 
     y, u = signals("y", plant.outputs, "measured"), signals("u", plant.inputs, "to be put out now")
     given = tuple(
         Port(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
-        for k, w in enumerate(source.program.reference if source.given else ())
+        for k, w in enumerate(source.program.reference)
     )
     wanted = tuple(
         Port(
@@ -268,6 +251,8 @@ def block_names(source: Source, own: Iterable[str]) -> Names:
         )
         for k, (one, label) in enumerate(zip(u, plant.inputs, strict=True))
     )
+    variables = (variable.name for variable in (*found.kept, *found.own))
+    own = dict.fromkeys(["y", "u", "given", _READY, _LARGEST, *found.constants, *variables])
     called = {name: name if name in FIXED else legal(_OWN.get(name, name), taken) for name in own}
     instance, fault = legal("control", taken), legal("fault", taken)
     return Names(block, program, (*y, *given), (*u, *wanted), called, instance, fault)
