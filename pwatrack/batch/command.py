@@ -6,21 +6,17 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from pwatrack.batch.board import board
+from pwatrack.batch.board import board, print_batch, print_left_out
 from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.find import left_out
-from pwatrack.batch.github import add_summary, annotations
-from pwatrack.batch.junit import write_junit
-from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import SpecOutcome, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
-from pwatrack.batch.remote import Work
+from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
 from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.sweep import Method, places, sweep
 from pwatrack.batch.sweep_files import draw_sweep, write_sweep
-from pwatrack.batch.table import print_batch, print_left_out
-from pwatrack.batch.work import simulate
+from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
@@ -62,21 +58,20 @@ def batch(
     """
     writers = [(report_writer(path), path) for path in reports] + ([(write_junit, junit)] if junit else [])
     print_left_out(left_out(paths, options.pattern))
-    ended: list[SpecOutcome] = []
+    ended: Sequence[SpecOutcome] = []
     try:
-        with _cluster(scheduler, options) as cluster:
+        workers: AbstractContextManager[Cluster | None] = nullcontext()
+        if scheduler:
+            workers = Cluster(scheduler, timeout=options.timeout, memory=options.memory)
+        with workers as cluster, board(console(stderr=True)) as watcher:
+            ended = watcher.outcomes
             options = replace(options, jobs=cluster.jobs) if cluster else options
-            with board(console(stderr=True)) as watcher:
-                outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher, ended=ended)
+            outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher)
     except (KeyboardInterrupt, SystemExit):
         _report(sorted(ended, key=lambda outcome: outcome.spec), writers)
         raise
     _report(outcomes, writers)
     return exit_code(outcomes)
-
-
-def _cluster(scheduler: str | None, options: Options) -> AbstractContextManager[Cluster | None]:
-    return Cluster(scheduler, timeout=options.timeout, memory=options.memory) if scheduler else nullcontext()
 
 
 def _report(outcomes: Sequence[SpecOutcome], writers: Sequence[tuple[Writer, Path]]) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.job import Ended, JobFault
+from pwatrack.batch.work import Ended, JobFault
 from pwatrack.errors import ExitCode
 
 _LARGEST = 1e300  # of a figure that is shown

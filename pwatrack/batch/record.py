@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.job import Done, Ended, Job, JobFault
+from pwatrack.batch.work import Done, Ended, Job, JobFault
 from pwatrack.errors import InvalidSpec, Place
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
 from pwatrack.version import versions
