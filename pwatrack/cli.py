@@ -137,17 +137,8 @@ def design(
     outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(
-        spec_path,
-        out,
-        parameters,
-        solver,
-        simulated=False,
-        fronts=pareto,
-        scaled=robust is not None,
-        shown=_shown(quiet, verbose, as_json),
-        outside=outside,
-    )
+    chosen = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
+    _run(spec_path, out, parameters, solver, simulated=False, outside=outside, **chosen)
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
@@ -179,11 +170,7 @@ def simulate(
     for name, value in (("--over", over), ("--seed", seed), ("--scheduler", scheduler)):
         if ensemble is None and value is not None:
             raise typer.BadParameter("it goes with --ensemble M", param_hint=name)
-    many = (
-        None
-        if ensemble is None
-        else {"count": ensemble, "over": over or "initial", "seed": 1 if seed is None else seed}
-    )
+    many = {"count": ensemble, "over": over or "initial", "seed": 1 if seed is None else seed} if ensemble else None
     chosen = {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
     _run(spec_path, out, parameters, solver, many, scheduler, simulated=True, **chosen)
 

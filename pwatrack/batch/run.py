@@ -107,7 +107,7 @@ def _all(
         start = time.perf_counter()
         known = recall(job, out) if options.again != "all" else None
         seconds = time.perf_counter() - start
-        outcome = SpecOutcome.of(job.spec, job.out, known[0], seconds=seconds, cached=True) if known else None
+        outcome = SpecOutcome.of(job.spec, job.out, known, seconds=seconds, cached=True) if known else None
         if outcome is None or (outcome.failed and options.again == "failed"):
             rest.append(job)
         else:

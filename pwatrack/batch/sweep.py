@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -46,6 +47,11 @@ class Point:
     def proved(self) -> bool:
         """Whether a design is proved there, whatever its simulation came to."""
         return self.proof != NONE
+
+    @property
+    def known(self) -> bool:
+        """Whether it says something: it was not lost, and the spec is not in error there."""
+        return self.exit not in (None, ExitCode.BUG, ExitCode.INVALID)
 
     @property
     def verdict(self) -> str:
@@ -175,21 +181,15 @@ def sweep(
     Returns:
         The points in the order of `at`, and the ends of proofs in the order of the grid.
     """
-    set_, files = dict(fixed or {}), packed(spec)
-    futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
+    set_, submit = dict(fixed or {}), partial(executor.submit, with_files, packed(spec))
+    futures = [submit(look, spec, set_, values, simulated=simulated) for values in at]
     points = [_point(f, v) for f, v in zip(_ended(futures, progress), at, strict=True)]
     if refine is None:
         return points, []
-    pairs = [
-        (one, other, axis)
-        for one, other, axis in neighbours(points, axes)
-        if one.proof != other.proof and _told(one, other)
-    ]
     found = [
-        executor.submit(
-            with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
-        )
-        for one, other, axis in pairs
+        submit(bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low))
+        for one, other, axis in neighbours(points, axes)
+        if one.proof != other.proof and one.known and other.known
     ]
     return points, [future.result() for future in _ended(found, progress) if not future.exception()]
 
@@ -202,11 +202,6 @@ def neighbours(points: Sequence[Point], axes: Sequence[Axis]) -> Iterator[tuple[
             if k // step % one.points < one.points - 1:
                 yield point, points[k + step], one
         step *= one.points
-
-
-def _told(*points: Point) -> bool:
-    """Whether all points say something: not those that were lost, or where the spec is in error."""
-    return all(point.exit not in (None, ExitCode.BUG, ExitCode.INVALID) for point in points)
 
 
 def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:
