@@ -79,14 +79,18 @@ class _Worker:
         with suppress(OSError):  # it died meanwhile: seen from its sentinel
             self._tasks.send_bytes(content)
         while True:
-            watched = [self._errors, self._process.sentinel, *([] if reason else [self._tasks, stop])]
+            watched: list[Any] = [self._errors, self._process.sentinel, *([] if reason else [self._tasks, stop])]
             found = connection.wait(watched, min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT))
             self._hear()
             with suppress(EOFError, OSError):  # it is dying: seen from its sentinel
                 while not reason and self._tasks.poll():  # its last answer may come just before its end
                     message = ForkingPickler.loads(self._tasks.recv_bytes())
                     if message is not None:
-                        return self._judged(*message, begun)
+                        answer, fine = message
+                        if isinstance(answer, OutOfMemory):
+                            self.end(grace=0.0)  # who knows what it still holds
+                            answer = Lost(str(answer), seconds=time.monotonic() - begun)
+                        return answer, fine
                     self._ready, begun = True, time.monotonic()  # from now on time counts
                     deadline = begun + timeout
             if self._process.sentinel in found:
@@ -111,12 +115,6 @@ class _Worker:
         self._hear()
         self._errors.close()
         return self._process.exitcode or 0
-
-    def _judged(self, answer: Any, fine: bool, begun: float) -> tuple[Any, bool]:
-        if not isinstance(answer, OutOfMemory):
-            return answer, fine
-        self.end(grace=0.0)  # who knows what it still holds
-        return Lost(str(answer), seconds=time.monotonic() - begun), False
 
     def _lost(self, reason: str, begun: float) -> Lost:
         code = self.end()
