@@ -134,10 +134,7 @@ _TAKING = threading.Lock()
 def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
     """Make a call on a worker, in a process of its own; return what came out, as bytes.
 
-    Args:
-        content: The function and its arguments.
-        settings: Of the pool.
-        known: The versions of who asks: others may compute other bits.
+    The worker has to have the versions of who asks: others may compute other bits.
     """
     if versions() != known:
         other = [(name, here, known.get(name)) for name, here in versions().items() if known.get(name) != here]

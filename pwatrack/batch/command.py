@@ -22,6 +22,7 @@ from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[SpecOutcome], Path], None]
+_TIMEOUT = 600.0  # s: of a point of a sweep
 WRITERS: dict[str, Writer] = {
     ".xml": write_junit,
     ".jsonl": write_lines,
@@ -99,15 +100,14 @@ def swept(
     ranges: Sequence[str],
     out: Path,
     *,
-    parameters: Sequence[str] = (),
-    method: Method = "grid",
-    count: int = 100,
-    seed: int = 1,
-    simulated: bool = True,
-    refine: float | None = None,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    timeout: float = 600.0,
+    parameters: Sequence[str],
+    method: Method,
+    count: int,
+    seed: int,
+    simulated: bool,
+    refine: float | None,
+    jobs: int,
+    scheduler: str | None,
 ) -> None:
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
 
@@ -126,7 +126,9 @@ def swept(
     name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
     with (
         console(stderr=True).status("Starting") as status,
-        Cluster(scheduler, timeout=timeout) if scheduler else Pool(jobs, timeout=timeout, preload=PRELOAD) as executor,
+        Cluster(scheduler, timeout=_TIMEOUT)
+        if scheduler
+        else Pool(jobs, timeout=_TIMEOUT, preload=PRELOAD) as executor,
     ):
         points, edges = sweep(
             spec,

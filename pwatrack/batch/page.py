@@ -31,6 +31,7 @@ def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """
     required = any(outcome.required for outcome in outcomes)
     names = [*_TEXTS, *(["required"] if required else []), *FIGURES.values(), "time (s)"]
+    ordered = sorted(outcomes, key=lambda outcome: not outcome.failed)
     kinds = sorted({_kind(outcome) for outcome in outcomes})
     page = Template(files("pwatrack.batch").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=_text(counted(outcomes)),
@@ -40,15 +41,11 @@ def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
         narrow=_NARROW,
         kinds="".join(f"<option>{kind}</option>" for kind in kinds),
         head="".join(map(_head, names)) + '<th class="pictures">pictures</th>',
-        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in sorted(outcomes, key=_passed)),
+        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in ordered),
         version=__version__,
     )
     with written_at_once(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
-
-
-def _passed(outcome: SpecOutcome) -> bool:
-    return not outcome.failed
 
 
 def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:

@@ -15,15 +15,7 @@ from pwatrack.report.terminal import told
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One spec and what is to be done with it.
-
-    Attributes:
-        spec: The file.
-        out: Its run folder.
-        parameters: Replacements as NAME=VALUE.
-        plots: Of which runs pictures are drawn.
-        outside: Whether the spec may refer to files outside of its folder.
-    """
+    """One spec, its run folder, and what is to be done with it, as in `Options`."""
 
     spec: Path
     out: Path
@@ -44,39 +36,24 @@ class JobFault:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How the run of a job ended.
-
-    Attributes:
-        exit: Its exit code.
-        expected: The one that the spec expects.
-        messages: What the command line would say on stderr.
-        faults: The same, one by one.
-        index: Its run.json; empty if it left none.
-    """
+    """How the run of a job ended: its exit code, and the one that the spec expects."""
 
     exit: int
     expected: int = 0
-    messages: str = ""
-    faults: tuple[JobFault, ...] = ()
-    index: Mapping[str, Any] = field(default_factory=dict)
+    messages: str = ""  # what the command line would say on stderr
+    faults: tuple[JobFault, ...] = ()  # the same, one by one
+    index: Mapping[str, Any] = field(default_factory=dict)  # its run.json; empty if it left none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """A job that has ended by itself.
-
-    Attributes:
-        ended: How.
-        key, inputs: What it depended on when it began, as a digest, and the files that the spec refers to.
-        seconds: How long it took.
-        left: What it left, if that is not in its folder yet.
-    """
+    """A job that has ended by itself, and how long it took."""
 
     ended: Ended
-    key: str
-    inputs: tuple[str, ...]
+    key: str  # a digest of all that it depended on when it began
+    inputs: tuple[str, ...]  # the files that the spec refers to
     seconds: float
-    left: Left | None = None
+    left: Left | None = None  # what it left, if that is not in its folder yet
 
 
 Work = Callable[[Job], Ended]  # what is done with a job, in whatever process
