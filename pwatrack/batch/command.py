@@ -22,7 +22,7 @@ from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[SpecOutcome], Path], None]
-_TIMEOUT = 600.0  # s: of a point of a sweep
+_LIMIT = 600.0  # s: for a point of a sweep
 WRITERS: dict[str, Writer] = {
     ".xml": write_junit,
     ".jsonl": write_lines,
@@ -126,9 +126,7 @@ def swept(
     name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
     with (
         console(stderr=True).status("Starting") as status,
-        Cluster(scheduler, timeout=_TIMEOUT)
-        if scheduler
-        else Pool(jobs, timeout=_TIMEOUT, preload=PRELOAD) as executor,
+        Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
     ):
         points, edges = sweep(
             spec,
