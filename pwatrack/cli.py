@@ -91,19 +91,17 @@ def check(
             from pwatrack.workflow.sizing import spec_sizes
             from pwatrack.workflow.tracking import reference_remarks
 
-            sizes = spec_sizes(spec)
+            problem, sizes = spec.problem, spec_sizes(spec)
             with asking(spec.objectives.solver):
-                name, report = (
-                    spec.name,
-                    applicability(
-                        spec.problem.plant,
-                        tracking=spec.problem.tracking,
-                        sizes=sizes,
-                        asked=spec.objectives.practical,
-                        uncertain=bool(spec.objectives.uncertain),
-                        known=getattr(spec.problem.reference, "preview", True),
-                    ),
+                report = applicability(
+                    problem.plant,
+                    tracking=problem.tracking,
+                    sizes=sizes,
+                    asked=spec.objectives.practical,
+                    uncertain=bool(spec.objectives.uncertain),
+                    known=getattr(problem.reference, "preview", True),
                 )
+                name = spec.name
                 reference, sizes = checked(spec, report)
             remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
@@ -137,7 +135,7 @@ def design(
     outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    chosen = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
+    chosen: dict[str, Any] = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
     _run(spec_path, out, parameters, solver, simulated=False, outside=outside, **chosen)
 
 
