@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -162,13 +161,15 @@ def sweep(
         refine: Share of each range within which to find the ends, between neighbours of a grid; None: not at all.
         progress: Is told how many places and ends are done, and how many there are.
     """
-    set_, submit = dict(fixed or {}), partial(executor.submit, with_files, packed(spec))
-    futures = [submit(look, spec, set_, values, simulated=simulated) for values in at]
+    set_, files = dict(fixed or {}), packed(spec)
+    futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
     points = [_point(f, v) for f, v in zip(_ended(futures, progress), at, strict=True)]
     if refine is None:
         return points, []
     found = [
-        submit(bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low))
+        executor.submit(
+            with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
+        )
         for one, other, axis in neighbours(points, axes)
         if one.proof != other.proof and one.known and other.known
     ]
