@@ -85,9 +85,8 @@ def overhead(small: Path, out: Path) -> None:
     import pwatrack.commands.run
     import pwatrack.report.plots.pictures
     import pwatrack.simulation.kernel  # noqa: F401
-    from pwatrack.batch.job import Job
     from pwatrack.batch.remote import done
-    from pwatrack.batch.work import simulate
+    from pwatrack.batch.work import Job, simulate
     from pwatrack.claims.bounds import SignalBounds
     from pwatrack.spec.load import load_spec
     from pwatrack.workflow import pipeline

@@ -28,24 +28,15 @@ if TYPE_CHECKING:
     from pwatrack.spec.load import load_spec as load_spec
     from pwatrack.spec.spec import Spec as Spec
 
-_HOME = {
-    "plant": "pwatrack.spec.arguments",
-    "problem": "pwatrack.spec.arguments",
-    "load_spec": "pwatrack.spec.load",
-    "Spec": "pwatrack.spec.spec",
-    "design": "pwatrack.api",
-    "Design": "pwatrack.api",
-    "simulate": "pwatrack.api",
-    "Result": "pwatrack.api",
-    "ensemble": "pwatrack.api",
-    "Controller": "pwatrack.export.controller",
-    "PwatrackError": "pwatrack.errors",
-    "InvalidSpec": "pwatrack.errors",
-    "OutsideTheory": "pwatrack.errors",
-    "Infeasible": "pwatrack.errors",
-    "Undecided": "pwatrack.errors",
-    "CheckFailed": "pwatrack.errors",
+_NAMES = {
+    "pwatrack.spec.arguments": ("plant", "problem"),
+    "pwatrack.spec.load": ("load_spec",),
+    "pwatrack.spec.spec": ("Spec",),
+    "pwatrack.api": ("design", "Design", "simulate", "Result", "ensemble"),
+    "pwatrack.export.controller": ("Controller",),
+    "pwatrack.errors": ("PwatrackError", "InvalidSpec", "OutsideTheory", "Infeasible", "Undecided", "CheckFailed"),
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_HOME]  # pyright: ignore[reportUnsupportedDunderAll]
 
 

@@ -63,15 +63,12 @@ class BallMatrix:
         return readonly(floats(self.centre))
 
     def __add__(self, other: "BallMatrix") -> "BallMatrix":
-        """Return the sum."""
         return BallMatrix(self.centre + other.centre, _sum(self.radius, other.radius))
 
     def __sub__(self, other: "BallMatrix") -> "BallMatrix":
-        """Return the difference."""
         return BallMatrix(self.centre - other.centre, _sum(self.radius, other.radius))
 
     def __matmul__(self, other: "BallMatrix") -> "BallMatrix":
-        """Return the product."""
         radius = None
         if other.radius is not None:
             radius = absolute(self.centre) * other.radius

@@ -91,19 +91,17 @@ def check(
             from pwatrack.workflow.sizing import spec_sizes
             from pwatrack.workflow.tracking import reference_remarks
 
-            sizes = spec_sizes(spec)
+            problem, sizes = spec.problem, spec_sizes(spec)
             with asking(spec.objectives.solver):
-                name, report = (
-                    spec.name,
-                    applicability(
-                        spec.problem.plant,
-                        tracking=spec.problem.tracking,
-                        sizes=sizes,
-                        asked=spec.objectives.practical,
-                        uncertain=bool(spec.objectives.uncertain),
-                        known=getattr(spec.problem.reference, "preview", True),
-                    ),
+                report = applicability(
+                    problem.plant,
+                    tracking=problem.tracking,
+                    sizes=sizes,
+                    asked=spec.objectives.practical,
+                    uncertain=bool(spec.objectives.uncertain),
+                    known=getattr(problem.reference, "preview", True),
                 )
+                name = spec.name
                 reference, sizes = checked(spec, report)
             remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
@@ -137,17 +135,8 @@ def design(
     outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    _run(
-        spec_path,
-        out,
-        parameters,
-        solver,
-        simulated=False,
-        fronts=pareto,
-        scaled=robust is not None,
-        shown=_shown(quiet, verbose, as_json),
-        outside=outside,
-    )
+    chosen: dict[str, Any] = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
+    _run(spec_path, out, parameters, solver, simulated=False, outside=outside, **chosen)
 
 
 @app.command(epilog="Example: pwatrack simulate specs/two_mass_backlash.yaml --out runs/first")
@@ -179,11 +168,7 @@ def simulate(
     for name, value in (("--over", over), ("--seed", seed), ("--scheduler", scheduler)):
         if ensemble is None and value is not None:
             raise typer.BadParameter("it goes with --ensemble M", param_hint=name)
-    many = (
-        None
-        if ensemble is None
-        else {"count": ensemble, "over": over or "initial", "seed": 1 if seed is None else seed}
-    )
+    many = {"count": ensemble, "over": over or "initial", "seed": 1 if seed is None else seed} if ensemble else None
     chosen = {"stored": controller, "plots": plots, "shown": _shown(quiet, verbose, as_json), "outside": outside}
     _run(spec_path, out, parameters, solver, many, scheduler, simulated=True, **chosen)
 

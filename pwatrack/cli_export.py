@@ -42,8 +42,8 @@ def _command(to: str) -> Callable[..., None]:
         unproved: Unproved = False,
         failed: Failed = False,
     ) -> None:
-        options = {"name": name, "single": single, "reference": reference, "unproved": unproved, "failed": failed}
-        _export(to, target, out, parameters, sample_time, **options)
+        options = {"name": name, "single": single, "unproved": unproved, "failed": failed}
+        _export(to, target, out, parameters, sample_time, reference, **options)
 
     if not LANGUAGES[to].single:
         known = signature(command)
@@ -56,21 +56,6 @@ for _to, _language in LANGUAGES.items():
     exports.command(name=_to, help=_language.help, epilog=f"Example: pwatrack export {_to} {_language.example}")(
         _command(_to)
     )
-
-
-def _export(
-    to: str, target: Path, out: Path, parameters: list[str] | None, sample_time: float | None, **options: Any
-) -> None:
-    _check_sample_time(sample_time)
-    with refusals():
-        from pwatrack.commands.export import export
-        from pwatrack.spec.load import assignments
-
-        given = options.pop("reference") == "outside"
-        known = assignments(parameters or [])
-        with compiling(console(stderr=True)):
-            files = export(to, target, out, parameters=known, sample_time=sample_time, given=given, **options)
-        typer.echo(f"Code in {out}/: {', '.join(files)}")
 
 
 @exports.command(name="fmu", epilog="Example: pwatrack export fmu specs/two_mass_machine.yaml --out blocks --fmi 3")
@@ -87,27 +72,32 @@ def export_to_fmu(
     failed: Failed = False,
 ) -> None:
     """Write controller and plant as FMUs for co-simulation."""
-    _check_sample_time(sample_time)
-    with refusals():
-        from pwatrack.commands.export import export_fmu
-        from pwatrack.spec.load import assignments
-
-        with compiling(console(stderr=True)):
-            lines = export_fmu(
-                target,
-                out,
-                parameters=assignments(parameters or []),
-                sample_time=sample_time,
-                name=name,
-                versions=(2, 3) if fmi == "both" else (2,) if fmi == "2" else (3,),
-                of=("controller", "plant") if of == "both" else (of,),
-                given=reference == "outside",
-                unproved=unproved,
-                failed=failed,
-            )
-        typer.echo("\n".join(lines))
+    versions = (2, 3) if fmi == "both" else (int(fmi),)
+    parts = ("controller", "plant") if of == "both" else (of,)
+    options = {"name": name, "versions": versions, "of": parts, "unproved": unproved, "failed": failed}
+    _export("fmu", target, out, parameters, sample_time, reference, **options)
 
 
-def _check_sample_time(sample_time: float | None) -> None:
+def _export(
+    to: str,
+    target: Path,
+    out: Path,
+    parameters: list[str] | None,
+    sample_time: float | None,
+    reference: str,
+    **options: Any,
+) -> None:
     if sample_time is not None and not 0 < sample_time < float("inf"):
         raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
+    with refusals():
+        from pwatrack.commands.export import export, export_fmu
+        from pwatrack.spec.load import assignments
+
+        options |= {"parameters": assignments(parameters or []), "sample_time": sample_time}
+        options |= {"given": reference == "outside"}
+        with compiling(console(stderr=True)):
+            if to == "fmu":
+                said = "\n".join(export_fmu(target, out, **options))
+            else:
+                said = f"Code in {out}/: {', '.join(export(to, target, out, **options))}"
+        typer.echo(said)

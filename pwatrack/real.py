@@ -49,18 +49,15 @@ class Real:
         return not self.radius
 
     def __float__(self) -> float:
-        """Return the double nearest to the centre."""
         return float(self.centre)
 
     def __add__(self, other: object) -> "Real":
-        """Return the sum."""
         if not isinstance(other, Number):
             return NotImplemented
         other = Real.of(other)
         return Real(self.centre + other.centre, self.radius + other.radius)
 
     def __mul__(self, other: object) -> "Real":
-        """Return the product."""
         if not isinstance(other, Number):
             return NotImplemented
         other = Real.of(other)
@@ -72,15 +69,12 @@ class Real:
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> "Real":
-        """Return the negative."""
         return Real(-self.centre, self.radius)
 
     def __sub__(self, other: object) -> "Real":
-        """Return the difference."""
         return self + -Real.of(other) if isinstance(other, Number) else NotImplemented
 
     def __rsub__(self, other: object) -> "Real":
-        """Return the difference."""
         return Real.of(other) - self if isinstance(other, Number) else NotImplemented
 
     def __truediv__(self, other: object) -> "Real":
@@ -98,11 +92,9 @@ class Real:
         return self * Real(1 / other.centre, other.radius / (abs(other.centre) * least))
 
     def __rtruediv__(self, other: object) -> "Real":
-        """Return the quotient."""
         return Real.of(other) / self if isinstance(other, Number) else NotImplemented
 
     def __abs__(self) -> "Real":
-        """Return the size."""
         return Real(abs(self.centre), self.radius)
 
     def __pow__(self, other: object) -> "Real":
@@ -127,11 +119,9 @@ class Real:
         return enclosed(lambda x, y: x**y, self, other)
 
     def __rpow__(self, other: object) -> "Real":
-        """Return the power."""
         return Real.of(other) ** self if isinstance(other, Number) else NotImplemented
 
     def __lt__(self, other: "Real") -> bool:
-        """Order numbers by their centres."""
         return self.centre < other.centre
 
     @property

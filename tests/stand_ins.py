@@ -6,8 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from pwatrack.batch.job import Ended, Job, JobFault
-from pwatrack.batch.work import refused
+from pwatrack.batch.work import Ended, Job, JobFault, refused
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.run_folder import read_index, run_folder
 from tests.runs import record

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from pwatrack.batch.command import batch
 from pwatrack.batch.find import find_specs
-from pwatrack.batch.job import Ended
-from pwatrack.batch.junit import write_junit
 from pwatrack.batch.outcomes import SpecOutcome
+from pwatrack.batch.reports import write_junit
 from pwatrack.batch.run import Options, run_batch
+from pwatrack.batch.work import Ended
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.run_folder import read_index

@@ -13,10 +13,10 @@ from sarif_pydantic import Sarif
 from typer.testing import CliRunner
 
 from pwatrack.batch.command import WRITERS
-from pwatrack.batch.github import add_summary, annotations
-from pwatrack.batch.job import JobFault
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.page import write_page
+from pwatrack.batch.reports import add_summary, annotations
+from pwatrack.batch.work import JobFault
 from pwatrack.cli import app
 from pwatrack.errors import Place
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from pwatrack.batch.job import Ended
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.run import Options, run_batch
+from pwatrack.batch.work import Ended
 from pwatrack.report.run_folder import INDEX, read_index
 from tests.runs import record
 from tests.stand_ins import count, written

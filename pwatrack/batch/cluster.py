@@ -134,14 +134,11 @@ _TAKING = threading.Lock()
 def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
     """Make a call on a worker, in a process of its own; return what came out, as bytes.
 
-    Args:
-        content: The function and its arguments.
-        settings: Of the pool.
-        known: The versions of who asks: others may compute other bits.
+    The worker has to have the versions of who asks: others may compute other bits.
     """
     if versions() != known:
-        other = {name: (here, known.get(name)) for name, here in versions().items() if known.get(name) != here}
-        said = ", ".join(f"{name} {here} instead of {there}" for name, (here, there) in other.items())
+        other = [(name, here, known.get(name)) for name, here in versions().items() if known.get(name) != here]
+        said = ", ".join(f"{name} {here} instead of {there}" for name, here, there in other)
         return _answer(_unusable(f"--scheduler: a worker has {said}", "install the same versions there"), False)
     multiprocessing.current_process().daemon = False  # that of a nanny may have no children; ours end with it anyway
     with _TAKING:

@@ -6,26 +6,23 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from pwatrack.batch.board import board
+from pwatrack.batch.board import board, print_batch, print_left_out
 from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.find import left_out
-from pwatrack.batch.github import add_summary, annotations
-from pwatrack.batch.junit import write_junit
-from pwatrack.batch.lines import write_lines, write_sarif
 from pwatrack.batch.outcomes import SpecOutcome, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
-from pwatrack.batch.remote import Work
+from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
 from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.sweep import Method, places, sweep
 from pwatrack.batch.sweep_files import draw_sweep, write_sweep
-from pwatrack.batch.table import print_batch, print_left_out
-from pwatrack.batch.work import simulate
+from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
 from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[SpecOutcome], Path], None]
+_LIMIT = 600.0  # s: for a point of a sweep
 WRITERS: dict[str, Writer] = {
     ".xml": write_junit,
     ".jsonl": write_lines,
@@ -62,21 +59,20 @@ def batch(
     """
     writers = [(report_writer(path), path) for path in reports] + ([(write_junit, junit)] if junit else [])
     print_left_out(left_out(paths, options.pattern))
-    ended: list[SpecOutcome] = []
+    ended: Sequence[SpecOutcome] = []
     try:
-        with _cluster(scheduler, options) as cluster:
+        workers: AbstractContextManager[Cluster | None] = nullcontext()
+        if scheduler:
+            workers = Cluster(scheduler, timeout=options.timeout, memory=options.memory)
+        with workers as cluster, board(console(stderr=True)) as watcher:
+            ended = watcher.outcomes
             options = replace(options, jobs=cluster.jobs) if cluster else options
-            with board(console(stderr=True)) as watcher:
-                outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher, ended=ended)
+            outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher)
     except (KeyboardInterrupt, SystemExit):
         _report(sorted(ended, key=lambda outcome: outcome.spec), writers)
         raise
     _report(outcomes, writers)
     return exit_code(outcomes)
-
-
-def _cluster(scheduler: str | None, options: Options) -> AbstractContextManager[Cluster | None]:
-    return Cluster(scheduler, timeout=options.timeout, memory=options.memory) if scheduler else nullcontext()
 
 
 def _report(outcomes: Sequence[SpecOutcome], writers: Sequence[tuple[Writer, Path]]) -> None:
@@ -104,15 +100,14 @@ def swept(
     ranges: Sequence[str],
     out: Path,
     *,
-    parameters: Sequence[str] = (),
-    method: Method = "grid",
-    count: int = 100,
-    seed: int = 1,
-    simulated: bool = True,
-    refine: float | None = None,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    timeout: float = 600.0,
+    parameters: Sequence[str],
+    method: Method,
+    count: int,
+    seed: int,
+    simulated: bool,
+    refine: float | None,
+    jobs: int,
+    scheduler: str | None,
 ) -> None:
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
 
@@ -131,7 +126,7 @@ def swept(
     name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
     with (
         console(stderr=True).status("Starting") as status,
-        Cluster(scheduler, timeout=timeout) if scheduler else Pool(jobs, timeout=timeout, preload=PRELOAD) as executor,
+        Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
     ):
         points, edges = sweep(
             spec,

@@ -35,10 +35,8 @@ def find_specs(paths: Sequence[Path], pattern: str | None = None) -> dict[Path, 
                 known.add(real)
                 found[spec] = spec.relative_to(path) if path.is_dir() else Path(spec.name)
     if not found:
-        wanted = f"no file like {pattern}" if pattern else "no .yaml file"
-        raise InvalidSpec(
-            f"{wanted} in {', '.join(map(str, paths))}", hint="name folders that hold specs, or the specs"
-        )
+        message = f"no {f'file like {pattern}' if pattern else '.yaml file'} in {', '.join(map(str, paths))}"
+        raise InvalidSpec(message, hint="name folders that hold specs, or the specs")
     return _apart(found)
 
 
@@ -65,13 +63,12 @@ def run_name(spec: Path) -> str:
 
 def _named(folder: Path, pattern: str | None) -> list[Path]:
     """Return what is named like a spec below a folder."""
-    below = list(folder.rglob("*"))
     if pattern is None:
-        return [path for path in below if path.suffix.lower() in _ENDINGS]
+        return [path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS]
     return [
         path
-        for path in below
-        if fnmatch.fnmatchcase(path.name, pattern) or fnmatch.fnmatchcase(str(path.relative_to(folder)), pattern)
+        for path in folder.rglob("*")
+        if any(fnmatch.fnmatchcase(name, pattern) for name in (path.name, str(path.relative_to(folder))))
     ]
 
 

@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from pwatrack.batch.job import Ended, JobFault
+from pwatrack.batch.work import Ended, JobFault
 from pwatrack.errors import ExitCode
 
+_T = TypeVar("_T")
 _LARGEST = 1e300  # of a figure that is shown
 FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖ (1/s)", "final_error": "final error"}  # norms are in sizes
 
@@ -47,17 +48,20 @@ class SpecOutcome:
 
     @staticmethod
     def of(spec: Path, folder: Path, ended: Ended, *, seconds: float, cached: bool = False) -> "SpecOutcome":
-        """Return the outcome of a run that ended by itself."""
+        """Return the outcome of a run that ended by itself; what its index has of another kind is left out."""
+        simulation = _part(ended.index, "simulation", dict)
+        said = [] if simulation.get("outcome") == "tracks" else [simulation.get("said")]
+        required = [each for each in _part(ended.index, "requirements", list) if isinstance(each, dict)]
         return SpecOutcome(
             spec=spec,
             folder=folder,
             exit=ended.exit,
             expected=ended.expected,
             how="cached" if cached else "run",
-            figures=_figures(ended.index),
-            unit=_unit(ended.index),
-            notes=_notes(ended.index),
-            required=_required(ended.index),
+            figures={name: value for name, value in _part(ended.index, "figures", dict).items() if _shown(value)},
+            unit=_part(_part(ended.index, "tracked", dict), "unit", str),
+            notes=tuple(note for note in (*said, *_part(ended.index, "remarks", list)) if isinstance(note, str)),
+            required=tuple((r["said"], r.get("met") is True) for r in required if isinstance(r.get("said"), str)),
             messages=ended.messages,
             faults=ended.faults,
             seconds=seconds,
@@ -142,29 +146,12 @@ def counted(outcomes: Sequence[SpecOutcome]) -> str:
     return f"{passed} passed{more}, {failed} failed" + (f", {skipped} skipped" if skipped else "")
 
 
-def _figures(index: Mapping[str, Any]) -> dict[str, float]:
-    figures = index.get("figures")
-    return {
-        name: value
-        for name, value in (figures.items() if isinstance(figures, dict) else ())
-        if isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
-    }
+def _part(index: Mapping[str, Any], name: str, kind: type[_T]) -> _T:
+    """Return an entry of an index if it is of the kind that we write, else an empty one."""
+    found = index.get(name)
+    return found if isinstance(found, kind) else kind()
 
 
-def _unit(index: Mapping[str, Any]) -> str:
-    tracked = index.get("tracked")
-    unit = tracked.get("unit") if isinstance(tracked, dict) else None
-    return unit if isinstance(unit, str) else ""
-
-
-def _required(index: Mapping[str, Any]) -> tuple[tuple[str, bool], ...]:
-    found = index.get("requirements")
-    entries = [entry for entry in (found if isinstance(found, list) else []) if isinstance(entry, dict)]
-    return tuple((entry["said"], entry.get("met") is True) for entry in entries if isinstance(entry.get("said"), str))
-
-
-def _notes(index: Mapping[str, Any]) -> tuple[str, ...]:
-    simulation, remarks = index.get("simulation"), index.get("remarks")
-    ended = isinstance(simulation, dict) and simulation.get("outcome") != "tracks"
-    said = [simulation.get("said")] if isinstance(simulation, dict) and ended else []
-    return tuple(note for note in said + (remarks if isinstance(remarks, list) else []) if isinstance(note, str))
+def _shown(value: object) -> bool:
+    """Whether it is a figure that can be shown."""
+    return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST

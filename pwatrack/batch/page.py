@@ -6,7 +6,9 @@ import io
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from urllib.parse import quote
 
 from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted
@@ -20,94 +22,6 @@ _WIDTH = 180  # of a small picture, in dots
 _SPEC, _VERDICT = 9, 18  # rem: at least so wide are names of files, and what is said of a run, about 38 letters a line
 _NARROW = 76  # rem: in less than this the columns do not fit beside each other, and a row is a block; 1,280 dots are 80
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>pwatrack: {title}</title>
-<style>
-body {{ font: 15px/1.4 system-ui, sans-serif; margin: 1.5rem; color: #12355b; background: #fff }}
-table {{ border-collapse: collapse; width: 100% }}
-th, td {{ text-align: left; vertical-align: top; padding: .35rem .5rem; border-bottom: 1px solid #d8dee6 }}
-th {{ position: sticky; top: 0; background: #eef2f6 }}
-th button {{ all: unset; cursor: pointer; font-weight: 600 }}
-th button:focus-visible {{ outline: 2px solid #e08e2b }}
-th[aria-sort=ascending] button::after {{ content: " ▲" }}
-th[aria-sort=descending] button::after {{ content: " ▼" }}
-.n {{ text-align: right; font-variant-numeric: tabular-nums }}
-td.n {{ white-space: nowrap }}
-.spec {{ min-width: {spec}rem; overflow-wrap: anywhere }}
-.verdict {{ min-width: {verdict}rem; overflow-wrap: anywhere }}
-.pass {{ color: #1a7f37 }} .fail {{ color: #b42318; font-weight: 600 }} .cached {{ color: #0a6c8f }}
-.skipped {{ color: #8a6d00 }}
-.note {{ color: #4a5a6a; font-size: .9em; overflow-wrap: anywhere }}
-.missed {{ color: #b42318; font-size: .9em }}
-pre {{ white-space: pre-wrap; overflow-wrap: anywhere; font-size: .85em; margin: .3rem 0 }}
-.pictures {{ min-width: {width}px }}
-img {{ max-width: {width}px; margin: 0 .3rem .3rem 0 }}
-form {{ margin: 1rem 0; display: flex; gap: 1rem; flex-wrap: wrap }}
-@media (max-width: {narrow}rem) {{
-  table, tbody, tr, td {{ display: block }}
-    thead tr {{ display: flex; flex-wrap: wrap; background: #eef2f6 }}
-  th, td {{ border: 0; padding: .2rem .5rem; min-width: 0; overflow-wrap: anywhere }}
-  .spec, .verdict {{ min-width: 0 }}
-  tbody tr {{ border-bottom: 1px solid #d8dee6; padding: .4rem 0 }}
-  td.n, .pictures {{ display: inline-block; text-align: left; white-space: normal }}
-  tr[hidden], td:empty, td.n:empty, th.pictures {{ display: none }}
-  td.n::before {{ content: attr(data-name) ": "; color: #4a5a6a }}
-}}
-</style>
-</head>
-<body>
-<h1>{title}</h1>
-<form>
-<label>Show <select id="kind"><option value="">all</option>{kinds}</select></label>
-<label>that contain <input id="text" type="search"></label>
-<output id="count"></output>
-</form>
-<table>
-<thead><tr>{head}</tr></thead>
-<tbody>
-{rows}
-</tbody>
-</table>
-<p class="note">pwatrack {version}</p>
-<script>
-const body = document.querySelector("tbody"), rows = [...body.rows];
-const kind = document.getElementById("kind"), text = document.getElementById("text");
-function filter() {{
-  let shown = 0;
-  for (const row of rows) {{
-    const fits = (!kind.value || row.dataset.kind === kind.value)
-      && row.textContent.toLowerCase().includes(text.value.toLowerCase());
-    row.hidden = !fits;
-    shown += fits;
-  }}
-  document.getElementById("count").value = shown + " of " + rows.length;
-}}
-kind.addEventListener("input", filter);
-text.addEventListener("input", filter);
-document.querySelector("form").addEventListener("submit", event => event.preventDefault());
-document.querySelectorAll("th button").forEach((button, column) => button.addEventListener("click", () => {{
-  const head = button.parentElement, down = head.getAttribute("aria-sort") === "ascending";
-  document.querySelectorAll("th").forEach(other => other.removeAttribute("aria-sort"));
-  head.setAttribute("aria-sort", down ? "descending" : "ascending");
-  const key = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
-  const numeric = row => row.cells[column].classList.contains("n");
-  rows.sort((a, b) => {{
-    const [x, y] = [key(a), key(b)];
-    if (numeric(a) && (x === "" || y === "")) return (x === "") - (y === "");
-    return (down ? -1 : 1) * (numeric(a) ? x - y : x.localeCompare(y));
-  }});
-  body.append(...rows);
-}}));
-filter();
-</script>
-</body>
-</html>
-"""
-
 
 def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """Write the page, what failed first; the small pictures are in it, the large ones are links.
@@ -117,8 +31,9 @@ def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
     """
     required = any(outcome.required for outcome in outcomes)
     names = [*_TEXTS, *(["required"] if required else []), *FIGURES.values(), "time (s)"]
+    ordered = sorted(outcomes, key=lambda outcome: not outcome.failed)
     kinds = sorted({_kind(outcome) for outcome in outcomes})
-    page = _PAGE.format(
+    page = Template(files("pwatrack.batch").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=_text(counted(outcomes)),
         width=_WIDTH,
         spec=_SPEC,
@@ -126,15 +41,11 @@ def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
         narrow=_NARROW,
         kinds="".join(f"<option>{kind}</option>" for kind in kinds),
         head="".join(map(_head, names)) + '<th class="pictures">pictures</th>',
-        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in sorted(outcomes, key=_passed)),
+        rows="\n".join(_row(outcome, path.parent, required=required) for outcome in ordered),
         version=__version__,
     )
     with written_at_once(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
-
-
-def _passed(outcome: SpecOutcome) -> bool:
-    return not outcome.failed
 
 
 def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:

@@ -9,11 +9,11 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.job import Done, Ended, Job, JobFault
+from pwatrack.batch.work import Done, Ended, Job, JobFault
 from pwatrack.errors import InvalidSpec, Place
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
 from pwatrack.version import versions
@@ -50,20 +50,16 @@ def remember(job: Job, out: Path, done: Done) -> None:
         return
     with suppress(OSError, InvalidSpec):
         stamps = {name: (job.out / name).stat().st_mtime_ns for name in ended.index["files"]}
-        content: dict[str, Any] = {
-            "format": _FORMAT,
-            "key": done.key,
-            "inputs": done.inputs,
-            "index": _digest(job.out / INDEX),
-        }
-        content |= {"stamps": stamps, "seconds": done.seconds, "exit": ended.exit, "expected": ended.expected}
-        content |= {"messages": ended.messages, "faults": [asdict(fault) for fault in ended.faults]}
+        content: dict[str, Any] = {"format": _FORMAT, "key": done.key, "inputs": done.inputs}
+        content |= {"index": _digest(job.out / INDEX), "stamps": stamps, "seconds": done.seconds}
+        content |= {"exit": ended.exit, "expected": ended.expected, "messages": ended.messages}
+        content |= {"faults": [asdict(fault) for fault in ended.faults]}
         with written_at_once(_place(job, out)) as temporary:
             temporary.write_text(json.dumps(content), encoding="utf-8")
 
 
-def recall(job: Job, out: Path) -> tuple[Ended, float] | None:
-    """Return how an earlier run ended and how long it took (s), if nothing that it depends on or left has changed."""
+def recall(job: Job, out: Path) -> Ended | None:
+    """Return how an earlier run ended, if nothing that it depends on or left has changed."""
     try:
         record: dict[str, Any] = json.loads(_place(job, out).read_text(encoding="utf-8"))
         if record["format"] != _FORMAT or record["key"] != key(job, [Path(name) for name in record["inputs"]]):
@@ -71,14 +67,9 @@ def recall(job: Job, out: Path) -> tuple[Ended, float] | None:
         index = read_index(job.out)
         if index is None or record["index"] != _digest(job.out / INDEX) or not _whole(job.out, index, record["stamps"]):
             return None
-        faults = tuple(
-            JobFault(
-                message=f["message"], code=f["code"], hint=f["hint"], place=Place(**f["place"]) if f["place"] else None
-            )
-            for f in record["faults"]
-        )
-        ended = Ended(exit=record["exit"], expected=record["expected"], messages=record["messages"], faults=faults)
-        return replace(ended, index=index), record["seconds"]
+        faults = tuple(JobFault(**f | {"place": Place(**f["place"]) if f["place"] else None}) for f in record["faults"])
+        how = {name: record[name] for name in ("exit", "expected", "messages")}
+        return Ended(**how, faults=faults, index=index)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):  # there is none, or it is not ours
         return None
 

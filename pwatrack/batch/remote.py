@@ -7,16 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.job import Done, Ended, Job
 from pwatrack.batch.record import inputs
-from pwatrack.batch.work import refused
+from pwatrack.batch.work import Done, Ended, Job, Work, refused
 from pwatrack.errors import InvalidSpec
 from pwatrack.remote_files import Found, attempt, carried
 from pwatrack.report.run_folder import Left, left_elsewhere, read_index
 from pwatrack.spec.load import file_content, referenced_files
 from pwatrack.spec.table import Folder, table_content
-
-Work = Callable[[Job], Ended]
 
 
 def packed(spec: Path, *, outside: bool = False) -> dict[str, Found]:
@@ -33,26 +30,22 @@ def with_files(files: Mapping[str, Found], function: Callable[..., Any], *argume
         return function(*arguments, **named)
 
 
-def done(work: Work, job: Job) -> Done:
-    """Do a job here, where its folder is."""
-    start, (key, files) = time.perf_counter(), inputs(job)
+def done(work: Work, job: Job, depends: tuple[str, tuple[str, ...]] | None = None) -> Done:
+    """Do a job here, where its folder is, or with what it depends on as `inputs` had it elsewhere."""
+    start, (key, files) = time.perf_counter(), depends or inputs(job)
     ended = work(job)
     return Done(ended=ended, key=key, inputs=files, seconds=time.perf_counter() - start)
 
 
 def send(executor: Executor, work: Work, job: Job) -> "Future[Done]":
     """Hand on a job to whoever can do it without the files of this machine: see `received`."""
-    key, files = inputs(job)
-    return executor.submit(_done, work, job, key, files, packed(job.spec, outside=job.outside), read_index(job.out))
+    depends, files = inputs(job), packed(job.spec, outside=job.outside)
+    return executor.submit(with_files, files, _left, work, job, depends, Left(index=read_index(job.out)))
 
 
-def _done(
-    work: Work, job: Job, key: str, names: tuple[str, ...], files: Mapping[str, Found], earlier: dict[str, Any] | None
-) -> Done:
-    start, left = time.perf_counter(), Left(index=earlier)
-    with carried(files), left_elsewhere(left):
-        ended = work(job)
-    return Done(ended=ended, key=key, inputs=names, seconds=time.perf_counter() - start, left=left)
+def _left(work: Work, job: Job, depends: tuple[str, tuple[str, ...]], left: Left) -> Done:
+    with left_elsewhere(left):
+        return replace(done(work, job, depends), left=left)
 
 
 def received(job: Job, done: Done) -> Done:

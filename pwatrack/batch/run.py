@@ -4,23 +4,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from pwatrack.batch.find import find_specs
-from pwatrack.batch.job import Done, Job
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
-from pwatrack.batch.remote import Work, done, received, send
-from pwatrack.batch.work import simulate
+from pwatrack.batch.remote import done, received, send
+from pwatrack.batch.work import Done, Job, Work, simulate
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep
-
-Submit = Callable[[Job], "Future[Done]"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +65,6 @@ def run_batch(
     preload: Sequence[str] = PRELOAD,
     executor: Executor | None = None,
     watcher: Watcher | None = None,
-    ended: list[SpecOutcome] | None = None,
 ) -> list[SpecOutcome]:
     """Design and simulate every spec among files and below folders.
 
@@ -81,7 +76,6 @@ def run_batch(
         preload: Modules that they import once, before any work.
         executor: Who does the work instead of processes here, on whatever machine: files go along and come back.
         watcher: Is told of every spec as it ends.
-        ended: Outcomes are added to it as they come, for whoever wants them after an interruption.
 
     Returns:
         One outcome per spec, in order of the paths.
@@ -89,32 +83,22 @@ def run_batch(
     Raises:
         InvalidSpec: If there is no spec.
     """
-    options, watcher, ended = options or Options(), watcher or Watcher(), [] if ended is None else ended
+    options, watcher = options or Options(), watcher or Watcher()
     places = find_specs([paths] if isinstance(paths, Path) else paths, options.pattern)
     jobs = [
         Job(spec=spec, out=out / place, parameters=options.parameters, plots=options.plots, outside=options.outside)
         for spec, place in places.items()
     ]
     watcher.begins(len(jobs))
-    for outcome in _all(jobs, out, options, partial(_submitting, options, work, preload, executor)):
-        ended.append(outcome)
+    outcomes = dict[Path, SpecOutcome]()
+    for outcome in _all(jobs, out, options, work, preload, executor):
+        outcomes[outcome.spec] = outcome
         watcher.ended(outcome)
-    order = {job.spec: k for k, job in enumerate(jobs)}
-    return sorted(ended, key=lambda outcome: order[outcome.spec])
-
-
-@contextmanager
-def _submitting(options: Options, work: Work, preload: Sequence[str], executor: Executor | None) -> Iterator[Submit]:
-    """Return who takes jobs until the block ends."""
-    if executor is not None:
-        yield partial(send, executor, work)
-        return
-    with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=preload) as pool:
-        yield partial(pool.submit, done, work)
+    return [outcomes[job.spec] for job in jobs]
 
 
 def _all(
-    jobs: Sequence[Job], out: Path, options: Options, submitting: Callable[[], AbstractContextManager[Submit]]
+    jobs: Sequence[Job], out: Path, options: Options, work: Work, preload: Sequence[str], executor: Executor | None
 ) -> Iterator[SpecOutcome]:
     """Yield the outcomes of jobs, first of those that need not be run again."""
     rest = list[Job]()
@@ -123,17 +107,21 @@ def _all(
         start = time.perf_counter()
         known = recall(job, out) if options.again != "all" else None
         seconds = time.perf_counter() - start
-        outcome = SpecOutcome.of(job.spec, job.out, known[0], seconds=seconds, cached=True) if known else None
+        outcome = SpecOutcome.of(job.spec, job.out, known, seconds=seconds, cached=True) if known else None
         if outcome is None or (outcome.failed and options.again == "failed"):
             rest.append(job)
         else:
             yield outcome
-    if rest:
-        with submitting() as submit:
-            yield from _worked_off(rest, out, submit, options)
+    if executor is not None:
+        yield from _worked_off(rest, out, partial(send, executor, work), options)
+    elif rest:
+        with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=preload) as pool:
+            yield from _worked_off(rest, out, partial(pool.submit, done, work), options)
 
 
-def _worked_off(jobs: Sequence[Job], out: Path, submit: Submit, options: Options) -> Iterator[SpecOutcome]:
+def _worked_off(
+    jobs: Sequence[Job], out: Path, submit: Callable[[Job], "Future[Done]"], options: Options
+) -> Iterator[SpecOutcome]:
     """Yield the outcomes of jobs as they end; no more are handed on than are soon begun: the rest may be skipped."""
     waiting, running = deque(jobs), dict[Future[Done], Job]()
     at_once = options.jobs if options.fail_fast else 2 * options.jobs

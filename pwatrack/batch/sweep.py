@@ -26,26 +26,23 @@ _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What came out at one place.
-
-    Attributes:
-        values: The parameters, by name.
-        exit: The exit code that a run there ends with; None if it did not end.
-        said: Why it was refused, or did not end.
-        figures: Those of the design, and of the run if it was simulated.
-        proof: Which kind of proof the design has there, one of `PROOFS`; the last one, none, if it is refused.
-    """
+    """What came out at one place, for these values of the parameters."""
 
     values: Mapping[str, float]
-    exit: int | None
-    said: str = ""
-    figures: Mapping[str, float] = field(default_factory=dict)
-    proof: str = NONE
+    exit: int | None  # the exit code that a run there ends with; None if it did not end
+    said: str = ""  # why it was refused, or did not end
+    figures: Mapping[str, float] = field(default_factory=dict)  # of the design, and of the run if it was simulated
+    proof: str = NONE  # one of `PROOFS`; the last one if it is refused
 
     @property
     def proved(self) -> bool:
         """Whether a design is proved there, whatever its simulation came to."""
         return self.proof != NONE
+
+    @property
+    def known(self) -> bool:
+        """Whether it says something: it was not lost, and the spec is not in error there."""
+        return self.exit not in (None, ExitCode.BUG, ExitCode.INVALID)
 
     @property
     def verdict(self) -> str:
@@ -57,16 +54,10 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """Where a kind of proof ends along one parameter, each side by a design of its own.
+    """Where a kind of proof ends along the parameter of this name, each side by a design of its own."""
 
-    Attributes:
-        inside: The last place that is known to have this kind of proof.
-        beyond: The first one that has another kind, or none.
-        name: The parameter.
-    """
-
-    inside: Point
-    beyond: Point
+    inside: Point  # the last place that is known to have this kind of proof
+    beyond: Point  # the first one that has another kind, or none
     name: str
 
 
@@ -160,36 +151,27 @@ def sweep(
     refine: float | None = None,
     progress: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[list[Point], list[Edge]]:
-    """Look at many places, and refine where a kind of proof ends.
+    """Look at many places, from `places`, and refine where a kind of proof ends: points and ends, in order.
 
     Args:
-        spec: The file.
-        axes: The parameters that vary.
+        spec, axes, fixed: The file, the parameters that vary, and others, as text.
         executor: Who does the work, on whatever machine: `look` and `bisect`, one place at a time.
-        at: Where to look, from `places`.
-        fixed: Other parameters, as text.
+        at: Where to look.
         simulated: Whether to simulate too.
         refine: Share of each range within which to find the ends, between neighbours of a grid; None: not at all.
         progress: Is told how many places and ends are done, and how many there are.
-
-    Returns:
-        The points in the order of `at`, and the ends of proofs in the order of the grid.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
     points = [_point(f, v) for f, v in zip(_ended(futures, progress), at, strict=True)]
     if refine is None:
         return points, []
-    pairs = [
-        (one, other, axis)
-        for one, other, axis in neighbours(points, axes)
-        if one.proof != other.proof and _told(one, other)
-    ]
     found = [
         executor.submit(
             with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
         )
-        for one, other, axis in pairs
+        for one, other, axis in neighbours(points, axes)
+        if one.proof != other.proof and one.known and other.known
     ]
     return points, [future.result() for future in _ended(found, progress) if not future.exception()]
 
@@ -202,11 +184,6 @@ def neighbours(points: Sequence[Point], axes: Sequence[Axis]) -> Iterator[tuple[
             if k // step % one.points < one.points - 1:
                 yield point, points[k + step], one
         step *= one.points
-
-
-def _told(*points: Point) -> bool:
-    """Whether all points say something: not those that were lost, or where the spec is in error."""
-    return all(point.exit not in (None, ExitCode.BUG, ExitCode.INVALID) for point in points)
 
 
 def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:

@@ -1,24 +1,71 @@
-"""What a batch does with one spec, in whatever process: design, simulate, write; nothing is printed."""
+"""What a batch asks of a worker, what comes back, and what is done with a spec, in whatever process, on any machine."""
 
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from pwatrack.batch.job import Ended, Job, JobFault
-from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.errors import ExitCode, Place, PwatrackError
 from pwatrack.report.codes import code_of
-from pwatrack.report.run_folder import read_index, stamp
+from pwatrack.report.run_folder import Left, Plots, read_index, stamp
 from pwatrack.report.terminal import told
 
 
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One spec, its run folder, and what is to be done with it, as in `Options`."""
+
+    spec: Path
+    out: Path
+    parameters: tuple[str, ...] = ()
+    plots: Plots = "all"
+    outside: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobFault:
+    """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
+
+    message: str
+    code: str = ""
+    hint: str = ""
+    place: Place | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """How the run of a job ended: its exit code, and the one that the spec expects."""
+
+    exit: int
+    expected: int = 0
+    messages: str = ""  # what the command line would say on stderr
+    faults: tuple[JobFault, ...] = ()  # the same, one by one
+    index: Mapping[str, Any] = field(default_factory=dict)  # its run.json; empty if it left none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """A job that has ended by itself, and how long it took."""
+
+    ended: Ended
+    key: str  # a digest of all that it depended on when it began
+    inputs: tuple[str, ...]  # the files that the spec refers to
+    seconds: float
+    left: Left | None = None  # what it left, if that is not in its folder yet
+
+
+Work = Callable[[Job], Ended]  # what is done with a job, in whatever process
+
+
 def simulate(job: Job) -> Ended:
-    """Design and simulate a spec and write its run folder."""
+    """Design and simulate a spec and write its run folder; nothing is printed."""
     from pwatrack.commands.run import run
     from pwatrack.spec.load import expected_exit
 
     said = io.StringIO()
-    faults: tuple[JobFault, ...] = ()
-    code, lines = int(ExitCode.DONE), list[str]()
+    code, lines, faults = int(ExitCode.DONE), list[str](), tuple[JobFault, ...]()
     before = stamp(job.out)
     with contextlib.redirect_stderr(said):
         try:
@@ -38,7 +85,7 @@ def simulate(job: Job) -> Ended:
             code, lines, faults = refused(error)
     index = (read_index(job.out) if stamp(job.out) != before else None) or {}
     return Ended(
-        exit=int(code),
+        exit=code,
         expected=expected_exit(job.spec),
         messages="\n".join([*said.getvalue().splitlines(), *lines]),
         faults=faults,
@@ -49,10 +96,10 @@ def simulate(job: Job) -> Ended:
 def refused(error: Exception) -> tuple[int, list[str], tuple[JobFault, ...]]:
     """Return how a run ends with an exception: its exit code, what the command line says, and what is wrong."""
     code, lines = told(error)
-    return int(code), lines, tuple(_faults(error)) if isinstance(error, PwatrackError) else ()
-
-
-def _faults(refusal: PwatrackError) -> Iterator[JobFault]:
-    for problem in refusal.problems:
-        code = code_of(problem.message, refusal.code)
-        yield JobFault(message=problem.message, code=code, hint=problem.hint, place=problem.place)
+    if not isinstance(error, PwatrackError):
+        return int(code), lines, ()
+    faults = (
+        JobFault(message=each.message, code=code_of(each.message, error.code), hint=each.hint, place=each.place)
+        for each in error.problems
+    )
+    return int(code), lines, tuple(faults)
