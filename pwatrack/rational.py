@@ -119,10 +119,15 @@ def beside(blocks: Sequence[Rational]) -> Rational:
     return stacked([X.transpose() for X in blocks]).transpose()
 
 
+def _reduced(X: Rational) -> list[list[Any]]:
+    """Return the rows of the reduced echelon form that are not 0."""
+    form, rank = X.rref()
+    return list(form.tolist()[:rank])
+
+
 def pivots(X: Rational) -> list[int]:
     """Return which columns do not depend on those before them."""
-    reduced, rank = X.rref()
-    return [next(k for k, v in enumerate(row) if v != 0) for row in reduced.tolist()[:rank]]
+    return [next(k for k, v in enumerate(row) if v != 0) for row in _reduced(X)]
 
 
 def column_space(X: Rational) -> Rational:
@@ -132,9 +137,8 @@ def column_space(X: Rational) -> Rational:
         >>> column_space(decimals(np.array([[2.0, 0.0, 4.0], [0.0, 0.0, 0.0]]))).tolist()
         [[1], [0]]
     """
-    reduced, rank = X.transpose().rref()
-    rows = reduced.tolist()[:rank]
-    return flint.fmpq_mat(rank, X.nrows(), [v for row in rows for v in row]).transpose()
+    rows = _reduced(X.transpose())
+    return flint.fmpq_mat(len(rows), X.nrows(), [v for row in rows for v in row]).transpose()
 
 
 def rank(X: Rational) -> int:
@@ -149,8 +153,7 @@ def left_null_space(X: Rational) -> Rational:
         >>> left_null_space(decimals(np.array([[1.0], [2.0]]))).tolist()
         [[-2, 1]]
     """
-    reduced, rank = X.transpose().rref()
-    n, rows = X.nrows(), reduced.tolist()[:rank]
+    n, rows = X.nrows(), _reduced(X.transpose())
     tied = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
     free = [j for j in range(n) if j not in tied]
     entries = [[flint.fmpq(int(j == k)) for j in range(n)] for k in free]
@@ -256,9 +259,7 @@ def positive_eigenvalues(X: Rational) -> int:
 def is_positive_semidefinite(X: Rational, kernel: Rational | None = None) -> bool:
     """Decide X ⪰ 0 for a symmetric X: it is 0 on its null space, and definite on a complement of it.
 
-    Args:
-        X: (n, n).
-        kernel: Columns (n, k) that may be all of the null space: then no elimination in exact numbers is needed.
+    Where the columns of `kernel` are all of the null space, no elimination in exact numbers is needed.
 
     Example:
         >>> X, ones = decimals(np.array([[1.0, -1.0], [-1.0, 1.0]])), decimals(np.ones((2, 1)))
@@ -271,8 +272,8 @@ def is_positive_semidefinite(X: Rational, kernel: Rational | None = None) -> boo
         part = on_entries(X, rest, rest)
         if _looks_definite(part) and is_positive_definite(part):
             return True
-    N = _basis_of_rows(X)
-    return is_positive_definite(N * X * N.transpose())
+    basis = pivots(X)  # of unit rows that, with the null space, span everything
+    return is_positive_definite(on_entries(X, basis, basis))
 
 
 def _looks_definite(X: Rational) -> bool:
@@ -286,12 +287,6 @@ def _looks_definite(X: Rational) -> bool:
         return False
     d = 1 / np.sqrt(diagonal)
     return bool(np.linalg.eigvalsh(near * d[:, None] * d).min(initial=1.0) > _CLEARLY)
-
-
-def _basis_of_rows(X: Rational) -> Rational:
-    """Return unit rows that, with the null space of a symmetric X, span everything."""
-    chosen = pivots(X)
-    return on_entries(identity(X.nrows()), chosen, range(X.nrows()))
 
 
 def _pivots(rows: list[list[Any]]) -> bool | None:

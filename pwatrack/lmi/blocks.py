@@ -110,10 +110,7 @@ class Scaling:
 def step_length(change: Sequence[Array], scalings: Sequence[Scaling], near: float) -> float:
     """Return how far D may go along scaled changes before it leaves its cone, or a number above 1.1; or a little less.
 
-    Args:
-        change: Of D, stack by stack.
-        scalings: With D.
-        near: By what share it may be less.
+    By a share `near` it may be less.
     """
     length = _FURTHER
     for X, scaling in zip(change, scalings, strict=True):

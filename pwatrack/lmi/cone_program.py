@@ -58,13 +58,7 @@ def _by_cvxopt(cost: Array, rows: Array, sides: Array, order: int) -> Array | No
 
 
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any]) -> Any:
-    """Return Clarabel's answer, whatever its status.
-
-    Args:
-        cost: c (n,).
-        G: Sparse, by columns, (m, n).
-        h: (m,).
-        cones: Clarabel's, m rows together.
+    """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
     Raises:
         ArithmeticError: If a number is not finite, or the library fails.

@@ -135,10 +135,7 @@ class NoDichotomy:
 
 
 def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
-    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, or return None.
-
-    Args:
-        M: The matrices M_i of it; those in the middle of their balls are what is proved of.
+    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None.
 
     Example: one cell has a mode that grows, the other has none.
 

@@ -18,7 +18,7 @@ from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, absolute
 from pwatrack.lmi.presolve import distinct
 from pwatrack.lmi.role import Role
-from pwatrack.rational import Rational, floats, fraction_of, identity, is_positive_definite, rational, scalar
+from pwatrack.rational import Rational, diagonal, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
@@ -34,13 +34,11 @@ class Certificate:
     """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell.
 
     Attributes:
-        M: The matrices it speaks of, (l, n, n), as used: A_i + B K for (8),
-            (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
+        M: The matrices it speaks of, (l, n, n), as used: see `role`.
         P: (n, n).
         rate: Certified decay rate in 1/s, positive.
-        margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less
-            its rounding error, with the states scaled by powers of two to make the
-            diagonal of P about 1 (which changes no sign); positive.
+        margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less its rounding error, with the
+            states scaled by powers of two to make the diagonal of P about 1 (which changes no sign); positive.
         precise: P with more digits, where doubles do not hold what proves it; else None.
     """
 
@@ -58,11 +56,7 @@ def of_proof(M: Array, proof: "Proof") -> Certificate:
 
 
 def prove(M: Array, P: Array) -> Certificate | None:
-    """Return a certificate for the largest rate that this P proves, or None if it proves none.
-
-    Args:
-        M: (l, n, n).
-        P: A candidate (n, n); only its symmetric part counts.
+    """Return a certificate for the largest rate that the symmetric part of P proves, or None if it proves none.
 
     Example:
         >>> prove(np.array([[[-1.0]], [[-3.0]]]), np.eye(1)).rate > 0.999
@@ -71,7 +65,7 @@ def prove(M: Array, P: Array) -> Certificate | None:
         True
     """
     scaled = _scaled(M, P)
-    if scaled is None or not _definite(scaled[1], np.abs(scaled[1])):
+    if scaled is None or not _least(scaled[1], np.abs(scaled[1])) > 0:
         return None
     scaled_M, scaled_P = scaled
     left = symmetric_part(scaled_M @ scaled_P)
@@ -119,16 +113,11 @@ def _rate(left: Array, P: Array) -> float:
     return min(-float(eigh(side, P, eigvals_only=True, check_finite=False)[-1]) / 2 for side in left)
 
 
-def _definite(X: Array, size: Array) -> bool:
-    return _least(X, size) > 0
-
-
 def _least(X: Array, size: Array) -> float:
     """Return a lower bound of the least eigenvalue of X, computed with entries of magnitude `size`.
 
-    Forming a product of order n errs by at most n eps |·||·| per entry, and the
-    symmetric eigenvalue solver by a modest multiple of n eps ‖X‖ (Anderson et
-    al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
+    Forming a product of order n errs by at most n eps |·||·| per entry, and the symmetric eigenvalue solver by a modest
+    multiple of n eps ‖X‖ (Anderson et al., LAPACK Users' Guide, section 4.7): 16 n eps covers both with room.
     """
     n = len(X)
     bound = 16 * n * EPS * float(np.linalg.norm(size + size.T) + np.linalg.norm(X))
@@ -157,7 +146,9 @@ class Packed:
     @cached_property
     def P(self) -> Rational:
         """The matrix, exactly."""
-        return unpacked(self.integers, self.exponents)
+        n, scale = len(self.exponents), self.scale
+        rows = zip(self.integers, scale, strict=True)
+        return rational([[v * a * b for v, b in zip(row, scale, strict=True)] for row, a in rows], (n, n))
 
     @property
     def scale(self) -> list[Fraction]:
@@ -200,12 +191,7 @@ class Proof(Packed):
 
 
 def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate: float) -> Proof | None:
-    """Round P and the rate to short numbers and prove the inequality for them, or return None.
-
-    Args:
-        P: A solution, (n, n), in floating point or with more digits.
-        rate: The rate that it seems to prove, in 1/s.
-    """
+    """Round P, and the rate (1/s) that it seems to prove, to short numbers and prove it for them, or return None."""
     for bits in _MORE_BITS:
         short = Packed.of(P, bits=bits)
         left = [left_side(M_i, short) for M_i in M] if is_positive_definite(short.P) else []
@@ -247,31 +233,16 @@ def left_side(M: BallMatrix, of: Packed) -> Rational:
 def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Rational:
     """Return a diagonal D ⪰ ±(E P + P Eᵀ) for every E with |E_jk| ≤ radius_jk.
 
-    With X = radius |P| + |P| radiusᵀ and any s_j > 0, Σ X_jk |v_j v_k| ≤ Σ_j v_j² Σ_k X_jk s_j / s_k.
-
-    Args:
-        radius: (n, n); None for 0.
-        P: (n, n).
-        unit: s_j, about the root of P_jj.
+    With X = radius |P| + |P| radiusᵀ and any s_j > 0, Σ X_jk |v_j v_k| ≤ Σ_j v_j² Σ_k X_jk s_j / s_k: the unit is s_j,
+    about the root of P_jj. No radius is 0.
     """
-    n = P.nrows()
     if radius is None:
-        return identity(n) * 0
+        return identity(P.nrows()) * 0
     half = radius * absolute(P)
-    D, X = [[Fraction(0)] * n for _ in range(n)], (half + half.transpose()).tolist()
-    for j, row in enumerate(X):
-        D[j][j] = sum((fraction_of(v) * unit[j] / s for v, s in zip(row, unit, strict=True)), Fraction(0))
-    return rational(D, (n, n))
-
-
-def unpacked(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> Rational:
-    """Return the matrix of a `Packed`."""
-    n = len(exponents)
-    entries = [
-        [v * Fraction(2) ** (a + b) for v, b in zip(row, exponents, strict=True)]
-        for row, a in zip(integers, exponents, strict=True)
-    ]
-    return rational(entries, (n, n))
+    rows = zip((half + half.transpose()).tolist(), unit, strict=True)
+    return diagonal(
+        [sum((fraction_of(v) * one / s for v, s in zip(row, unit, strict=True)), Fraction(0)) for row, one in rows]
+    )
 
 
 def margin_of(slack: Sequence[Rational]) -> float:

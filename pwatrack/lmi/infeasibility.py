@@ -59,11 +59,8 @@ Exact = tuple[Sequence[Rational], Rational]  # A_i and B
 def refute(A: Array, B: Array, *, rate: float = 0.0, exact: Exact | None = None) -> Refutation | None:
     """Prove that no P ≻ 0, Y have A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + 2 rate P ≺ 0 for all cells, or return None.
 
-    Args:
-        A: (l, n, n).
-        B: (n, m); m = 0 where the gain is given.
-        rate: In 1/s, exactly as printed.
-        exact: The matrices A_i and B that the proof is about, where they are not the decimals that A and B print as.
+    B (n, m) has m = 0 where the gain is given. The rate (1/s) counts exactly as printed, and so do A and B where the
+    exact matrices that the proof is about are not given.
 
     Example: an integrator cannot be stabilised from nowhere.
 
@@ -83,11 +80,7 @@ def refute(A: Array, B: Array, *, rate: float = 0.0, exact: Exact | None = None)
 def refute_by_modes(
     A: Array, B: Array, cells: Sequence[int], *, rate: float = 0.0, exact: Exact | None = None
 ) -> Refutation | None:
-    """Prove the same by a mode of one of these cells, or of a mean of any, that no gain moves; or return None.
-
-    Args:
-        cells: Those of which modes are looked at.
-    """
+    """Prove the same by a mode of one of these cells, or of a mean of any, that no gain moves; or return None."""
     exact_A, exact_B = _shifted(A, B, rate, exact)
     Z, eigenvalues = uncontrollable_modes([exact_A[i] for i in cells], exact_B)
     if Z:
@@ -116,7 +109,7 @@ def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
     seen = null_space(at.input(B).T)
     if not seen.shape[1]:
         return False
-    if seems_uncontrollable(A + rate * np.eye(A.shape[1]), B):
+    shifted = A + rate * np.eye(A.shape[1])
+    if seems_uncontrollable(shifted, B):
         return True
-    scaled = at.system(A + rate * np.eye(A.shape[1]))
-    return sought(scaled, [seen] * len(A), orth(at.input(B)), gap=_HINT) is not None
+    return sought(at.system(shifted), [seen] * len(A), orth(at.input(B)), gap=_HINT) is not None

@@ -50,13 +50,10 @@ _SIMPLE = 1000  # denominators of guessed directions
 def refutes(
     A: Sequence[Rational], B: Rational | None, Z: Mapping[int, Rational], *, kernel: Rational | None = None
 ) -> bool:
-    """Check exactly that multipliers prove that there is no solution.
+    """Check exactly that multipliers, by cell, 0 for the others, prove that there is no solution.
 
-    Args:
-        A: The matrices A_i, exact.
-        B: Exact; None where it is to be proved of a P of any sign.
-        Z: Multipliers by cell; 0 for the others.
-        kernel: Columns that all Z_i may be 0 on, by default those of B: to be fast, whatever they are.
+    B is None where it is to be proved of a P of any sign. The kernel has columns that all Z_i may be 0 on, by default
+    those of B: to be fast, whatever they are.
     """
     half, each = _total([Z_i * A[i] for i, Z_i in Z.items()]), list(Z.values())
     total = half + half.transpose()
@@ -149,11 +146,8 @@ def conflict(
     """Return proved multipliers for several cells, none of which has a mode of its own that no gain moves; or None.
 
     Where those cells that bear nearly all of the weight prove it alone, they do. Where multipliers are singular, they
-    are looked for once more in the faces that they seem to lie in.
-
-    Args:
-        A, B: (l, n, n) and (n, m); B None where it is to be proved of a P of any sign.
-        exact_A, exact_B: The same exactly.
+    are looked for once more in the faces that they seem to lie in. B is None where it is to be proved of a P of any
+    sign.
 
     Example: what turns without growing has no P.
 
@@ -194,17 +188,14 @@ def sought(A: Array, bases: Sequence[Array], blind: Array, *, gap: float) -> lis
     """Look for Z_i = Q_i U_i Q_iᵀ ⪰ 0 with S R = 0 and S ⪰ t I on the complement of R, S = Σ (Z_i A_i + A_iᵀ Z_i).
 
     They are the multipliers of Q_iᵀ (A_i P + P A_iᵀ) Q_i ⪯ t I with the least t, where P ⪰ 0 is asked on that
-    complement alone: what P may be elsewhere makes S R = 0.
+    complement alone: what P may be elsewhere makes S R = 0. The U_i are returned, or None where P shows that there are
+    none, or nothing was found. With a large gap of t they are well inside, and can be rounded; with a small one as
+    singular as at the least t.
 
     Args:
         A: (l, n, n).
         bases: Q_i (n, k_i), orthonormal.
         blind: R (n, ρ).
-        gap: Of t: with a large one the U_i are well inside, and can be rounded; with a small one as singular as at the
-            least t.
-
-    Returns:
-        The U_i, or None where P shows that there are none, or nothing was found.
     """
     n, rank = A.shape[1], blind.shape[1]
     T = np.roll(np.linalg.qr(np.hstack([blind, np.eye(n)]))[0], -rank, axis=1)  # the complement of R, then R

@@ -72,11 +72,6 @@ class Norm:
 def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     """Return c with ‖X d‖_to ≤ c ‖d‖_of for every d, a little above the least: c² Q_of − Xᵀ Q_to X ≻ 0 is proved.
 
-    Args:
-        X: An exact matrix, (k, n).
-        of: The norm of d (n,).
-        to: The norm of X d (k,).
-
     Example:
         >>> from pwatrack.rational import decimals
         >>> 4.0 < largest_gain(decimals(np.diag([3.0, 4.0])), Norm.euclidean(2), Norm.euclidean(2)) < 4.0 + 1e-8
@@ -205,13 +200,7 @@ def _estimate(size: Rational, Q: Rational) -> float:
 
 
 def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
-    """Return U diag(weights) Uᵀ, or an exact matrix above it for every U in the ball.
-
-    Args:
-        U: (n, k).
-        weights: k numbers, none negative.
-        unit: n sizes, for the diagonal that is added; see `unsure`.
-    """
+    """Return U diag(weights) Uᵀ, no weight negative, or what is above it for every U in the ball: see `unsure`."""
     square = U @ BallMatrix(diagonal(weights)) @ U.transpose()
     return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
 

@@ -17,8 +17,9 @@ e^(Mh) is enclosed by balls.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from heapq import heappop, heappush
 from itertools import groupby
 from typing import Any
@@ -58,30 +59,18 @@ _INSIDE = Fraction(1, 2**60)  # of the square of w: by so much P is inside its i
 _ABOVE = Fraction(1_000_001, 1_000_000)  # so that other balls come to no more
 
 
-@dataclass(frozen=True)
 class _Modes:
-    """λ_k of one matrix and e^(λ_k t) at the times that were looked at."""
+    """λ_k of one matrix, and e^(λ_k t) at times t, each worked out once."""
 
-    rates: list[Any]
-    seen: dict[float, list[Any]] = field(default_factory=dict)
-
-    def at(self, t: float) -> list[Any]:
-        """Return e^(λ_k t)."""
-        if t not in self.seen:
-            self.seen[t] = [(rate * flint.arb(t)).exp() for rate in self.rates]
-        return self.seen[t]
+    def __init__(self, rates: list[Any]) -> None:
+        self.rates = rates
+        self.at = cache(lambda t: [(rate * flint.arb(t)).exp() for rate in rates])
 
 
 def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[float, float]] | None:
-    """Return the peak gain from d to each form, between a lower and an upper bound.
+    """Return the peak gain from d to each form, a row c, between a lower and an upper bound.
 
-    Args:
-        M: (N, N).
-        g: (N, 1).
-        forms: The rows c, (s, N).
-
-    Returns:
-        One pair for each row; None where eigenvalues cannot be told apart, or one does not decay.
+    None where eigenvalues cannot be told apart, or one does not decay.
 
     Example: |z| ≤ 3 / 2 sup |d| for z' = −2 z + 3 d.
 
@@ -171,11 +160,7 @@ class PeakGain(Packed):
 def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: InvariantEllipsoid) -> PeakGain | None:
     """Return the peak gain of z' = M z + g d, of c z; None where it takes too many steps or an entry is irrational.
 
-    Args:
-        M: (N, N), stable.
-        g: (N, 1).
-        c: (1, N).
-        ellipsoid: Of M, g and c.
+    M is stable, and the ellipsoid is that of M, g and c.
 
     Example: a damped oscillator, ∫ |e^(−t) sin 3t| / 3 dt.
 

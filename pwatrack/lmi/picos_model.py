@@ -2,8 +2,7 @@
 
 PICOS does not know Clarabel: it takes it through the `ad_hoc_solver` option that it offers for this.
 
-What comes back is a candidate. It proves nothing before `certificate` has
-looked at it, whatever the solver says of it.
+What comes back is a candidate. It proves nothing before `exact` has looked at it, whatever the solver says of it.
 """
 
 from collections.abc import Sequence
@@ -42,7 +41,8 @@ _STATUS = {
 
 def solve(program: SemidefiniteProgram, solver: Solver = "clarabel") -> Solution | None:
     """Return the minimiser of a program, or None if the solver gave nothing."""
-    problem, P, Y = _problem(program)
+    problem, P = picos.Problem(), picos.SymmetricVariable("P", program.n)
+    Y = picos.RealVariable("Y", (program.m, program.n)) if program.m else None
     t = picos.RealVariable("t")
     held = []
     for constraint in program.constraints:
@@ -84,13 +84,7 @@ def _duals(program: SemidefiniteProgram, held: Sequence[Sequence[Any]]) -> tuple
     )
 
 
-def _problem(unknowns: SemidefiniteProgram | Inequality) -> tuple[Any, Any, Any]:
-    P = picos.SymmetricVariable("P", unknowns.n)
-    Y = picos.RealVariable("Y", (unknowns.m, unknowns.n)) if unknowns.m else None
-    return picos.Problem(), P, Y
-
-
-def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any = None) -> list[Any]:
+def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any) -> list[Any]:
     """Return the left-hand sides; those in which no unknown is left are constants."""
     sides = []
     for i, (L, R, M, N, constant) in enumerate(
@@ -164,7 +158,8 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
             offset += variable.dim
         self._offsets, self._size = offsets, offset
         rows, sides, cones, places = [], [], [], []
-        for constraint in self._constraints():
+        bounds = [v.bound_constraint for v in self.ext.variables.values() if v.bound_constraint]
+        for constraint in (*self.ext.constraints.values(), *bounds):
             G, h = self._affine(constraint.smaller - constraint.greater)
             if isinstance(constraint, LMIConstraint):
                 order = constraint.size[0]
@@ -206,10 +201,6 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
             vectorizedPrimals=True,
             reportedValue=answer.obj_val * (-1.0 if self.ext.no.direction == "max" else 1.0),
         )
-
-    def _constraints(self) -> list[Any]:
-        bounds = [v.bound_constraint for v in self.ext.variables.values() if v.bound_constraint]
-        return [*self.ext.constraints.values(), *bounds]
 
     def _affine(self, expression: Any) -> tuple[Any, Any]:
         """Return G (csr) and h with vec(expression) = G x + h."""

@@ -44,7 +44,6 @@ from pwatrack.lmi.exact import (
     left_side,
     prove_exactly,
     proved_rate,
-    unpacked,
     whole,
 )
 from pwatrack.lmi.presolve import Coordinates
@@ -360,7 +359,7 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
     left = list[Rational]()
     for M_i, N_i in zip(M, N, strict=True):
         lift = monomials.exactly(T @ role.exact(M_i) @ T.inverse())
-        left.append(left_side(lift.transpose(), short) - unpacked(N_i, N_exponents))
+        left.append(left_side(lift.transpose(), short) - Packed(integers=N_i, exponents=N_exponents).P)
     rate = proved_rate(left, short.P, found.degree, found.rate)
     if rate is None:
         return None

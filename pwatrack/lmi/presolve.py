@@ -147,12 +147,8 @@ class Coordinates:
     def sized(cls, A: Array, states: Array, inputs: Array | None = None, *, tempo: float = 1.0) -> "Coordinates":
         """Return those in which states and inputs are counted in sizes, and A (l, n, n) has size 1.
 
-        There a problem has the same numbers in all units, so that a solver answers the same.
-
-        Args:
-            A: (l, n, n).
-            states, inputs: Sizes (n,) and (m,); no inputs by default.
-            tempo: The speed in 1/s where A is 0.
+        There a problem has the same numbers in all units, so that a solver answers the same. Where A is 0 the tempo
+        (1/s) is its speed.
 
         Example:
             >>> at = Coordinates.sized(np.array([[[0.0, 1.0], [-1.0, 0.0]]]), np.array([0.1, 2.0]), np.array([5.0]))
@@ -211,11 +207,9 @@ class Coordinates:
         return self._along(vectors, values / values[-1])
 
     def of_mean(self, M: Array, W: Array | None = None) -> "Coordinates":
-        """Return those in which the P of the mean of the cells, M̄ P + P M̄ᵀ = −W, is a multiple of I.
+        """Return those in which the P of the mean of the cells, M̄ P + P M̄ᵀ = −W, is a multiple of I; W = I by default.
 
-        Args:
-            M: (l, n, n), in these coordinates.
-            W: (n, n), in these coordinates; I by default.
+        M (l, n, n) and W are in these coordinates.
         """
         mean = M.mean(axis=0)
         if not np.isfinite(mean).all() or np.linalg.eigvals(mean).real.max(initial=-1.0) >= 0:
@@ -227,10 +221,7 @@ class Coordinates:
     def of_regulator(self, A: Array, B: Array, Q: Array | None = None, R: Array | None = None) -> "Coordinates":
         """Return those in which the least cost of the mean of the cells is |z|²: there the P of (8) is near I.
 
-        Args:
-            A: (l, n, n), in these coordinates.
-            B: (n, m), the same.
-            Q, R: Weights (n, n) and (m, m) of ∫(zᵀQz + vᵀRv) dt; I by default.
+        A (l, n, n), B and the weights of ∫(zᵀQz + vᵀRv) dt, I by default, are in these coordinates.
         """
         Q, R = (np.eye(k) if X is None else X for X, k in ((Q, len(B)), (R, B.shape[1])))
         try:
@@ -276,11 +267,7 @@ class Precise:
 
     @classmethod
     def of_regulator(cls, A: Rational, B: Rational, Q: Rational, R: Rational) -> "tuple[Precise, Array] | None":
-        """Return coordinates in which the least cost is |z|², where doubles do not hold them, and the gain; else None.
-
-        Args:
-            A, B: (n, n) and (n, m).
-            Q, R: Weights of ∫(xᵀQx + uᵀRu) dt, (n, n) and (m, m).
+        """Return where the least ∫(xᵀQx + uᵀRu) dt is |z|², if doubles do not hold it, and the gain; else None.
 
         Example: an input that hardly tells two unstable modes apart.
 

@@ -161,10 +161,6 @@ def uncontrollable_mean(A: Array, B: Array, exact_A: Sequence[Rational], exact_B
     It is looked for among cells each of which differs from a first one by a product g hᵀ, as those on both sides of a
     facet do: as many as B has independent columns.
 
-    Args:
-        A, B: (l, n, n) and (n, m), and
-        exact_A, exact_B: the same exactly.
-
     Example: two unstable modes, which the input pushes by 1 and 1 in one cell and by 3 and −2 in the other.
 
         >>> A = np.array([[[0.0, 0, 0], [g, 1, 1], [h, 0, 2]] for g, h in ((1.0, 1.0), (3.0, -2.0))])
@@ -269,7 +265,9 @@ def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Be
                 inverse=inverse,
                 radius=fraction_of(r),
             )
-        x = _rounded(x - step)
+        x = flint.fmpq_mat(
+            len(v), 1, [flint.fmpq(round(fraction_of(e) * 2**_BITS), 2**_BITS) for e in (x - step).entries()]
+        )
     return None
 
 
@@ -286,9 +284,3 @@ def _radius(step: Rational) -> Rational:
     largest = 2 * max(abs(v) for v in step.entries())
     exponent = int(largest.p).bit_length() - int(largest.q).bit_length() + 1
     return flint.fmpq(2) ** (max(exponent, -_BITS) if largest else -_BITS)
-
-
-def _rounded(x: Rational) -> Rational:
-    """Return x with so many bits behind the point."""
-    scale = 2**_BITS
-    return flint.fmpq_mat(x.nrows(), 1, [flint.fmpq(round(fraction_of(v) * scale), scale) for v in x.entries()])
