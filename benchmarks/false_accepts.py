@@ -36,7 +36,7 @@ from pwatrack.errors import CheckFailed, Infeasible
 from pwatrack.lmi.audit import proofs
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
-from pwatrack.lmi.audit.matrices import Ball, flipped
+from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.reading import matrix, packed
 from pwatrack.lmi.exact import Proof, prove, prove_exactly
@@ -245,7 +245,7 @@ def is_true(content: dict[str, Any]) -> bool:
     for proof in content["proofs"]:
         if "degree" in proof:
             matrices = plant.problem(proof["of"], K, L, A_eta)[0]
-            if not falls(proof, matrices if proof["of"] == "controller" else [flipped(M) for M in matrices]):
+            if not falls(proof, matrices if proof["of"] == "controller" else [M.T for M in matrices]):
                 return False
             continue
         rate, margin, radius = (Fraction(proof[name]) for name in ("rate", "margin", "radius"))
@@ -459,7 +459,7 @@ def nearly_singular_stacks(count: int) -> str:
         certificate = prove(M, P)
         exact = [BallMatrix.of(M_i) for M_i in M]
         proof = None if certificate is None else prove_exactly(CONTROLLER, exact, certificate.P, certificate.rate)
-        balls: list[Ball] = [(matrix(ball.texts), []) for ball in exact]
+        balls = [Ball(matrix(ball.texts)) for ball in exact]
         if proof is not None:
             stable_ones += 1
             wrong += not stable or bool(proofs.check(balls, [], claim_of(proof), None))

@@ -541,10 +541,10 @@ def test_every_proof_of_impossibility_is_audited_and_no_tampered_one_passes(
     assume(found is not None)
     assert found is not None
     proof = {"rate": 0, "Z": {str(i): Z for i, Z in found.Z.items()}}
-    exact: list[Ball] = [(fractions(A_i), []) for A_i in A]
+    exact = [Ball(fractions(A_i)) for A_i in A]
     exact_B = fractions(B) if B.shape[1] else []
     assert refuted(exact, exact_B, proof, None) == []
-    damped: list[Ball] = [(fractions(A_i - 100 * np.eye(n)), []) for A_i in A]  # of which it is false
+    damped = [Ball(fractions(A_i - 100 * np.eye(n))) for A_i in A]  # of which it is false
     assert refuted(damped, exact_B, proof, None) != []
 
 

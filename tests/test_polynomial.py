@@ -206,7 +206,7 @@ def test_no_tampered_proof_is_accepted_that_does_not_hold(degree: int, k: float)
 
 def audited(proof: dict[str, Any], A: Array) -> bool:
     """Say whether the auditor accepts a proof."""
-    matrices: list[Ball] = [([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], []) for A_i in A]
+    matrices = [Ball([[Fraction(repr(v)) for v in row] for row in A_i.tolist()]) for A_i in A]
     try:
         return not audit_polynomial(matrices, [], proof, None)
     except AuditFault:
@@ -231,7 +231,7 @@ def test_a_proof_that_does_not_fit_is_a_fault(change: dict[str, Any], words: str
     assert found is not None
     proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
     assert proof is not None
-    matrices: list[Ball] = [([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], []) for A_i in A]
+    matrices = [Ball([[Fraction(repr(v)) for v in row] for row in A_i.tolist()]) for A_i in A]
     with pytest.raises(AuditFault, match=words):
         audit_polynomial(matrices, [], content_of(proof) | change, None)
 
@@ -252,7 +252,7 @@ def test_a_proof_of_balls_holds_for_all_in_them() -> None:
         exact = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
         assert exact is not None
         R = [[Fraction(0), Fraction(0)], [Fraction(0), Fraction(radius)]]
-        balls: list[Ball] = [([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], R) for A_i in A]
+        balls = [Ball([[Fraction(repr(v)) for v in row] for row in A_i.tolist()], R) for A_i in A]
         wrong = audit_polynomial(balls, [], content_of(proof or exact), None)
         assert bool(wrong) == (proof is None)
         seen.append(proof is not None)

@@ -4,24 +4,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from .matrices import (
-    AuditFault,
-    Ball,
-    Matrix,
-    added,
-    column,
-    definite,
-    falls,
-    flipped,
-    identity,
-    minus,
-    negative,
-    part,
-    sides,
-    stacked,
-    times,
-    unlike,
-)
+from .matrices import AuditFault, Ball, Matrix, added, definite, falls, identity, sides, stacked, unlike
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
 from .reading import NUMBER, PACKED, TEXT, WHOLE, distinct, number, of, packed, place
@@ -61,19 +44,19 @@ class Loop:
             rate = number(proof["a"])
             if not definite(Q) or rate <= 0:
                 raise AuditFault("Q or a is not positive")
-            square, open_ = times(g, flipped(g))
+            square, open_ = g @ g.T
             if channel[0] == "start":
                 if not definite(added(Q, square, -1)):
                     faults.append("the start is not in the ellipsoid")
                 square = identity(len(Q), 0)
             square, open_ = [[v / rate for v in row] for row in square], [[v / rate / 2 for v in row] for row in open_]
             for X, R in M:
-                if not falls((added(X, identity(len(Q), rate / 2)), R), Q, powers, square, open_):
+                if not falls(Ball(added(X, identity(len(Q), rate / 2)), R), Q, powers, square, open_):
                     faults.append("an ellipsoid can be left")
             distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
                 c = self.row(loop, kind, k)
-                value, radius = times(times(c, (Q, [])), flipped(c))
+                value, radius = c @ Ball(Q) @ c.T
                 if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
@@ -119,20 +102,20 @@ class Loop:
     @cached_property
     def coupling(self) -> Ball:
         """Return the matrix by which errors of the observer drive e: B K, with loads [B K - X L_s C, -E]."""
-        BK = times(self.plant.B, (self.K, []))
+        BK = self.plant.B @ Ball(self.K)
         if self.plant.loads is None:
             return BK
         if self.X is not None:
-            BK = minus(BK, times(times(self.X, (self.L[len(self.K[0]) :], [])), self.plant.C))
-        return sides(BK, negative(self.plant.loads[0]))
+            BK -= self.X @ Ball(self.L[len(self.K[0]) :]) @ self.plant.C
+        return sides(BK, -self.plant.loads[0])
 
     def matrices(self, name: str) -> list[Ball]:
         """Return the matrices of e' = (A_i + B K) e + ..., of Delta' = (A_j + L C) Delta + ..., or of both together."""
         controller, _ = self.plant.problem("controller", self.K, self.L, None)
-        observer = [flipped(M) for M in self.plant.problem("observer", self.K, self.L, None)[0]]
+        observer = [M.T for M in self.plant.problem("observer", self.K, self.L, None)[0]]
         if name != "joint":
             return {"controller": controller, "observer": observer}[name]
-        nothing: Ball = [[Fraction(0)] * len(self.K[0]) for _ in self.L], []
+        nothing = Ball([[Fraction(0)] * len(self.K[0]) for _ in self.L])
         pairs = [stacked(sides(X, self.coupling), sides(nothing, Y)) for X in controller for Y in observer]
         return [pair for _, pair in unlike(pairs)]
 
@@ -142,46 +125,37 @@ class Loop:
         counts = {"disturbance": n, "noise": len(self.plant.C[0]), "input": len(self.plant.B[0][0])}
         counts["start"] = n + len(self.L)
         k = place(channel[1], counts[kind])
-        e: Ball = [[Fraction(int(j == k))] for j in range(n)], []
-        Delta: Ball = [[Fraction(-int(j == k))] for j in range(len(self.L))], []
+        e = Ball([[Fraction(int(j == k))] for j in range(n)])
+        Delta = Ball([[Fraction(-int(j == k))] for j in range(len(self.L))])
         if kind == "noise":
-            gain = column((self.L, []), k)
-            e, Delta = ([[Fraction(0)]] * n, []), negative(gain)
+            gain = Ball(self.L).column(k)
+            e, Delta = Ball([[Fraction(0)]] * n), -gain
             if self.X is not None:
-                e = times(self.X, (gain[0][n:], []))
+                e = self.X @ Ball(gain.centre[n:])
         if kind == "start":
             entries = [k] + [k + 1] * (k + 1 - 2 * n in self.plant.seconds)
             rows = [[Fraction(int(j == entry)) for entry in entries] for j in range(n + len(self.L))]
-            e, Delta = (rows[:n], []), (rows[n:], [])
+            e, Delta = Ball(rows[:n]), Ball(rows[n:])
         if kind == "input":
             if loop != "controller":
                 raise AuditFault("an input drives the controller's loop only")
-            e = column(self.plant.B, k)
+            e = self.plant.B.column(k)
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
     def row(self, loop: str, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         plant, K = self.plant, self.K
         n, N = len(plant.B[0]), len(plant.seen_A[0][0])
-        place(
-            k,
-            {
-                "output": len(plant.tracked[0]),
-                "input": len(K),
-                "drive": len(K),
-                "state": n,
-                "estimate": N,
-                "coupling": n,
-            }[kind],
-        )
+        inputs, counts = len(K), {"output": len(plant.tracked[0]), "state": n, "estimate": N, "coupling": n}
+        place(k, (counts | {"input": inputs, "drive": inputs})[kind])
         if kind == "coupling":
             if loop != "observer" or plant.loads is None:
                 raise AuditFault("what drives e is a signal of the observer's loop, where loads are estimated")
-            return part(self.coupling, k)
-        e: Ball = [[Fraction(int(j == k and kind == "state")) for j in range(n)]], []
-        e = part(plant.tracked, k) if kind == "output" else ([K[k]], []) if kind in ("input", "drive") else e
-        Delta: Ball = [[Fraction(int(j == k and kind == "estimate")) for j in range(N)]], []
+            return self.coupling.row(k)
+        e = Ball([[Fraction(int(j == k and kind == "state")) for j in range(n)]])
+        e = plant.tracked.row(k) if kind == "output" else Ball([K[k]]) if kind in ("input", "drive") else e
+        Delta = Ball([[Fraction(int(j == k and kind == "estimate")) for j in range(N)]])
         if kind in ("input", "drive"):
             loads = plant.at_inputs() if kind == "drive" else [-1] * (N - n)
-            Delta = [K[k] + [Fraction(-int(j == k)) for j in loads]], []
+            Delta = Ball([K[k] + [Fraction(-int(j == k)) for j in loads]])
         return {"joint": sides(e, Delta), "controller": e, "observer": Delta}[loop]

@@ -4,7 +4,7 @@ from typing import Any
 
 from .bounds import SHAPE as BOUNDS
 from .bounds import Loop
-from .matrices import AuditFault, Ball, Matrix, flipped, minus, plus, sides, stacked, times, unlike
+from .matrices import AuditFault, Ball, Matrix, sides, stacked, unlike
 from .plant import AuditedPlant
 from .reading import NUMBER, RADII, ROWS, TEXT, distinct, of
 
@@ -52,13 +52,13 @@ class UncertainLoop(Loop):
         """Return the matrices of (e, Delta) for all corners and pairs of cells."""
         if name != "joint":
             raise AuditFault("the bounds of uncertain parameters are those of the joint loop")
-        gain: Ball = self.K, []
+        gain = Ball(self.K)
         observer, pairs = self.plant.problem("observer", self.K, self.L, None)[0], list[Ball]()
         for corner in self.corners:
-            BK, off = times(corner.B, gain), times(minus(self.plant.B, corner.B), gain)
+            BK, off = corner.B @ gain, (self.plant.B - corner.B) @ gain
             for A_c, A in zip(corner.A, self.plant.A, strict=True):
-                lower = plus(minus(A, A_c), off)
-                pairs += [stacked(sides(plus(A_c, BK), BK), sides(lower, plus(flipped(M), off))) for M in observer]
+                lower = A - A_c + off
+                pairs += [stacked(sides(A_c + BK, BK), sides(lower, M.T + off)) for M in observer]
         return [pair for _, pair in unlike(pairs)]
 
 

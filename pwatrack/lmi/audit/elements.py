@@ -114,5 +114,6 @@ class Elements:
                 for j, factor in term:
                     field[j] = [v + factor * w if w else v for v, w in zip(field[j], line[k], strict=True)]
             found.append(field)
-        As = [([row[:n] for row in field], list[list[Fraction]]()) for field in found]
-        return As, [([row[n:] for row in field], list[list[Fraction]]()) for field in found]
+        return [Ball([row[:n] for row in field]) for field in found], [
+            Ball([row[n:] for row in field]) for field in found
+        ]

@@ -5,25 +5,7 @@ from fractions import Fraction
 from functools import partial, reduce
 from typing import Any
 
-from .matrices import (
-    AuditFault,
-    Ball,
-    Matrix,
-    added,
-    definite,
-    frozen,
-    inverse,
-    inverted,
-    minus,
-    negative,
-    part,
-    plus,
-    product,
-    stacked,
-    times,
-    transposed,
-    unlike,
-)
+from .matrices import AuditFault, Ball, Matrix, added, definite, frozen, inverted, product, stacked, transposed, unlike
 from .plant import AuditedPlant
 from .reading import matrix, number, place
 
@@ -40,20 +22,20 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
         raise AuditFault("the form (11) does not fit the plant")
     outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
-    C = [joined([part(rows, len(rows[0]) - 1) for rows in cell]) for cell in zip(*outputs, strict=True)]
-    BZ = times(plant.B, (Z, []))
-    one_to_one([times(C_i, BZ) for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
-    share, N = times(BZ, inverse(times(C[0], BZ))), list[Ball]()
+    C = [joined([rows.row(-1) for rows in cell]) for cell in zip(*outputs, strict=True)]
+    BZ = plant.B @ Ball(Z)
+    one_to_one([C_i @ BZ for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
+    share, N = BZ @ (C[0] @ BZ).inverse(), list[Ball]()
     for j in internal:
-        own: Ball = [[Fraction(int(j == k)) for k in range(n)]], []
-        N.append(minus(own, times(part(share, j), C[0])))
+        own = Ball([[Fraction(int(j == k)) for k in range(n)]])
+        N.append(own - share.row(j) @ C[0])
     T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
-    found, backs = list[Ball](), once(inverse, T)
+    found, backs = list[Ball](), once(Ball.inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
         raise AuditFault("the last derivative of an output differs between cells, which are not listed")
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
-        X, R = times(times(T_i, A_i), back)
-        found.append(([line[r:] for line in X[r:]], [line[r:] for line in R[r:]] if R else []))
+        X, R = T_i @ A_i @ back
+        found.append(Ball([line[r:] for line in X[r:]], [line[r:] for line in R[r:]]))
     if ("A_eta" in generator) != (plant.elements is None):
         raise AuditFault("A_eta is there where all cells are listed, and only there")
     if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
@@ -68,13 +50,13 @@ def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
 
     B reaches none but the last of them, which alone may differ between cells.
     """
-    row = rows = part(plant.tracked, j)
+    row = rows = plant.tracked.row(j)
     for k in range(degree - 1):
         if any(product(row[0], plant.B[0])[0]):
             raise AuditFault(f"the relative degree is not {degree}")
         if k == degree - 2:
             return once(partial(_extended, rows), plant.A)
-        following = times(row, plant.A[0])
+        following = row @ plant.A[0]
         for (A, _), (b, _) in zip(plant.A, plant.b, strict=True):
             if product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0]):
                 raise AuditFault("the derivatives of the output differ between cells before the input enters")
@@ -85,7 +67,7 @@ def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
 
 def _extended(rows: Ball, A: Ball) -> Ball:
     """Return the rows c_k of a cell, the last of which is c A of the one before."""
-    return stacked(rows, times(part(rows, len(rows[0]) - 1), A))
+    return stacked(rows, rows.row(-1) @ A)
 
 
 def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
@@ -110,22 +92,22 @@ def shift(plant: AuditedPlant, degrees: list[int], T: list[Ball], backs: list[Ba
     if plant.loads is None:
         return None
     E, S = plant.loads
-    nothing: Ball = [[Fraction(0)] * len(E[0][0])], []
+    nothing = Ball([[Fraction(0)] * len(E[0][0])])
     G = list[Ball]()
     for degree in degrees:
         G.append(nothing)
         for _ in range(degree - 1):
-            G.append(plus(times(part(T[0], len(G) - 1), E), times(G[-1], S)))
+            G.append(T[0].row(len(G) - 1) @ E + G[-1] @ S)
     r, n = len(G), len(E[0])
     if H and (len(H) != n - r or any(len(row) != len(S[0]) for row in H)):
         raise AuditFault("what loads add to eta does not fit the plant")
-    whole = joined(G + ([negative((H, []))] if H else [nothing] * (n - r)))
-    shifts = unlike(once(lambda back: negative(times(back, whole)), backs))
+    whole = joined(G + ([-Ball(H)] if H else [nothing] * (n - r)))
+    shifts = unlike(once(lambda back: -(back @ whole), backs))
     if len(shifts) > 1:
         raise AuditFault("loads move a derivative that differs between cells")
     X = shifts[0][1]
     for T_i, A_i in zip(T, plant.A, strict=True) if H else ():
-        W, open_ = plus(times(T_i, plus(times(A_i, X), E)), times(whole, S))
+        W, open_ = T_i @ (A_i @ X + E) + whole @ S
         if open_ or any(any(row) for row in W[r:]):
             raise AuditFault("a load acts on an eta that is played back")
     return X

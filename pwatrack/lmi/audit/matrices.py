@@ -4,10 +4,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from math import inf, lcm
-from typing import Any
+from typing import Any, NamedTuple
 
 Matrix = list[list[Fraction]]
-Ball = tuple[Matrix, Matrix]  # centre and radius, [] for none: whatever is in it
 
 _MOST, _SMALL = 7e5, 100_000  # steps, 5e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
 _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
@@ -154,22 +153,51 @@ def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
     return True
 
 
-def times(one: Ball, other: Ball) -> Ball:
-    """Return all products of what is in two balls."""
-    (X, R), (Y, S) = one, other
-    radius: Matrix = product(sizes(X), S) if S else []
-    radius = added_or(radius, product(R, added_or(sizes(Y), S)) if R else [])
-    return product(X, Y), radius
+class Ball(NamedTuple):
+    """Matrices whose entries lie within radii, [] for none, of those of a centre: whatever is in it."""
 
+    centre: Matrix
+    radius: Matrix = []  # noqa: RUF012
 
-def plus(one: Ball, other: Ball) -> Ball:
-    """Return all sums of what is in two balls."""
-    return added(one[0], other[0]), added_or(one[1], other[1])
+    def __matmul__(self, other: "Ball") -> "Ball":
+        (X, R), (Y, S) = self, other
+        radius = product(sizes(X), S) if S else []
+        radius = added_or(radius, product(R, added_or(sizes(Y), S)) if R else [])
+        return Ball(product(X, Y), radius)
 
+    def __add__(self, other: "Ball") -> "Ball":  # type: ignore[override]
+        return Ball(added(self.centre, other.centre), added_or(self.radius, other.radius))
 
-def minus(one: Ball, other: Ball) -> Ball:
-    """Return all differences of what is in two balls."""
-    return added(one[0], other[0], -1), added_or(one[1], other[1])
+    def __sub__(self, other: "Ball") -> "Ball":
+        return Ball(added(self.centre, other.centre, -1), added_or(self.radius, other.radius))
+
+    def __neg__(self) -> "Ball":
+        return Ball([[-v for v in row] for row in self.centre], self.radius)
+
+    @property
+    def T(self) -> "Ball":
+        """The transposes."""
+        return Ball(transposed(self.centre), transposed(self.radius))
+
+    def row(self, k: int) -> "Ball":
+        """Return one row."""
+        return Ball([self.centre[k]], [self.radius[k]] if self.radius else [])
+
+    def column(self, k: int) -> "Ball":
+        """Return one column."""
+        return Ball([[row[k]] for row in self.centre], [[row[k]] for row in self.radius])
+
+    def inverse(self) -> "Ball":
+        """Return all inverses: |(X + E)^-1 - X^-1| <= (I - Q)^-1 Q |X^-1| with Q = |X^-1| |E|, if (I - Q)^-1 >= 0."""
+        back = inverted(self.centre)
+        if not self.radius:
+            return Ball(back)
+        size = sizes(back)
+        Q = product(size, self.radius)
+        grown = inverted(added(identity(len(back), 1), Q, -1))
+        if any(v < 0 for row in grown for v in row):
+            raise AuditFault("a change of state in a ball may be singular")
+        return Ball(back, product(grown, product(Q, size)))
 
 
 def added_or(X: Matrix, Y: Matrix) -> Matrix:
@@ -177,51 +205,17 @@ def added_or(X: Matrix, Y: Matrix) -> Matrix:
     return added(X, Y) if X and Y else X or Y
 
 
-def inverse(ball: Ball) -> Ball:
-    """Return all inverses: |(X + E)^-1 - X^-1| <= (I - Q)^-1 Q |X^-1| with Q = |X^-1| |E|, if (I - Q)^-1 >= 0."""
-    X, R = ball
-    back = inverted(X)
-    if not R:
-        return back, []
-    size = sizes(back)
-    Q = product(size, R)
-    grown = inverted(added(identity(len(X), 1), Q, -1))
-    if any(v < 0 for row in grown for v in row):
-        raise AuditFault("a change of state in a ball may be singular")
-    return back, product(grown, product(Q, size))
-
-
-def negative(ball: Ball) -> Ball:
-    """Return what is in a ball, with the other sign."""
-    return [[-v for v in row] for row in ball[0]], ball[1]
-
-
-def part(ball: Ball, k: int) -> Ball:
-    """Return one row."""
-    return [ball[0][k]], [ball[1][k]] if ball[1] else []
-
-
-def column(ball: Ball, k: int) -> Ball:
-    """Return one column."""
-    return [[row[k]] for row in ball[0]], [[row[k]] for row in ball[1]]
-
-
-def flipped(ball: Ball) -> Ball:
-    """Return the transposes."""
-    return transposed(ball[0]), transposed(ball[1])
-
-
 def stacked(one: Ball, other: Ball) -> Ball:
     """Return one matrix on top of another."""
     (X, R), (Y, S) = one, other
     zero = [[[Fraction(0)] * len(row) for row in Z] for Z in (X, Y)]
     spend(sum(len(row) / 4 for row in (*X, *Y)))
-    return X + Y, ((R or zero[0]) + (S or zero[1]) if R or S else [])
+    return Ball(X + Y, (R or zero[0]) + (S or zero[1]) if R or S else [])
 
 
 def sides(one: Ball, other: Ball) -> Ball:
     """Return one matrix beside another."""
-    return flipped(stacked(flipped(one), flipped(other)))
+    return stacked(one.T, other.T).T
 
 
 def unlike(matrices: list[Ball]) -> list[tuple[int, Ball]]:

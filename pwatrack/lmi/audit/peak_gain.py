@@ -10,7 +10,7 @@ from fractions import Fraction
 from math import ceil, isqrt, lcm
 from typing import Any
 
-from .matrices import AuditFault, Matrix, bits, falls, inverted, product, spend, total, transposed
+from .matrices import AuditFault, Ball, Matrix, bits, falls, inverted, product, spend, total, transposed
 from .reading import number, packed
 
 BITS = 640  # of numbers: well beyond the 400 to which the series is known
@@ -23,7 +23,7 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
     """Return an upper bound of the peak gain, after checking P; that Q and a belong to M has been checked."""
     (Q, powers), (P, _), rate = packed(part["Q"]), packed(peak["P"]), number(part["a"])
     w = product(product(c, M), M)
-    if not falls((transposed(M), []), P, [], product(transposed(w), w)):
+    if not falls(Ball(transposed(M)), P, [], product(transposed(w), w)):
         raise AuditFault("P of a peak gain is not what it should be")
     scale = [power * 2**20 for power in powers]
     back = [1 / v for v in scale]

@@ -6,7 +6,7 @@ from typing import Any
 
 from .cells import Cells
 from .elements import Elements
-from .matrices import AuditFault, Ball, Matrix, flipped, plus, rank, sides, spend, stacked, times, transposed
+from .matrices import AuditFault, Ball, Matrix, rank, sides, spend, stacked, transposed
 from .reading import CELLS, ball, by_cell, distinct, kind, place
 
 
@@ -79,8 +79,8 @@ class AuditedPlant:
         n, p = len(self.B[0]), len(S[0])
         if not p or len(E[0]) != n or {len(row) for row in (*E[0], *S[0])} != {p}:
             raise AuditFault("the loads do not fit to the plant")
-        below: Ball = [[Fraction(0)] * n for _ in range(p)], []
-        beside: Ball = [[Fraction(0)] * p for _ in self.C[0]], []
+        below = Ball([[Fraction(0)] * n for _ in range(p)])
+        beside = Ball([[Fraction(0)] * p for _ in self.C[0]])
         self.loads = E, S
         self.seconds = set(range(p)) - {place(k, p) for k in content["where"]}
         if len(content["names"]) != len(content["where"]):
@@ -90,7 +90,7 @@ class AuditedPlant:
 
     def unmatched(self) -> bool:
         """Say whether some load enters where no input does: nothing makes up for it while all of x_d is given."""
-        return self.loads is not None and rank(sides((self.B[0], []), (self.loads[0][0], []))[0]) != rank(self.B[0])
+        return self.loads is not None and rank(sides(Ball(self.B[0]), Ball(self.loads[0][0]))[0]) != rank(self.B[0])
 
     def at_inputs(self) -> list[int]:
         """Return the input that each load is added to: all have to be constants there, exactly."""
@@ -107,16 +107,16 @@ class AuditedPlant:
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
         """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""
         if of == "plant":
-            return [flipped(A) for A in self.A], []
+            return [A.T for A in self.A], []
         if of == "generator":
-            return [flipped(A) for A in A_eta], []
+            return [A.T for A in A_eta], []
         A, B, gain = (self.A, self.B, K)
         if of != "controller":
-            A, B, gain = [flipped(A) for A in self.seen_A], flipped(self.seen_C), L
+            A, B, gain = [A.T for A in self.seen_A], self.seen_C.T, L
         if gain is None:
             return A, B[0]
-        BK = times(B, (gain if of == "controller" else transposed(gain), []))
-        return [plus(A_i, BK) for A_i in A], []
+        BK = B @ Ball(gain if of == "controller" else transposed(gain))
+        return [A_i + BK for A_i in A], []
 
     def faults(self) -> list[str]:
         """Return where cells overlap, where none is, and where the field jumps."""

@@ -11,14 +11,11 @@ from .matrices import (
     added,
     definite,
     falls,
-    flipped,
     identity,
-    inverse,
     positive,
     product,
     rank,
     spend,
-    times,
     transposed,
     unlike,
 )
@@ -56,7 +53,7 @@ def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[
     faults, counts = no_P(proof), set[int]()
     for i, content in proof["P"].items():
         P, M = packed(content)[0], matrices[int(i)][0]
-        if not falls((M, []), P, [], identity(len(P), 0)):
+        if not falls(Ball(M), P, [], identity(len(P), 0)):
             faults.append(f"the inequality fails for M_{int(i) + 1}")
         counts.add(positive(P))
     return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
@@ -94,7 +91,7 @@ def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fract
     return [
         f"the inequality fails for M_{i + 1}"
         for i, (M, R) in unlike(matrices)
-        if not falls((added(M, shift), R), P, powers, rest)
+        if not falls(Ball(added(M, shift), R), P, powers, rest)
     ]
 
 
@@ -109,9 +106,7 @@ def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
         for j, row in enumerate(X)
     ]
     return [
-        f"the bound of the cost fails for M_{i + 1}"
-        for i, M in unlike(matrices)
-        if not falls(flipped(M), X, powers, weight)
+        f"the bound of the cost fails for M_{i + 1}" for i, M in unlike(matrices) if not falls(M.T, X, powers, weight)
     ]
 
 
@@ -180,16 +175,16 @@ def polynomial(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str
     if not matrices or any(len(M) != n for M, _ in matrices) or not definite(P):
         return ["P is not positive definite, or T not of the order of the matrices"]
     faults = [] if rate > 0 else ["the rate must be positive"]
-    monomials, back = exponents(n, d), inverse((T, []))
-    different = unlike(matrices if proof["of"] == "controller" else [flipped(M) for M in matrices])
+    monomials, back = exponents(n, d), Ball(T).inverse()
+    different = unlike(matrices if proof["of"] == "controller" else [M.T for M in matrices])
     if len(proof["N"]) != len(different):
         raise AuditFault("there is not one N for each different matrix")
     for (i, M), content in zip(different, proof["N"], strict=True):
-        F, R = (lifted(X, monomials) for X in times(times((T, []), M), back))
+        F, R = (lifted(X, monomials) for X in Ball(T) @ M @ back)
         N = packed(content)[0]
         if not vanishes(N, monomials):
             faults.append(f"m^T N m is not 0 for M_{i + 1}")
-        if not falls(flipped((added(F, identity(len(P), d * rate)), R)), P, powers, N):
+        if not falls(Ball(added(F, identity(len(P), d * rate)), R).T, P, powers, N):
             faults.append(f"the inequality fails for M_{i + 1}")
     return faults
 

@@ -83,7 +83,7 @@ def ball(rows: Any, radius: Any) -> Ball:
     R = matrix(radius) if radius else []
     if any(v < 0 for row in R for v in row):
         raise AuditFault("a radius is negative")
-    return matrix(rows), R
+    return Ball(matrix(rows), R)
 
 
 def packed(content: Any) -> tuple[Matrix, list[Fraction]]:

@@ -6,7 +6,7 @@ from typing import Any
 from .bounds import SHAPE as BOUNDS
 from .bounds import SIGNALS, Loop
 from .elements import Element, Function
-from .matrices import AuditFault, Ball, Matrix, added, negative, spend, stacked
+from .matrices import AuditFault, Ball, Matrix, added, spend, stacked
 from .plant import AuditedPlant, at_centres
 from .reading import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, distinct, number, of, place
 
@@ -98,8 +98,8 @@ class Deviations(Loop):
             raise AuditFault("a bound of what is merged is one of a deviation")
         element = self.elements[place(channel[1], len(self.elements))]
         zero, more = Fraction(0), len(self.L) - len(self.plant.B[0])
-        e: Ball = [[v] for v in element.direction], []
-        Delta = negative(stacked(e, ([[zero]] * more, []))) if not self.watched else ([[zero] for _ in self.L], [])
+        e = Ball([[v] for v in element.direction])
+        Delta = Ball([[zero] for _ in self.L]) if self.watched else -stacked(e, Ball([[zero]] * more))
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
 

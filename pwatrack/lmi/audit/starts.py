@@ -4,7 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 from .bounds import SIGNALS, Loop
-from .matrices import AuditFault, added, definite, falls, flipped, identity, product, times, transposed
+from .matrices import AuditFault, Ball, added, definite, falls, identity, product, transposed
 from .reading import NUMBER, PACKED, ROWS, TEXT, distinct, matrix, number, of, packed
 
 KEY = "limits"
@@ -37,7 +37,7 @@ def near(loop: Loop, entry: Any) -> list[str]:
         if kind != wanted:
             raise AuditFault(f"limits of inputs are said of '{wanted}' here")
         c = loop.row(name, kind, k)
-        value, radius = times(times(c, (Q, [])), flipped(c))
+        value, radius = c @ Ball(Q) @ c.T
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
         if number(size) < 0 or largest > number(size) ** 2:
             faults.append(f"{kind} {k} is not bounded by {size}")
