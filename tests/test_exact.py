@@ -25,6 +25,7 @@ from pwatrack.lmi import audit as auditor
 from pwatrack.lmi.audit.cells import strictly_feasible
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
+from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.proofs import check
 from pwatrack.lmi.audit.reading import matrix, number
@@ -326,9 +327,9 @@ def test_finder_and_auditor_never_disagree_and_never_err(seed: int, n: int, expo
     if proof is not None:
         P = {"integers": [list(r) for r in proof.integers], "exponents": list(proof.exponents)}
         claim = {name: repr(getattr(proof, name)) for name in ("rate", "margin", "radius")} | {"P": P}
-        assert check([(fractions(M), [])], [], claim, None) == []
+        assert check([Ball(fractions(M))], [], claim, None) == []
         claim["rate"] = repr(-2 * float(np.diag(M).max()))
-        assert check([(fractions(M), [])], [], claim, None) != []
+        assert check([Ball(fractions(M))], [], claim, None) != []
 
 
 @given(seeds, st.integers(1, 8))
@@ -386,7 +387,7 @@ def test_what_is_no_certificate_is_refused(text: str) -> None:
 def test_a_P_that_is_not_positive_definite_proves_nothing_even_where_the_inequality_holds() -> None:
     """For M = 1 and P = −1 the inequality reads 2 + 2 rate − margin > 0: only P ≻ 0 stands against it."""
     claim = {"rate": 1, "margin": "0.5", "radius": 0, "P": {"integers": [[-1]], "exponents": [0]}}
-    assert check([([[Fraction(1)]], [])], [], claim, None) == [
+    assert check([Ball([[Fraction(1)]])], [], claim, None) == [
         "P is not symmetric and positive definite, of the order of the matrices"
     ]
     assert prove_exactly(GENERATOR, [BallMatrix.of([[1.0]])], np.array([[1.0]]), 0.5) is None
