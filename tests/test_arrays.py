@@ -109,7 +109,7 @@ def test_what_differs_is_seen() -> None:
     one, other = (problem(plant(**STOP), **ASKED, controller={"rate": rate}) for rate in (0.1, 0.2))
     assert differences(one, other) == ["spec.objectives.controller.rate"]
     other = problem(plant(**STOP | {"C": [[2, 0]]}), **ASKED, controller={"rate": 0.1})
-    assert "spec.problem.plant.C" in differences(one, other)
+    assert "spec.problem.plant.exact.C.centre" in differences(one, other)
 
 
 decimals = st.integers(-40, 40).map(lambda k: k / 10) | st.fractions(-5, 5, max_denominator=7)
