@@ -441,6 +441,22 @@ def test_the_least_violation_has_the_trace_that_is_asked_in_both_solvers(seed: i
     np.testing.assert_allclose(values, values[0], rtol=1e-2, atol=1e-3)
 
 
+def test_a_program_that_does_not_fit_together_is_refused() -> None:
+    two, three = lyapunov(-np.eye(2)[None]), lyapunov(-np.eye(3)[None])
+    with pytest.raises(ValueError, match="the same P and Y"):
+        SemidefiniteProgram(constraints=(two, three), price=0.0)
+    with pytest.raises(ValueError, match="the same P and Y"):
+        SemidefiniteProgram(constraints=(), price=0.0)
+    with pytest.raises(ValueError, match="one objective"):
+        SemidefiniteProgram(constraints=(two,), price=0.0, cost=np.eye(2), weight=np.eye(2))
+    with pytest.raises(ValueError, match="stands in no constraint"):
+        SemidefiniteProgram(constraints=(two,), price=1.0)
+    with pytest.raises(ValueError, match="V has 3 columns, P has 2"):
+        SemidefiniteProgram(constraints=(two,), price=0.0, weight=np.eye(3))
+    with pytest.raises(ValueError, match="W is 3 × 3, P is 2 × 2"):
+        SemidefiniteProgram(constraints=(two,), price=0.0, cost=np.eye(3))
+
+
 def test_a_nan_in_the_data_is_not_called_solved() -> None:
     assert solve(largest_margin(lyapunov(np.array([[[np.nan]]])))) is None
     with asking("cvxopt"):

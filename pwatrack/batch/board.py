@@ -24,7 +24,7 @@ class Board(Watcher):
 
     def __init__(self, screen: Console, progress: Progress | None) -> None:
         self.outcomes = list[SpecOutcome]()
-        self._screen, self._progress, self._total = screen, progress, 0
+        self._screen, self._progress, self._total, self._failures = screen, progress, 0, 0
         self._bar = progress.add_task("specs", total=None, failed="") if progress else None
 
     def begins(self, total: int) -> None:
@@ -36,7 +36,8 @@ class Board(Watcher):
     def ended(self, outcome: SpecOutcome) -> None:
         """Say how one of them ended: at a terminal, cached and skipped ones only move the bar."""
         self.outcomes.append(outcome)
-        done, failures = len(self.outcomes), sum(each.failed for each in self.outcomes)
+        self._failures += outcome.failed
+        done, failures = len(self.outcomes), self._failures
         if self._progress is None or outcome.how == "run":
             width = len(str(self._total))
             verdict = "" if outcome.passed and not outcome.exit else f": {outcome.verdict}"

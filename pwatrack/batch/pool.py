@@ -1,7 +1,7 @@
 """Processes that work off tasks: what kills or hangs one of them, or takes its memory, fails the task that it is at.
 
-A ProcessPoolExecutor loses every task with one killed process. Here each process has a thread that hands it tasks, and
-replaces it when it has ended, from a fork server that has imported everything before: that takes milliseconds.
+A ProcessPoolExecutor loses every task with one killed process. Here a process that ends is replaced, from a fork server
+that has imported everything before: that takes milliseconds.
 """
 
 import multiprocessing
@@ -9,13 +9,14 @@ import os
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from math import inf
-from multiprocessing import connection
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
 from multiprocessing.reduction import ForkingPickler
-from queue import Empty, SimpleQueue
 from typing import Any
 
 from pwatrack.batch.worker import OutOfMemory, serve
@@ -29,8 +30,6 @@ _GRACE = 0.4  # seconds that a process has to clean up when it is told to end
 _LONGEST_WAIT = 3600.0  # seconds: a selector takes no number of any size
 _START = 60.0  # seconds that a new process has to import what its owner's main program imports
 _SAID = 65_536  # bytes that are kept of what a process says before it dies
-_CONTEXT = multiprocessing.get_context("forkserver")
-_REAPING = threading.Lock()  # a start looks how all children have ended: what one thread reads, another would miss
 
 
 class Lost(CheckFailed):
@@ -48,87 +47,25 @@ class Lost(CheckFailed):
         self.reason, self.killer, self.said, self.seconds = reason, killer, said, seconds
 
 
+@dataclass(kw_only=True)
+class _Task:
+    future: Future[Any]
+    content: bytes
+
+
+@dataclass(kw_only=True)
 class _Worker:
-    """A process that one thread of its owner hands tasks to."""
+    """A process, and the task that it is at: until `deadline` it is left alone, then told to end, then killed."""
 
-    def __init__(self, memory: float | None, preload: Sequence[str]) -> None:
-        self._tasks, theirs = _CONTEXT.Pipe()
-        self._errors, said = _CONTEXT.Pipe(duplex=False)
-        self._process = _CONTEXT.Process(target=serve, args=(theirs, said, memory, preload), daemon=True)
-        with _REAPING:
-            self._process.start()
-        theirs.close()
-        said.close()
-        os.set_blocking(self._errors.fileno(), False)
-        self._ready = False
-        self._said = bytearray()
-
-    @property
-    def alive(self) -> bool:
-        """Whether the process has not ended."""
-        return not connection.wait([self._process.sentinel], 0)
-
-    def done(self, content: bytes, timeout: float, stop: connection.Connection) -> tuple[Any, bool]:
-        """Return what a task returned or raised, or `Lost`, and which of the two.
-
-        Out of time, or when there is something to read from `stop`, the process is told to end, and then killed.
-        """
-        begun = time.monotonic()
-        deadline, reason = begun + timeout + (0.0 if self._ready else _START), ""
-        self._said.clear()
-        with suppress(OSError):  # it died meanwhile: seen from its sentinel
-            self._tasks.send_bytes(content)
-        while True:
-            watched: list[Any] = [self._errors, self._process.sentinel, *([] if reason else [self._tasks, stop])]
-            found = connection.wait(watched, min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT))
-            self._hear()
-            with suppress(EOFError, OSError):  # it is dying: seen from its sentinel
-                while not reason and self._tasks.poll():  # its last answer may come just before its end
-                    message = ForkingPickler.loads(self._tasks.recv_bytes())
-                    if message is not None:
-                        answer, fine = message
-                        if isinstance(answer, OutOfMemory):
-                            self.end(grace=0.0)  # who knows what it still holds
-                            answer = Lost(str(answer), seconds=time.monotonic() - begun)
-                        return answer, fine
-                    self._ready, begun = True, time.monotonic()  # from now on time counts
-                    deadline = begun + timeout
-            if self._process.sentinel in found:
-                return self._lost(reason, begun), False
-            if stop in found or deadline <= time.monotonic():
-                if reason:
-                    self._process.kill()
-                    deadline = inf
-                else:
-                    self._process.terminate()  # it removes what it has half-written
-                    reason = "interrupted" if stop in found else f"given up after {timeout:g} s"
-                    deadline = time.monotonic() + _GRACE
-
-    def end(self, grace: float = _GRACE) -> int:
-        """End the process, which has nothing to do, and return its exit code."""
-        self._tasks.close()
-        if not connection.wait([self._process.sentinel], grace):
-            self._process.kill()
-            connection.wait([self._process.sentinel])
-        with _REAPING:
-            self._process.join()
-        self._hear()
-        self._errors.close()
-        return self._process.exitcode or 0
-
-    def _lost(self, reason: str, begun: float) -> Lost:
-        code = self.end()
-        killer = -code if code < 0 and not reason else 0
-        reason = reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
-        said = self._said.decode("utf-8", "replace").strip()
-        return Lost(reason, killer=killer, said=said, seconds=time.monotonic() - begun)
-
-    def _hear(self) -> None:
-        """Take what the process says on stderr, or it would wait for ever to be heard."""
-        with suppress(OSError):
-            while said := os.read(self._errors.fileno(), _SAID):
-                self._said += said
-                del self._said[:-_SAID]
+    process: ForkServerProcess
+    tasks: Connection
+    errors: Connection
+    ready: bool = False
+    task: _Task | None = None
+    begun: float = 0.0
+    deadline: float | None = None
+    reason: str = ""
+    said: bytearray = field(default_factory=bytearray)
 
 
 class Pool(Executor):
@@ -157,49 +94,49 @@ class Pool(Executor):
         memory: float | None = None,
         preload: Sequence[str] = (),
     ) -> None:
-        self._jobs, self._timeout = jobs, inf if timeout is None else timeout
-        self._memory, self._preload = memory, tuple(preload)
-        _CONTEXT.set_forkserver_preload(["pwatrack.batch.fork_server", *preload])
+        self._jobs, self._timeout, self._memory = jobs, timeout, memory
+        self._context = multiprocessing.get_context("forkserver")
+        self._preload = tuple(preload)
+        self._context.set_forkserver_preload(["pwatrack.batch.fork_server", *preload])
         self._lock = threading.Lock()
-        self._waiting: SimpleQueue[tuple[Future[Any], bytes] | None] = SimpleQueue()  # None: there are no more
-        self._threads: list[threading.Thread] = []
-        self._open = 0  # tasks that wait or are being done: for so many there are threads, up to the number of jobs
-        self._closed = self._started = False
-        self._stop, self._running = _CONTEXT.Pipe(duplex=False)  # the one can be read once the other is closed
+        self._waiting: deque[_Task] = deque()
+        self._workers: list[_Worker] = []
+        self._closing = self._killing = False
+        self._woken, self._wake = self._context.Pipe(duplex=False)
+        self._dispatcher: threading.Thread | None = None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Return the future of a call, which some process will make."""
-        future, content = Future[Any](), bytes(ForkingPickler.dumps((fn, args, kwargs)))
+        task = _Task(future=Future(), content=bytes(ForkingPickler.dumps((fn, args, kwargs))))
         with uninterrupted(), self._lock:
-            if self._closed:
+            if self._closing:
                 raise RuntimeError("the pool is closed")
-            self._waiting.put((future, content))
-            self._open += 1
-            if len(self._threads) < min(self._jobs, self._open):
-                self._threads.append(threading.Thread(target=self._work_off, daemon=True))
-                self._threads[-1].start()
-        return future
+            self._waiting.append(task)
+            if self._dispatcher is None:
+                self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
+                self._dispatcher.start()
+            self._wake.send_bytes(b"!")
+        return task.future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more tasks, end those that are there or cancel those that have not begun, and end the processes."""
         with uninterrupted(), self._lock:
-            self._closed = True
-            with suppress(Empty):
-                while cancel_futures:
-                    if (task := self._waiting.get_nowait()) and task[0].cancel():
-                        task[0].set_running_or_notify_cancel()
-            for _ in self._threads:
-                self._waiting.put(None)
-        for thread in self._threads if wait else ():
-            thread.join()
+            self._closing = True
+            if cancel_futures:
+                for task in self._waiting:
+                    task.future.cancel()
+            self._wake.send_bytes(b"!")
+        if wait and self._dispatcher is not None:
+            self._dispatcher.join()
 
     def kill_workers(self) -> None:
         """Cancel what has not begun, and end all processes: what they are at is lost.
 
         Where none is there yet nobody waits for the first, which ends as it begins.
         """
-        self._running.close()
-        self.shutdown(wait=self._started, cancel_futures=True)
+        with self._lock:
+            self._killing = True
+        self.shutdown(wait=bool(self._workers), cancel_futures=True)
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
@@ -207,25 +144,152 @@ class Pool(Executor):
         else:
             self.kill_workers()
 
-    def _work_off(self) -> None:
-        """Hand tasks to one process, and to those that take its place."""
+    def _dispatch(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # what is started here is not for Ctrl-C to end
-        worker: _Worker | None = None
-        while task := self._waiting.get():
-            future, content = task
-            if not future.set_running_or_notify_cancel():
-                continue
-            try:
-                if worker is not None and not worker.alive:
-                    worker.end()
-                    worker = None
-                worker = worker or _Worker(self._memory, self._preload)
-                self._started = True
-                answer, fine = worker.done(content, self._timeout, self._stop)
-            except Exception as error:  # whoever waits for the future has to learn of it
-                answer, fine = error, False
+        try:
+            while self._assigned():
+                self._look()
+        except BaseException as error:  # whoever waits for a future has to learn of it
+            for task in [*self._waiting, *(w.task for w in self._workers if w.task)]:
+                if not task.future.done():
+                    task.future.set_exception(error)
+            raise
+        finally:
             with self._lock:
-                self._open -= 1
-            future.set_result(answer) if fine else future.set_exception(answer)
-        if worker is not None:
-            worker.end()
+                self._closing = True
+            for worker in self._workers:
+                worker.tasks.close()  # it ends, having nothing to do
+            for worker in self._workers:
+                worker.process.join(_GRACE)
+                if worker.process.exitcode is None:
+                    worker.process.kill()
+                self._bury(worker)
+
+    def _assigned(self) -> bool:
+        """Give tasks to processes that have none; return whether there is anything left to wait for."""
+        self._assign()
+        with self._lock:
+            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
+
+    def _assign(self) -> None:
+        """Give tasks to processes that have none, and start those that are missing."""
+        while True:
+            free = next((w for w in self._workers if not w.task and not w.reason), None)
+            if free is None and len(self._workers) >= self._jobs:
+                return
+            with self._lock:
+                task = self._waiting.popleft() if self._waiting else None
+            if task is None:
+                return
+            if not task.future.set_running_or_notify_cancel():
+                continue
+            if free is None:
+                free = self._start()
+                self._workers.append(free)
+            free.task = task
+            self._begin(free)
+            with suppress(OSError):  # it died meanwhile: seen from its sentinel
+                free.tasks.send_bytes(task.content)
+
+    def _begin(self, worker: _Worker) -> None:
+        """Let the time of a task begin, if its process is there to do it."""
+        worker.begun = time.monotonic()
+        start = 0.0 if worker.ready else _START
+        worker.deadline = None if self._timeout is None else worker.begun + start + self._timeout
+
+    def _start(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        errors, said = self._context.Pipe(duplex=False)
+        process = self._context.Process(target=serve, args=(theirs, said, self._memory, self._preload), daemon=True)
+        process.start()
+        theirs.close()
+        said.close()
+        os.set_blocking(errors.fileno(), False)
+        return _Worker(process=process, tasks=ours, errors=errors)
+
+    def _look(self) -> None:
+        """Wait until something happens, and see to it."""
+        if self._killing:
+            for worker in self._workers:
+                if worker.task and not worker.reason:
+                    self._tell(worker, "interrupted")
+        deadlines = [w.deadline for w in self._workers if w.deadline is not None]
+        watched = [c for w in self._workers for c in (w.tasks, w.errors, w.process.sentinel)]
+        limit = min(max(0.0, min(deadlines) - time.monotonic()), _LONGEST_WAIT) if deadlines else None
+        ready = wait([self._woken, *watched], limit)
+        while self._woken.poll():
+            self._woken.recv_bytes()
+        for worker in list(self._workers):
+            _hear(worker)
+            if worker.tasks in ready:
+                self._answered(worker)
+            if worker.process.sentinel in ready:
+                self._ended(worker)
+            elif worker.deadline is not None and worker.deadline <= time.monotonic():
+                self._tell(worker, worker.reason or f"given up after {self._timeout:g} s")
+
+    def _tell(self, worker: _Worker, reason: str) -> None:
+        """Tell a process to end; kill it if it was told before."""
+        if worker.reason:
+            worker.process.kill()
+            worker.deadline = None
+        else:
+            worker.process.terminate()  # it removes what it has half-written
+            worker.reason, worker.deadline = reason, time.monotonic() + _GRACE
+
+    def _answered(self, worker: _Worker) -> bool:
+        """Take what a process sends: that it is there, or its answer; return whether there was anything."""
+        try:
+            message = ForkingPickler.loads(worker.tasks.recv_bytes())
+        except (EOFError, OSError):  # it is dying: seen from its sentinel
+            return False
+        if message is None:
+            worker.ready = True
+        if worker.reason or worker.task is None:  # too late
+            return True
+        if message is None:
+            self._begin(worker)
+            return True
+        answer, fine = message
+        task, worker.task = worker.task, None
+        worker.deadline = None
+        worker.said.clear()
+        if fine:
+            task.future.set_result(answer)
+        elif isinstance(answer, OutOfMemory):
+            worker.reason = str(answer)  # it is replaced: who knows what it still holds
+            worker.process.kill()
+            task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
+        else:
+            task.future.set_exception(answer)
+        return True
+
+    def _ended(self, worker: _Worker) -> None:
+        if not worker.reason:
+            with suppress(OSError):
+                while worker.task and worker.tasks.poll() and self._answered(worker):
+                    pass  # its last answer came just before
+        self._bury(worker)
+        with self._lock:
+            self._workers.remove(worker)
+        if worker.task:
+            code = worker.process.exitcode or 0
+            killer = -code if code < 0 and not worker.reason else 0
+            reason = worker.reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
+            said = worker.said.decode("utf-8", "replace").strip()
+            seconds = time.monotonic() - worker.begun
+            worker.task.future.set_exception(Lost(reason, killer=killer, said=said, seconds=seconds))
+
+    def _bury(self, worker: _Worker) -> None:
+        worker.process.join()
+        _hear(worker)
+        for connection in (worker.tasks, worker.errors):
+            connection.close()
+
+
+def _hear(worker: _Worker) -> None:
+    """Take what a process says on stderr, or it would wait for ever to be heard."""
+    with suppress(BlockingIOError, OSError):
+        while said := os.read(worker.errors.fileno(), _SAID):
+            worker.said += said
+            del worker.said[:-_SAID]

@@ -8,8 +8,8 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
@@ -64,20 +64,30 @@ def serve(tasks: Connection, errors: Connection, memory: float | None, preload: 
 
 
 def _done(content: bytes, memory: float | None) -> tuple[Any, bool]:
-    """Return what a task returned or raised, and which of the two; it may take so much memory beyond what is there."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    """Return what a task returned or raised, and which of the two."""
+    with _limited(memory):
+        try:
+            function, positional, named = ForkingPickler.loads(content)
+            return function(*positional, **named), True
+        except MemoryError:
+            said = "out of memory" if memory is None else f"out of memory: it may take {memory:g} MB"
+            return OutOfMemory(said), False
+        except Exception as error:
+            return error, False
+
+
+@contextmanager
+def _limited(memory: float | None) -> Iterator[None]:
+    """Keep the process from taking more memory than it has now and some megabytes."""
     known = Path("/proc/self/statm")
-    if memory is not None and known.exists():
-        has = int(known.read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (has + int(memory * _MEGABYTE), hard))
+    if memory is None or not known.exists():
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    has = int(known.read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (has + int(memory * _MEGABYTE), hard))
     try:
-        function, positional, named = ForkingPickler.loads(content)
-        return function(*positional, **named), True
-    except MemoryError:
-        said = "out of memory" if memory is None else f"out of memory: it may take {memory:g} MB"
-        return OutOfMemory(said), False
-    except Exception as error:
-        return error, False
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 

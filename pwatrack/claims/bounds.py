@@ -72,8 +72,8 @@ class SignalBounds(Claim):
         if self.known is not None:
             return self.known
         with asking(self.solver):
-            starts = [self.loops.bounds(("start", group[0])) for group in self.loops.starts]
-            return tuple(map(self.loops.bounds, self.loops.acting)), tuple(starts)
+            acting = tuple(map(self.loops.bounds, self.loops.acting))
+            return acting, tuple(self.loops.bounds(("start", group[0])) for group in self.loops.starts)
 
     @property
     def acting(self) -> tuple[Bounds, ...]:

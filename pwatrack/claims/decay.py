@@ -49,7 +49,12 @@ class Decay(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        """Yield the claim: a controller has its proofs; `read_proofs` gives those of a certificate."""
+        """Yield the claim: a controller has its proofs."""
+        yield cls()
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
+        """Yield the claim; `read_proofs` gives the proofs."""
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:

@@ -39,10 +39,10 @@ from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import desired_trajectory
 
 CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
-_ALONE = """
-format spec simulation exit seconds answered versions remarks requirements conditions files
-estimates tracked preview ensemble largest_box
-"""  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
+_ALONE = [  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
+    *("format", "spec", "simulation", "exit", "seconds", "answered", "versions", "remarks", "requirements"),
+    *("conditions", "files", "estimates", "tracked", "preview", "ensemble", "largest_box"),
+]
 _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
@@ -233,7 +233,7 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         again = made.controller | {"sha256": digest(told), "failed": told.get("failed")}
         other = spec.scenario.conditions.sampling is None and told.get("program") is not None  # that of another file
         _compare(CONTROLLER, folder, again, said, faults, ["program"] * other)
-    _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE.split())
+    _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
 def _compare(

@@ -94,13 +94,13 @@ class Claim(ABC):
         """
 
     @classmethod
+    @abstractmethod
     def read(cls, content: Mapping[str, Any], controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
-        """Yield what a certificate holds of it, without a solver; by default it follows from what was read before.
+        """Yield what a certificate holds of it, without a solver.
 
         Raises:
             ValueError: If that does not fit to the controller.
         """
-        yield from cls.prove(controller, asked)
 
     @abstractmethod
     def data(self, controller: "ProvedController") -> dict[str, Any]:

@@ -131,6 +131,7 @@ def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> Desired
     x_d = T[:, :, :r] @ xi_d[:r]
     x_d[:, :, :p] += T[:, :, r:]
     x_d[:, :, -1] -= np.einsum("lij,lj->li", T, form.offset)
+    # (16): û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f
     u_ff = np.concatenate([-X @ form.alpha, X], axis=2) @ xi_d
     u_ff[:, :, :p] -= X @ form.beta
     u_ff[:, :, -1] -= np.einsum("lmp,lp->lm", X, form.gamma)

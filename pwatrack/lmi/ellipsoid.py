@@ -15,10 +15,10 @@ Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
 V ≤ 1 at the start, V' ≤ −a V, and |c z(t)| ≤ √(c Q cᵀ) e^(−a t / 2) at all times.
 
 From which starts some linear forms stay small for good is said in the same way. Let z(0) = G ζ with |ζ_k| ≤ 1, a box
-seen through G = [g_1 …]. For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved there). With
-Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for every p it stays so, and
-|c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., section 5.2). What holds from z(0) holds in proportion from
-multiples of it.
+seen through G = [g_1 …]. For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved in
+`docs/theory/beyond.md`). With Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for
+every p it stays so, and |c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., section 5.2). What holds from z(0)
+holds in proportion from multiples of it.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

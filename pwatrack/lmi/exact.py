@@ -34,7 +34,7 @@ class Certificate:
     """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell.
 
     Attributes:
-        M: The matrices it speaks of, (l, n, n), as used: see `role`.
+        M: The matrices it speaks of, (l, n, n), as used: A_i + B K for (8), (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
         P: (n, n).
         rate: Certified decay rate in 1/s, positive.
         margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less its rounding error, with the
@@ -234,7 +234,7 @@ def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Ra
     """Return a diagonal D ⪰ ±(E P + P Eᵀ) for every E with |E_jk| ≤ radius_jk.
 
     With X = radius |P| + |P| radiusᵀ and any s_j > 0, Σ X_jk |v_j v_k| ≤ Σ_j v_j² Σ_k X_jk s_j / s_k: the unit is s_j,
-    about the root of P_jj. No radius is 0.
+    about the root of P_jj. None stands for a radius of 0.
     """
     if radius is None:
         return identity(P.nrows()) * 0

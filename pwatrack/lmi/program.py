@@ -22,6 +22,9 @@ class SemidefiniteProgram:
         weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
         cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
         equalities: E (n, n), symmetric, and value of each tr E P = value.
+
+    Raises:
+        ValueError: If shapes do not fit, or more than one objective is given.
     """
 
     constraints: tuple[Inequality, ...]
@@ -29,6 +32,20 @@ class SemidefiniteProgram:
     weight: Array | None = None
     cost: Array | None = None
     equalities: tuple[tuple[Array, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.constraints or any((c.n, c.m) != (self.n, self.m) for c in self.constraints):
+            raise ValueError("the constraints of a program have the same P and Y, and there is at least one")
+        if bool(self.price) + (self.weight is not None) + (self.cost is not None) > 1:
+            raise ValueError("a program has one objective: t, tr W P or tr V P⁻¹ Vᵀ")
+        if self.price and all(c.T is None for c in self.constraints):
+            raise ValueError("t is the objective and stands in no constraint")
+        if self.weight is not None and self.weight.shape[1] != self.n:
+            raise ValueError(f"V has {self.weight.shape[1]} columns, P has {self.n}")
+        if self.cost is not None and self.cost.shape != (self.n, self.n):
+            raise ValueError(f"W is {self.cost.shape[0]} × {self.cost.shape[1]}, P is {self.n} × {self.n}")
+        if any(E.shape != (self.n, self.n) or (E.T != E).any() for E, _ in self.equalities):
+            raise ValueError(f"the matrix of an equality is symmetric and {self.n} × {self.n}, as P is")
 
     @property
     def n(self) -> int:

@@ -203,7 +203,7 @@ class Partition:
             names=tuple(self.names[i] for i in kept),
             exact_H=tuple(self.exact_H[k] for k in used),
             exact_h=tuple(self.exact_h[k] for k in used),
-            complete=False,
+            complete=self.complete and len(kept) == len(self.names),
         )
 
     def ordered(self, order: Sequence[int] | IntArray, names: tuple[str, ...]) -> "Partition":

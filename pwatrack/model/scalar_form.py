@@ -38,8 +38,8 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
     bends = _bends(plant)
     if bends is None:
         return None
-    inner = (plant.partition.interior_point(signs) for signs in plant.partition.signs)
-    points = [x for x in inner if x is not None]  # every cell of a plant has an interior
+    points = [x for signs in plant.partition.signs if (x := plant.partition.interior_point(signs)) is not None]
+    assert len(points) == len(plant.cell_names), "every cell of a plant has an interior"
     return None if _bends_inside(plant.partition, bends, points) else _collected(plant, bends, points)
 
 

@@ -47,9 +47,11 @@ _GOING, _COMING = "going.json", "coming.json"  # the index while files of the ea
 
 @dataclass
 class Left:
-    """What a run leaves that is made on another machine than its folder is on: what each file holds, once there is one.
+    """What a run leaves that is made on another machine than its folder is on.
 
-    The index, that of the earlier run at first, is what `read_index` finds there.
+    Attributes:
+        index: What `read_index` finds there: first that of the earlier run, if there is one.
+        files: What each file holds, once there is a run.
     """
 
     index: dict[str, Any] | None = None

@@ -43,7 +43,7 @@ def print_design(
 ) -> None:
     """Say what was proved and the gains; above all what was required and is not so."""
     table = titled(spec.name)
-    _required_rows(table, checked)
+    _outcome_rows(table, checked)
     _add(table, rows(spec.words, controller))
     if largest is not None:
         table.add_row("largest box", largest_text(largest))
@@ -56,7 +56,7 @@ def _add(table: Table, found: Iterable[tuple[str, str]]) -> None:
         table.add_row(*row)
 
 
-def _required_rows(table: Table, checked: Sequence[Checked], simulated: str = "") -> None:
+def _outcome_rows(table: Table, checked: Sequence[Checked], simulated: str = "") -> None:
     """Say what is missed, how a simulation went, and what is met."""
     _add(table, (("missed", each.text) for each in checked if not each.met))
     if simulated:
@@ -69,7 +69,7 @@ def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Chec
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
     table = titled(result.spec.name)
-    _required_rows(table, checked, f"{result.end:g} s: {result.outcome.text}")
+    _outcome_rows(table, checked, f"{result.end:g} s: {result.outcome.text}")
     if conditions := result.loop.beyond_the_proofs:
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
     if result.controller.trajectory.growth is not None:

@@ -217,8 +217,8 @@ def _atan2(y: Real, x: Real) -> Real:
     return enclosed(flint.arb.atan2, y, x)
 
 
-_EXACT_FUNCTIONS = FUNCTIONS | {name: lambda x, name=name: x.applied(name) for name in _OF_ONE}
-_EXACT_FUNCTIONS |= {"log": _log, "atan2": _atan2}
+_EXACT_FUNCTIONS: dict[str, Callable[..., Real]] = {name: lambda x, name=name: x.applied(name) for name in _OF_ONE}
+_EXACT_FUNCTIONS |= {"log": _log, "atan2": _atan2, "abs": abs, "min": min, "max": max}
 
 
 def parsed(text: str | Expression) -> Expression:

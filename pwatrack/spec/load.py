@@ -233,9 +233,11 @@ def referenced_names(text: bytes) -> tuple[str, ...]:
 
 def _files(data: object) -> Iterator[str]:
     """Yield what stands under the key `file`, wherever that is."""
-    if isinstance(data, dict) and isinstance(name := data.get("file"), str):
-        yield name
-    for value in data.values() if isinstance(data, dict) else data if isinstance(data, list) else ():
+    if isinstance(data, dict):
+        if isinstance(name := data.get("file"), str):
+            yield name
+        data = list(data.values())
+    for value in data if isinstance(data, list) else ():
         yield from _files(value)
 
 

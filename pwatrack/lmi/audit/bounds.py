@@ -146,8 +146,9 @@ class Loop:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         plant, K = self.plant, self.K
         n, N = len(plant.B[0]), len(plant.seen_A[0][0])
-        inputs, counts = len(K), {"output": len(plant.tracked[0]), "state": n, "estimate": N, "coupling": n}
-        place(k, (counts | {"input": inputs, "drive": inputs})[kind])
+        counts = {"output": len(plant.tracked[0]), "state": n, "estimate": N, "coupling": n}
+        counts["input"] = counts["drive"] = len(K)
+        place(k, counts[kind])
         if kind == "coupling":
             if loop != "observer" or plant.loads is None:
                 raise AuditFault("what drives e is a signal of the observer's loop, where loads are estimated")

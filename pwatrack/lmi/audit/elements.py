@@ -114,6 +114,5 @@ class Elements:
                 for j, factor in term:
                     field[j] = [v + factor * w if w else v for v, w in zip(field[j], line[k], strict=True)]
             found.append(field)
-        return [Ball([row[:n] for row in field]) for field in found], [
-            Ball([row[n:] for row in field]) for field in found
-        ]
+        A, b = ([Ball([row[part] for row in field]) for field in found] for part in (slice(n), slice(n, None)))
+        return A, b

@@ -232,14 +232,15 @@ def frozen(ball: Ball) -> Any:
     return tuple(tuple(map(tuple, X)) for X in ball)
 
 
-def falls(ball: Ball, P: Matrix, powers: list[Fraction], rest: Matrix, open_: Matrix | None = None) -> bool:
+def falls(ball: Ball, P: Matrix, powers: list[Fraction], rest: Matrix | None, open_: Matrix | None = None) -> bool:
     """Decide X P + P X^T + rest + E < 0 for all X in a ball and all symmetric E with |E| <= open_ + open_^T.
 
     The powers are about the roots of the diagonal of P.
     """
     X, R = ball
     half = product(X, P)
-    left = added(added(half, transposed(half)), rest)
+    left = added(half, transposed(half))
+    left = added(left, rest) if rest else left
     enlarge(left, product(R, sizes(P)) if R else [], powers)
     enlarge(left, open_ or [], powers)
     return definite(left, sign=-1)

@@ -1,4 +1,7 @@
-"""The matrix inequalities: of a design, of a cost, and multipliers that no gain can stand against."""
+"""The matrix inequalities: of a design, by a P, a P of any sign or a polynomial; of a cost; and that there is none.
+
+There is none by multipliers that no gain can stand against, or by a mode of a mean of cells that no gain moves.
+"""
 
 from fractions import Fraction
 from math import comb
@@ -53,7 +56,7 @@ def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[
     faults, counts = no_P(proof), set[int]()
     for i, content in proof["P"].items():
         P, M = packed(content)[0], matrices[int(i)][0]
-        if not falls(Ball(M), P, [], identity(len(P), 0)):
+        if len(P) != len(M) or not falls(Ball(M), P, [], None):
             faults.append(f"the inequality fails for M_{int(i) + 1}")
         counts.add(positive(P))
     return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]

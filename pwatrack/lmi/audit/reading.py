@@ -83,7 +83,10 @@ def ball(rows: Any, radius: Any) -> Ball:
     R = matrix(radius) if radius else []
     if any(v < 0 for row in R for v in row):
         raise AuditFault("a radius is negative")
-    return Ball(matrix(rows), R)
+    centre = matrix(rows)
+    if R and [*map(len, R)] != [*map(len, centre)]:
+        raise AuditFault("a radius is not of the shape of its matrix")
+    return Ball(centre, R)
 
 
 def packed(content: Any) -> tuple[Matrix, list[Fraction]]:

@@ -4,7 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 from .bounds import SIGNALS, Loop
-from .matrices import AuditFault, Ball, added, definite, falls, identity, product, transposed
+from .matrices import AuditFault, Ball, added, definite, falls, product, transposed
 from .reading import NUMBER, PACKED, ROWS, TEXT, distinct, matrix, number, of, packed
 
 KEY = "limits"
@@ -30,8 +30,7 @@ def near(loop: Loop, entry: Any) -> list[str]:
     widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
     around = product(widened, transposed(G))
     faults = [] if definite(Q) and definite(added(Q, around, -1)) else ["a start is not in the ellipsoid"]
-    nothing = identity(len(Q), 0)
-    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, nothing)]
+    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, None)]
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
     for kind, k, size in entry["signals"]:
         if kind != wanted:
