@@ -34,9 +34,9 @@ from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.commands.verify import verify
 from pwatrack.errors import CheckFailed, Infeasible
 from pwatrack.lmi.audit import proofs
+from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
-from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.reading import matrix, packed
 from pwatrack.lmi.exact import Proof, prove, prove_exactly

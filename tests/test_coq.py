@@ -16,7 +16,8 @@ from numpy.testing import assert_allclose
 from pwatrack import Result, Spec, design, load_spec
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.export.coq import RUN, THEORY, development
-from pwatrack.lmi.audit.reading import PROOFS, parsed
+from pwatrack.lmi.audit.reading import parsed
+from pwatrack.lmi.audit.shape import PROOFS
 from pwatrack.report.files import write_design
 from tests.conftest import SPECS
 from tests.coq_numbers import gains_hold, observer_holds, written

@@ -22,10 +22,10 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.convergence import best_certificate, prove_convergence
 from pwatrack.errors import CheckFailed, Infeasible, Undecided
 from pwatrack.lmi import audit as auditor
+from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.cells import strictly_feasible
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.form import normal_form
-from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.proofs import check
 from pwatrack.lmi.audit.reading import matrix, number

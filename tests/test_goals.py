@@ -27,8 +27,8 @@ from pwatrack.control.synthesis import Search, gain, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, PwatrackError, Undecided
 from pwatrack.lmi import picos_model, primal_dual
+from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.audit.matrices import Ball
 from pwatrack.lmi.audit.proofs import refuted
 from pwatrack.lmi.exact import Certificate, prove
 from pwatrack.lmi.infeasibility import Impossibility, refute

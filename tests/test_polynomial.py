@@ -13,8 +13,9 @@ from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.commands.verify import verify
-from pwatrack.lmi.audit.matrices import AuditFault, Ball
-from pwatrack.lmi.audit.proofs import polynomial as audit_polynomial
+from pwatrack.lmi.audit.balls import Ball
+from pwatrack.lmi.audit.matrices import AuditFault
+from pwatrack.lmi.audit.polynomials import polynomial as audit_polynomial
 from pwatrack.lmi.polynomial import (
     Monomials,
     PolynomialLyapunov,

@@ -15,7 +15,7 @@ from pwatrack.commands.verify import told_design
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.lmi.audit.certificate import DESIGN
-from pwatrack.lmi.audit.reading import REFUSAL
+from pwatrack.lmi.audit.shape import REFUSAL
 from pwatrack.lmi.solve import answers
 from pwatrack.report.certificate import design_certificate
 

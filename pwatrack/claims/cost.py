@@ -16,7 +16,7 @@ from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
 from pwatrack.errors import Problem, Undecided
-from pwatrack.lmi.audit.reading import kind
+from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
 from pwatrack.lmi.presolve import Coordinates, extreme

@@ -17,7 +17,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
 from pwatrack.control.words import Words, all_cells, down, load_kind
-from pwatrack.lmi.audit.reading import kind
+from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof

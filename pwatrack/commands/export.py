@@ -2,10 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
-from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
-from pwatrack.export.fmu_models import controller_model, plant_model
 from pwatrack.export.notation import LANGUAGES
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
@@ -31,7 +29,6 @@ from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
 
 _STEPS = 1000  # of a test vector
-_DURATION = 10.0  # s: how long the FMU of a controller may run whose spec is not at hand
 
 
 @dataclass(frozen=True)
@@ -92,86 +89,14 @@ def export(
     try:
         return [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:
-        raise _unwritable(out, error) from None
-
-
-def export_fmu(
-    target: Path,
-    out: Path,
-    *,
-    parameters: Mapping[str, Any],
-    sample_time: float | None,
-    name: str | None,
-    versions: Sequence[Version],
-    of: Sequence[Literal["controller", "plant"]],
-    given: bool,
-    unproved: bool,
-    failed: bool,
-) -> list[str]:
-    """Write FMUs for co-simulation, and return in sentences what was written. The rest is as for `export`.
-
-    Args:
-        target: As there; for a plant its spec must be at hand.
-        versions: Of FMI.
-        of: What is written: its controller, its plant.
-
-    Raises:
-        InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
-            not for what is exported.
-        CheckFailed: If the controller is not proved, unless `unproved`; if its run failed, unless `failed`; if a
-            compiler that is there makes no binary.
-    """
-    made = dict[str, Model]()
-    if "controller" not in of:
-        unused = {"--sample-time": sample_time is not None, "--reference outside": given, "--unproved": unproved}
-        unused["--failed"] = failed
-        if any(unused.values()):
-            names = ", ".join(name for name, there in unused.items() if there)
-            message = f"{names}: that is for a controller, and only the plant is exported"
-            raise InvalidSpec(message, hint="leave it out, or export the controller, too: --of both")
-        path = _stored_file(target, parameters, None)
-        spec = load_spec(target, parameters) if path is None else _its_spec(read(path), path.parent)
-    else:
-        subject = subject_of(target, parameters, sample_time, given, unproved, failed)
-        code, spec = subject.source(prefix(name or subject.file.name), given=given), subject.spec
-        resources = {file: text.encode() for file, text in subject.beside.items()}
-        made["controller"] = controller_model(code, _DURATION if spec is None else spec.scenario.duration, resources)
-    if "plant" in of:
-        if spec is None:
-            message = f"{target}: the spec that it was made from is not at hand, or was changed since"
-            hint = "--of controller exports the controller by itself; a spec exports its plant"
-            raise InvalidSpec(message, hint=hint)
-        made["plant"] = plant_model(spec, prefix(name or spec.name))
-    return _write_fmus(made, versions, out)
-
-
-def _write_fmus(made: Mapping[str, Model], versions: Sequence[Version], out: Path) -> list[str]:
-    compiler = c_compiler()
-    inside = "sources and a Linux binary" if compiler else "sources only: no C compiler for Linux on x86-64 was found"
-    try:
-        found = {
-            (version, part, out / f"{model.identifier}_fmi{version}.fmu"): packed(model, version, compiler)
-            for part, model in made.items()
-            for version in versions
-        }
-        for (_, _, path), files in found.items():
-            write_fmu(files, path)
-    except RuntimeError as error:
-        raise CheckFailed(f"the FMU's own sources were not compiled: {error}") from None
-    except OSError as error:
-        raise _unwritable(out, error) from None
-    return [f"FMI {version}.0 of the {part} in {path}, {inside}" for version, part, path in found]
-
-
-def _unwritable(out: Path, error: OSError) -> InvalidSpec:
-    return InvalidSpec(f"cannot write to {out}: {error.strerror or error}")
+        raise unwritable(out, error) from None
 
 
 def subject_of(
     target: Path, parameters: Mapping[str, Any], sample_time: float | None, given: bool, unproved: bool, failed: bool
 ) -> Subject:
     """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
-    path = _stored_file(target, parameters, sample_time)
+    path = stored_file(target, parameters, sample_time)
     found = of_spec(load_spec(target, parameters), sample_time, given) if path is None else _stored(path, given)
     against = [
         ("not proved", found.unproved, "--unproved", unproved),
@@ -188,7 +113,7 @@ def subject_of(
     return found
 
 
-def _stored_file(target: Path, parameters: Mapping[str, Any], sample_time: float | None) -> Path | None:
+def stored_file(target: Path, parameters: Mapping[str, Any], sample_time: float | None) -> Path | None:
     """Return the controller.json that is exported; None where it is a spec, which alone can be changed."""
     if not target.is_dir() and target.suffix != ".json":
         return None
@@ -253,7 +178,7 @@ def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
 def _stored(path: Path, given: bool) -> Subject:
     """Return a controller from its file, with its proof beside it if it is there."""
     file, folder = read(path), path.parent
-    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), _its_spec(file, folder)
+    certificate, unproved, spec = folder / CERTIFICATE, list(file.open), its_spec(file, folder)
     text = certificate.read_bytes() if certificate.is_file() else b""
     if not text:
         unproved.append(f"there is no {CERTIFICATE} beside it")
@@ -279,8 +204,13 @@ def _stored(path: Path, given: bool) -> Subject:
     return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"), None)
 
 
-def _its_spec(file: ControllerFile, folder: Path) -> Spec | None:
+def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     """Return the spec that the run in a folder was made from, as it was then; None where that is not at hand."""
     path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
     spec = None if path is None else load(path, file.set)
     return spec if spec is not None and spec.sha256 == file.spec_sha256 else None
+
+
+def unwritable(out: Path, error: OSError) -> InvalidSpec:
+    """Return the refusal of a folder that cannot be written."""
+    return InvalidSpec(f"cannot write to {out}: {error.strerror or error}")

@@ -18,12 +18,11 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
-from pwatrack.export.coq import development
-from pwatrack.export.source import prefix, write_texts
 from pwatrack.export.stored import LARGEST, digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
-from pwatrack.lmi.audit.reading import number, parsed, refuses
+from pwatrack.lmi.audit.reading import number, parsed
+from pwatrack.lmi.audit.shape import refuses
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.report.certificate import bound_content, output_form, subject_content
 from pwatrack.report.controller import known_start, written
@@ -62,7 +61,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         InvalidSpec: If a file cannot be read.
         CheckFailed: With everything that does not hold.
     """
-    file, text = _certificate_text(path)
+    file, text = certificate_text(path)
     said, faults = audit(text)
     if not faults:
         content, folder = parsed(text), file.parent
@@ -92,18 +91,6 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         verify(beside, spec)
         said.append(f"{REFUSAL} beside it proves that exact tracking is impossible")
     return said
-
-
-def certify(path: Path, out: Path) -> list[str]:
-    """Write what Coq checks of a certificate to a folder, and return the names of the files. Args: as `verify`.
-
-    Raises:
-        InvalidSpec: If a file cannot be read, or nothing in it is of the kind that the theory speaks of.
-        CheckFailed: If the certificate does not hold, or is not that of its folder and spec.
-    """
-    verify(path)
-    file, text = _certificate_text(path)
-    return write_texts(development(parsed(text), prefix(file.resolve().parent.name)), out)
 
 
 def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
@@ -149,7 +136,7 @@ def _told_gains(content: dict[str, Any]) -> dict[str, Any]:
     return gain_content(doubles(content["K"]), doubles(content["L"]), read_costs(content))
 
 
-def _certificate_text(path: Path) -> tuple[Path, str]:
+def certificate_text(path: Path) -> tuple[Path, str]:
     """Return the certificate that a path is, or that is in the folder it is, and its text; a refusal, if only that."""
     if path.is_dir():
         path = next((path / name for name in (CERTIFICATE, REFUSAL) if (path / name).is_file()), path / CERTIFICATE)

@@ -20,7 +20,8 @@ from pwatrack.lmi.audit.elements import Elements
 from pwatrack.lmi.audit.form import normal_form
 from pwatrack.lmi.audit.matrices import Matrix, product
 from pwatrack.lmi.audit.plant import AuditedPlant, at_centres
-from pwatrack.lmi.audit.reading import kind, matrix, number, packed, refuses
+from pwatrack.lmi.audit.reading import matrix, number, packed
+from pwatrack.lmi.audit.shape import kind, refuses
 
 THEORY = ("Vectors", "Definite", "Convergence", "Instance")
 RUN = "Run"

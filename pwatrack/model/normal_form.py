@@ -21,17 +21,8 @@ import numpy as np
 from pwatrack.arrays import TINY, Array, IntArray, balancing, readonly
 from pwatrack.ball_matrix import BallMatrix, above, each, places, stack
 from pwatrack.model.continuity import Repair
-from pwatrack.model.derivatives import (
-    Derivatives,
-    check_independent,
-    exact_rows,
-    input_directions,
-    last_rows,
-    one_to_one,
-    output_derivatives,
-    too_few_inputs,
-    unsure,
-)
+from pwatrack.model.decoupling import check_independent, input_directions, one_to_one, too_few_inputs
+from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, output_derivatives, unsure
 from pwatrack.model.pwa import Matrices, PWASystem, linear_form_text
 from pwatrack.rational import floats, fraction_of
 

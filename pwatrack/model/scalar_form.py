@@ -33,9 +33,7 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
     """
     if plant.written is not None:
         return plant.written
-    if not plant.exact.exact or len(plant.exact.A) == 1:
-        return None
-    bends = _bends(plant)
+    bends = _bends(plant) if plant.exact.exact and len(plant.exact.A) > 1 else None
     if bends is None:
         return None
     points = [x for signs in plant.partition.signs if (x := plant.partition.interior_point(signs)) is not None]

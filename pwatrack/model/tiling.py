@@ -108,8 +108,7 @@ def _uneven(
     pieces: Sequence[WeightedCell], sheets: dict[Row, list[WeightedCell]], n: int, wanted: int
 ) -> Iterator[Point]:
     """Give points, off all borders, that do not count `wanted`; none if that is what almost all points count."""
-    planes = list(sheets)
-    even = True
+    planes, even = list(sheets), True
     for plane, facets in sheets.items():
         rest = _uncancelled(facets)
         point = next(_uneven(rest, _sheets(rest), n - 1, 0), None) if rest else None
@@ -137,10 +136,9 @@ def _beside(point: Point, plane: Row, pieces: Sequence[WeightedCell], planes: Se
 def _uncancelled(pieces: Sequence[WeightedCell]) -> list[WeightedCell]:
     """Return pieces that count the same in sum, without those that count 0 together because they are equal."""
     total: dict[Shape, int] = defaultdict(int)
-    owner = {}
     for piece in pieces:
         total[piece.shape] += piece.weight
-        owner[piece.shape] = piece.owner
+    owner = {piece.shape: piece.owner for piece in pieces}
     return [WeightedCell(weight, shape, owner[shape]) for shape, weight in total.items() if weight]
 
 

@@ -12,7 +12,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.sample_map import sampling_remarks
+from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.tracking import reference_remarks

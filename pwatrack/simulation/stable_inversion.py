@@ -26,8 +26,9 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Problem, Undecided
 from pwatrack.model.reference import beside, exosystem
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at
+from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined
 from pwatrack.simulation.driven import ReferenceTransition, SplitModes
+from pwatrack.simulation.played import played, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by

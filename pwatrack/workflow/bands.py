@@ -30,13 +30,8 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
     They are about a run with disturbances and noise, also with limits that no input comes to, and about another plant
-    if it is one of the box. What acts counts as large as it has been at the samples so far, noise as it ever gets.
-
-    Args:
-        loop: What ran.
-        response: Its signals from the start on.
-        box: The parameters that are uncertain.
-        w: How large each entry of w is so far, (K, n), where there are some.
+    if it is one of the box: then w (K, n) is how large each entry of w is so far. What acts counts as large as it has
+    been at the samples so far, noise as it ever gets. The response is from the start on.
     """
     conditions, controller, first = loop.conditions, loop.controller, response
     free = replace(conditions, limits=None) if not _limited(loop, response) else conditions

@@ -22,7 +22,7 @@ from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
-from pwatrack.simulation.sample_map import check_sample_time, sampling_remarks
+from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
 from pwatrack.simulation.startup import measured_start
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk

@@ -4,10 +4,12 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from .matrices import AuditFault, Ball, Matrix, added, definite, falls, identity, sides, stacked, unlike
+from .balls import Ball, falls, sides, stacked, unlike
+from .matrices import AuditFault, Matrix, added, definite, identity
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
-from .reading import NUMBER, PACKED, TEXT, WHOLE, distinct, number, of, packed, place
+from .reading import distinct, number, packed, place
+from .shape import NUMBER, PACKED, TEXT, WHOLE, of
 
 KEY = "bounds"
 CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]

@@ -2,11 +2,13 @@
 
 from typing import Any
 
+from .balls import Ball, sides, stacked, unlike
 from .bounds import SHAPE as BOUNDS
 from .bounds import Loop
-from .matrices import AuditFault, Ball, Matrix, sides, stacked, unlike
+from .matrices import AuditFault, Matrix
 from .plant import AuditedPlant
-from .reading import NUMBER, RADII, ROWS, TEXT, distinct, of
+from .reading import distinct
+from .shape import NUMBER, RADII, ROWS, TEXT, of
 
 KEY = "uncertain"
 CORNER = of([ROWS], "A b") | {"B": ROWS, "radius": RADII}

@@ -7,7 +7,8 @@ from itertools import product
 from math import prod
 from typing import Any
 
-from .matrices import AuditFault, Ball, bits, rank, spend
+from .balls import Ball
+from .matrices import AuditFault, bits, rank, spend
 from .reading import matrix, number, place
 
 _MOST_CORNERS = 2**16  # that are decided one by one

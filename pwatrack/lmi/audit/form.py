@@ -5,7 +5,8 @@ from fractions import Fraction
 from functools import partial, reduce
 from typing import Any
 
-from .matrices import AuditFault, Ball, Matrix, added, definite, frozen, inverted, product, stacked, transposed, unlike
+from .balls import Ball, frozen, stacked, unlike
+from .matrices import AuditFault, Matrix, added, definite, inverted, product, transposed
 from .plant import AuditedPlant
 from .reading import matrix, number, place
 

@@ -10,7 +10,8 @@ from fractions import Fraction
 from math import ceil, isqrt, lcm
 from typing import Any
 
-from .matrices import AuditFault, Ball, Matrix, bits, falls, inverted, product, spend, total, transposed
+from .balls import Ball, falls
+from .matrices import AuditFault, Matrix, bits, inverted, product, spend, total, transposed
 from .reading import number, packed
 
 BITS = 640  # of numbers: well beyond the 400 to which the series is known
@@ -36,7 +37,7 @@ def peak_bound(M: Matrix, g: Matrix, c: Matrix, part: Any, peak: Any) -> Fractio
         raise AuditFault("a peak gain has too many steps")
     flows = [exponential(scaled(M, [Fraction(2) ** unit] * len(M), [Fraction(1)] * len(M)))]
     while len(flows) <= max((k for k, _ in steps), default=0):
-        flows.append(squared(flows[-1]))
+        flows.append(multiplied(flows[-1], flows[-1]))
     walk = PeakWalk(g, c[0], P, Q)
     found, value, energy = Fraction(0), walk.value, walk.energy
     for k, count in steps:
@@ -114,11 +115,6 @@ def exponential(X: Matrix) -> Rounded:
         total = [[v + t for v, t in zip(one, two, strict=True)] for one, two in zip(total, term[0], strict=True)]
         off += term[1]
     return total, off + (1 << BITS - 400)  # what is left of the series is below 2^-80 / 80!
-
-
-def squared(X: Rounded) -> Rounded:
-    """Return X X."""
-    return multiplied(X, X)
 
 
 def multiplied(X: Rounded, Y: Rounded) -> Rounded:

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
+from .balls import Ball, sides, stacked
 from .cells import Cells
 from .elements import Elements
-from .matrices import AuditFault, Ball, Matrix, rank, sides, spend, stacked, transposed
-from .reading import CELLS, ball, by_cell, distinct, kind, place
+from .matrices import AuditFault, Matrix, rank, spend, transposed
+from .reading import ball, distinct, place
+from .shape import CELLS, by_cell, kind
 
 
 class AuditedPlant:

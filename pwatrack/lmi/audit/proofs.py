@@ -1,30 +1,11 @@
-"""The matrix inequalities: of a design, by a P, a P of any sign or a polynomial; of a cost; and that there is none.
-
-There is none by multipliers that no gain can stand against, or by a mode of a mean of cells that no gain moves.
-"""
+"""The matrix inequalities: of a design, of a cost, and multipliers that no gain can stand against."""
 
 from fractions import Fraction
-from math import comb
 from typing import Any
 
-from .matrices import (
-    AuditFault,
-    Ball,
-    Matrix,
-    added,
-    definite,
-    falls,
-    identity,
-    positive,
-    product,
-    rank,
-    spend,
-    transposed,
-    unlike,
-)
-from .reading import matrix, number, packed, symmetric
-
-Exponents = tuple[int, ...]
+from .balls import Ball, falls, unlike
+from .matrices import AuditFault, Matrix, added, definite, identity, positive, product, transposed
+from .reading import number, packed, symmetric
 
 
 def check(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
@@ -127,101 +108,3 @@ def refuted(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     if B and any(map(any, product(total, B))):
         faults.append("the sum of Z B is not 0")
     return faults if definite(S, semi=True) else [*faults, "the sum of Z M + M^T Z is not positive semidefinite"]
-
-
-def between(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
-    """Return what is wrong with a proof by a mean of cells with a mode that no gain moves and that does not decay.
-
-    v' B = 0 and v' (sum of w_i M_i) = mu v' with v = N' z, mu >= 0, w_i >= 0 and sum w_i = 1 are impossible beside
-    P > 0 and Y: v' times the sum of w_i times all left-hand sides times v is 2 mu v' P v. The root is shown to be near
-    by Newton's method: F(x + d) = F(x) + J d + Q(d), and d -> d - C F(x + d) takes |d_k| <= r into itself (Brouwer).
-    """
-    n, N, C = len(matrices[0][0]), matrix(proof["rows"]), matrix(proof["inverse"])
-    z, mu, r, rate = [number(v) for v in proof["mode"]], *(number(proof[k]) for k in ("eigenvalue", "radius", "rate"))
-    w = {int(i): number(share) for i, share in proof["between"].items()}
-    if not w or min(w) < 0 or not N or {len(row) for row in N} != {n} or len(z) != len(N) or 1 not in z:
-        raise AuditFault("cells, rows and mode do not fit together")
-    faults = [] if rank(N) == len(N) else ["the rows N are not independent"]
-    if B and any(map(any, product(N, B))):
-        faults.append("N B is not 0")
-    if sum(w.values()) != 1 or min(w.values()) < (len(w) - 1) * r or mu < r or r < 0:
-        faults.append("the weights, or the eigenvalue, may be negative, or their sum is not 1")
-    *others, last = w
-    A = {i: product(transposed(added(matrices[i][0], identity(n, rate))), transposed(N)) for i in w}
-    changes = [added(A[i], A[last], -1) for i in others]
-    M = added(A[last], transposed(N), -mu)
-    for i, change in zip(others, changes, strict=True):
-        M = added(M, change, w[i])
-    one, column = z.index(Fraction(1)), [[v] for v in z]
-    free = [list(row) for s, row in enumerate(transposed(M)) if s != one]
-    moved = [[-v for (v,) in product(transposed(N), column)], *([v for (v,) in product(X, column)] for X in changes)]
-    J = transposed([*free, *moved])
-    if {len(row) for row in (*J, *C)} != {n} or len(C) != n:
-        raise AuditFault("there are not as many equations as unknowns")
-    step, off = product(C, product(M, column)), added(identity(n, 1), product(C, J), -1)
-    terms = [[abs(v) for s, v in enumerate(row) if s != one] for X in (transposed(N), *changes) for row in X]
-    bend = [sum((sum(row) for row in terms[j::n]), Fraction(0)) for j in range(n)]
-    for j in range(n):
-        share, curved = sum(map(abs, off[j])), sum(abs(c) * b for c, b in zip(C[j], bend, strict=True))
-        if not share < 1 or abs(step[j][0]) + share * r + curved * r * r > r:
-            return [*faults, "Newton's method does not show that there is such a mode"]
-    return faults
-
-
-def polynomial(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
-    """Return what is wrong with one proof by V = m^T P m, m the monomials of degree d of z = T e."""
-    rate, degree, T = number(proof["rate"]), number(proof["degree"]), matrix(proof["T"])
-    P, powers = packed(proof["P"])
-    n, d = len(T), int(degree / 2)
-    if degree != 2 * d or not 0 < d <= len(P) or comb(n + d - 1, d) != len(P):
-        raise AuditFault("P is not of the order of the monomials of half the degree")
-    if not matrices or any(len(M) != n for M, _ in matrices) or not definite(P):
-        return ["P is not positive definite, or T not of the order of the matrices"]
-    faults = [] if rate > 0 else ["the rate must be positive"]
-    monomials, back = exponents(n, d), Ball(T).inverse()
-    different = unlike(matrices if proof["of"] == "controller" else [M.T for M in matrices])
-    if len(proof["N"]) != len(different):
-        raise AuditFault("there is not one N for each different matrix")
-    for (i, M), content in zip(different, proof["N"], strict=True):
-        F, R = (lifted(X, monomials) for X in Ball(T) @ M @ back)
-        N = packed(content)[0]
-        if not vanishes(N, monomials):
-            faults.append(f"m^T N m is not 0 for M_{i + 1}")
-        if not falls(Ball(added(F, identity(len(P), d * rate)), R).T, P, powers, N):
-            faults.append(f"the inequality fails for M_{i + 1}")
-    return faults
-
-
-def exponents(n: int, d: int) -> list[Exponents]:
-    """Return those of all monomials of degree d in n variables, falling."""
-    if n == 1:
-        return [(d,)]
-    return [(k, *rest) for k in range(d, -1, -1) for rest in exponents(n - 1, d - k)]
-
-
-def lifted(A: Matrix, monomials: list[Exponents]) -> Matrix:
-    """Return F with m' = F m for z' = A z: (z^a)' is the sum of a_j A_jk z^a z_k / z_j; of radii, those of F."""
-    if not A:
-        return []
-    at = {a: place for place, a in enumerate(monomials)}
-    spend(len(monomials) * len(A) * (len(A) + len(monomials) / 4))
-    F = identity(len(monomials), 0)
-    for a, line in zip(monomials, F, strict=True):
-        for j, power in enumerate(a):
-            for k in range(len(a)) if power else ():
-                b = list(a)
-                b[j] -= 1
-                b[k] += 1
-                line[at[tuple(b)]] += power * A[j][k]
-    return F
-
-
-def vanishes(N: Matrix, monomials: list[Exponents]) -> bool:
-    """Say whether m^T N m is 0 for all z: the coefficients of each product of two monomials add up to 0."""
-    total: dict[Exponents, Fraction] = {}
-    for a, line in zip(monomials, N, strict=True):
-        spend(len(line) * (1 + len(a) / 4))
-        for b, value in zip(monomials, line, strict=True):
-            both = tuple(s + t for s, t in zip(a, b, strict=True))
-            total[both] = total.get(both, Fraction(0)) + value
-    return not any(total.values())

@@ -3,12 +3,14 @@
 from fractions import Fraction
 from typing import Any
 
+from .balls import Ball, stacked
 from .bounds import SHAPE as BOUNDS
 from .bounds import SIGNALS, Loop
 from .elements import Element, Function
-from .matrices import AuditFault, Ball, Matrix, added, spend, stacked
+from .matrices import AuditFault, Matrix, added, spend
 from .plant import AuditedPlant, at_centres
-from .reading import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, distinct, number, of, place
+from .reading import distinct, number, place
+from .shape import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, of
 
 KEY = "practical"
 MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}

@@ -3,9 +3,11 @@
 from fractions import Fraction
 from typing import Any
 
+from .balls import Ball, falls
 from .bounds import SIGNALS, Loop
-from .matrices import AuditFault, Ball, added, definite, falls, product, transposed
-from .reading import NUMBER, PACKED, ROWS, TEXT, distinct, matrix, number, of, packed
+from .matrices import AuditFault, added, definite, product, transposed
+from .reading import distinct, matrix, number, packed
+from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
 KEY = "limits"
 SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]

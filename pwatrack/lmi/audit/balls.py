@@ -1,0 +1,124 @@
+"""Matrices whose entries lie within radii: whatever is in a ball."""
+
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from .matrices import (
+    AuditFault,
+    Matrix,
+    added,
+    definite,
+    identity,
+    inverted,
+    product,
+    spend,
+    total,
+    transposed,
+)
+
+
+def sizes(X: Matrix) -> Matrix:
+    """Return the sizes of all entries."""
+    return [[abs(v) for v in row] for row in X]
+
+
+class Ball(NamedTuple):
+    """Matrices whose entries lie within radii, [] for none, of those of a centre: whatever is in it."""
+
+    centre: Matrix
+    radius: Matrix = []  # noqa: RUF012
+
+    def __matmul__(self, other: "Ball") -> "Ball":
+        (X, R), (Y, S) = self, other
+        radius = product(sizes(X), S) if S else []
+        radius = added_or(radius, product(R, added_or(sizes(Y), S)) if R else [])
+        return Ball(product(X, Y), radius)
+
+    def __add__(self, other: "Ball") -> "Ball":  # type: ignore[override]
+        return Ball(added(self.centre, other.centre), added_or(self.radius, other.radius))
+
+    def __sub__(self, other: "Ball") -> "Ball":
+        return Ball(added(self.centre, other.centre, -1), added_or(self.radius, other.radius))
+
+    def __neg__(self) -> "Ball":
+        return Ball([[-v for v in row] for row in self.centre], self.radius)
+
+    @property
+    def T(self) -> "Ball":
+        """The transposes."""
+        return Ball(transposed(self.centre), transposed(self.radius))
+
+    def row(self, k: int) -> "Ball":
+        """Return one row."""
+        return Ball([self.centre[k]], [self.radius[k]] if self.radius else [])
+
+    def column(self, k: int) -> "Ball":
+        """Return one column."""
+        return Ball([[row[k]] for row in self.centre], [[row[k]] for row in self.radius])
+
+    def inverse(self) -> "Ball":
+        """Return all inverses: |(X + E)^-1 - X^-1| <= (I - Q)^-1 Q |X^-1| with Q = |X^-1| |E|, if (I - Q)^-1 >= 0."""
+        back = inverted(self.centre)
+        if not self.radius:
+            return Ball(back)
+        size = sizes(back)
+        Q = product(size, self.radius)
+        grown = inverted(added(identity(len(back), 1), Q, -1))
+        if any(v < 0 for row in grown for v in row):
+            raise AuditFault("a change of state in a ball may be singular")
+        return Ball(back, product(grown, product(Q, size)))
+
+
+def added_or(X: Matrix, Y: Matrix) -> Matrix:
+    """Return X + Y, where [] is 0."""
+    return added(X, Y) if X and Y else X or Y
+
+
+def stacked(one: Ball, other: Ball) -> Ball:
+    """Return one matrix on top of another."""
+    (X, R), (Y, S) = one, other
+    zero = [[[Fraction(0)] * len(row) for row in Z] for Z in (X, Y)]
+    spend(sum(len(row) / 4 for row in (*X, *Y)))
+    return Ball(X + Y, (R or zero[0]) + (S or zero[1]) if R or S else [])
+
+
+def sides(one: Ball, other: Ball) -> Ball:
+    """Return one matrix beside another."""
+    return stacked(one.T, other.T).T
+
+
+def unlike(matrices: list[Ball]) -> list[tuple[int, Ball]]:
+    """Return the matrices that are no repetition of an earlier one, with their cells."""
+    first: dict[Any, tuple[int, Ball]] = {}
+    for i, ball in enumerate(matrices):
+        first.setdefault(frozen(ball), (i, ball))
+    return list(first.values())
+
+
+def frozen(ball: Ball) -> Any:
+    """Return a ball as a key."""
+    spend(sum(len(row) for X in ball for row in X))
+    return tuple(tuple(map(tuple, X)) for X in ball)
+
+
+def falls(ball: Ball, P: Matrix, powers: list[Fraction], rest: Matrix | None, open_: Matrix | None = None) -> bool:
+    """Decide X P + P X^T + rest + E < 0 for all X in a ball and all symmetric E with |E| <= open_ + open_^T.
+
+    The powers are about the roots of the diagonal of P.
+    """
+    X, R = ball
+    half = product(X, P)
+    left = added(half, transposed(half))
+    left = added(left, rest) if rest else left
+    enlarge(left, product(R, sizes(P)) if R else [], powers)
+    enlarge(left, open_ or [], powers)
+    return definite(left, sign=-1)
+
+
+def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
+    """Add a diagonal above every symmetric E with |E| <= half + half^T.
+
+    For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j.
+    """
+    for j, row in enumerate(added(half, transposed(half))):
+        left[j][j] += total([v * powers[j] / power for v, power in zip(row, powers, strict=True)])
