@@ -189,6 +189,10 @@ sweep-bench: $(DEV) ## sweep 1,000 points here and on two dask workers, one kill
 kills: $(DEV) ## kill a batch at 200 random moments and look for harm (ten minutes)
 	@$(BIN)/python -m benchmarks.kills
 
+.PHONY: sampled
+sampled: $(DEV) ## sample every plant of the specs: errors with either program, and what is proved (five minutes)
+	@$(BIN)/python -m benchmarks.sampled_loop $(SPECS)
+
 .PHONY: sampling
 sampling: $(DEV) ## simulate 120 random designs at the longest sample time that is stable in every cell (a minute)
 	@$(BIN)/python -m benchmarks.sampling 120

@@ -21,6 +21,7 @@ class Plain:
         self.H, self.h, self.K = floats(program.H), floats(program.h), floats(program.K)
         self.observer, self.generator = floats(program.observer), floats(program.generator)
         self.x_d, self.u_ff, self.guards = floats(program.x_d), floats(program.u_ff), floats(program.guards)
+        self.C, self.M = floats(program.C), floats(program.M)
         self.change, self.quantum = floats(program.change), floats(program.quantum)
         self.low, self.high = floats(program.limits[:, 0]), floats(program.limits[:, 1])
         self.turn = [] if follows is None else floats(follows.turn)
@@ -54,8 +55,11 @@ class Plain:
         old, new, status = self.state, dict(self.state), 0
         follows = self.program.follows
         if old["run"]:
-            seen = [*old["y"], *old["u"], *old["x_hat"]]
-            new["x_hat"] = [self.row(a, seen) for a in self.observer[old["i"]]]
+            if self.M:
+                new["x_hat"] = self.predicted(old["u"], old["x_hat"])
+            else:
+                seen = [*old["y"], *old["u"], *old["x_hat"]]
+                new["x_hat"] = [self.row(a, seen) for a in self.observer[old["i"]]]
             known = [*old["x_hat"][self.n :], *old["eta_hat"], *old["w"]]
             new["eta_hat"] = [self.row(a, known) for a in self.generator[old["j"]]]
             if follows is not None and follows.end is not None and old["tick"] >= follows.end:
@@ -65,16 +69,21 @@ class Plain:
         new["y"] = [self.real(v) for v in y]
         if follows is None:
             new["w"] = [self.real(v) for v in given]
+        if self.M:
+            missed = [self.row(a, new["x_hat"]) - y for a, y in zip(self.C, new["y"], strict=True)]
+            new["x_hat"] = [v + self.row(a, missed) for v, a in zip(new["x_hat"], self.M, strict=True)]
         known = [*new["x_hat"][self.n :], *new["eta_hat"], *new["w"]]
-        values = [self.row(H, new["x_hat"][: self.n]) + h for H, h in zip(self.H, self.h, strict=True)]
-        new["i"] = self.cell(self.program.signs, values)
+        new["i"] = self.cell_of(new["x_hat"])
         new["j"] = self.cell(self.program.sides, [self.row(guard, known) for guard in self.guards])
         new["x_d"] = [self.row(a, known) for a in self.x_d[new["j"]]]
+        acts = new["x_hat"]
+        for waiting in old["late"] if self.M else ():
+            acts = self.predicted(waiting, acts)
         put, new["before"] = [], list(old["before"])
         for b in range(self.m):
             v = self.row(self.u_ff[new["j"]][b], known)
             for a in range(self.n):
-                v = v + self.K[b][a] * (new["x_hat"][a] - new["x_d"][a])
+                v = v + self.K[b][a] * (acts[a] - new["x_d"][a])
             least, most = new["before"][b] - self.change[b], new["before"][b] + self.change[b]
             if not isfinite(v - new["before"][b]):
                 return -1
@@ -90,6 +99,16 @@ class Plain:
             return -1
         self.state = new
         return status
+
+    def cell_of(self, x_hat: Any) -> int:
+        values = [self.row(H, x_hat[: self.n]) + h for H, h in zip(self.H, self.h, strict=True)]
+        return self.cell(self.program.signs, values)
+
+    def predicted(self, u: Any, x_hat: Any) -> Any:
+        for _ in range(self.program.substeps):
+            i = self.cell_of(x_hat)
+            x_hat = [self.row(a, [*u, *x_hat]) for a in self.observer[i]]
+        return x_hat
 
     def turned(self, new: Any) -> None:
         new["tick"] += 1

@@ -24,6 +24,8 @@ SAMPLED = [
     Sampling(sample_time=0.01, method="euler"),
     Sampling(sample_time=0.005, delay=1),
     Sampling(sample_time=0.003, delay=3),
+    Sampling(sample_time=0.002, method="corrected"),
+    Sampling(sample_time=0.005, method="corrected", delay=2),
 ]
 
 
@@ -44,12 +46,14 @@ def differ(loop: ClosedLoop, ticks: int, x0: Array) -> int:
     p, random = len(loop.controller.trajectory.names), np.random.default_rng(7)
     start = loop.start(plant=x0, observer=random.normal(size=len(model.states)), generator=random.normal(size=p))
     trace = simulate_flow(loop.flow, start, duration=ticks * h, sample_time=h, resets=loop.resets(ticks * h))
-    plain = Plain(clock.program, start[at.observer], start[at.eta_hat])
+    kept, places = memory(clock.program, start[at.observer], start[at.eta_hat])["memory"], clock.program.places
+    plain = Plain(clock.program, start[at.observer], kept[places["eta_hat"]])
     wrong = 0
     for z in trace.z:
         assert plain.step(z[at.y].tolist()) == 0
         found = plain.state
-        pairs = ((at.u, "u"), (at.observer, "x_hat"), (at.eta_hat, "eta_hat"), (at.w_held, "w"))
+        pairs = [(at.u, "u"), (at.observer, "x_hat")]
+        pairs += [] if clock.program.sampling.corrects else [(at.eta_hat, "eta_hat"), (at.w_held, "w")]
         wrong += sum(bits(z[where]) != bits(found[name]) for where, name in pairs)
     return wrong
 
@@ -96,8 +100,8 @@ class Running:
     def __init__(self, found: SampledController, real: Any) -> None:
         self.routine, self.found, self.real = routine(found, real), found, real
         zeros = np.zeros(found.sizes["N"]), np.zeros(found.sizes["p"])
-        self.plain = Plain(found, *zeros, real=real)
         self.kept = memory(found, *zeros, real)
+        self.plain = Plain(found, zeros[0], self.kept["memory"][found.places["eta_hat"]], real=real)
         self.memory, self.counts = self.kept["memory"], self.kept["counts"]
 
     def step(self, y: Any, given: Any = ()) -> int:

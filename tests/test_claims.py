@@ -34,6 +34,7 @@ EXTRA = {
     "setpoint": "design: {tracking: state}\nreference: {setpoint: {y: 0.05}}",
     "input": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: periodic}",
     "response": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: [0, 0]}",
+    "late": "reference: {output: 0.1*sin(t)}",
     "cost": "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}\nreference: {output: 0.1*sin(t)}",
     "required": "reference: {output: {constant: 0.01}}\nrequire: {rate: 99, norm_K: 1e-9, norm_L: 1e9, overshoot: 99}",
     "loads": "design: {estimate: {push: {into: {v: 1}}, hum: {into: {v: 1}, frequency: 3}}}\nreference: {output: 0.1}",
@@ -47,7 +48,7 @@ WHOLE = {  # plants of one cell whose feedforward takes a limit whole
 system: {states: [z, v], inputs: [u], outputs: [y], A: [[0, 1], [-1, -1]], B: [[0], [1]], C: [[1, 0]]}
 design: {tracking: state, observer: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}
 reference: {setpoint: {y: 0.05}}
-simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {u: [-9, 0.05]}}}
+simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {u: [-9, 0.05]}}, controller: {sample_time: 0.01}}
 """,
     "pair": """
 system:
@@ -148,6 +149,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         push = "1/m" if name == "uncertain" else "1"
         damping = "0.3" if name == "polynomials" else "1"
         limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
+        limits = "controller: {sample_time: 0.01, delay: 1}" if name == "late" else limits
         path = tmp_path / f"{name}.yaml"
         path.write_text(
             f"""name: {name}

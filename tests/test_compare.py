@@ -1,4 +1,5 @@
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +53,10 @@ def test_figures_stand_beside_each_other_and_errors_in_one_picture(runs: list[Pa
 def test_what_tells_no_run_is_refused(runs: list[Path], tmp_path: Path) -> None:
     with pytest.raises(InvalidSpec, match="tells no run"):
         read_run(tmp_path)
-    (runs[2] / "trace.csv").write_text("t\n")
+    broken = shutil.copytree(runs[2], tmp_path / "broken")
+    (broken / "trace.csv").write_text("t\n")
     with pytest.raises(InvalidSpec, match="cannot read"):
-        read_run(runs[2])
+        read_run(broken)
     run = CliRunner().invoke(app, ["compare", *[str(runs[0])] * 21])
     assert run.exit_code == 2
     assert "at most 20" in run.stderr

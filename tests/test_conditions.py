@@ -20,6 +20,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import pictures
 from pwatrack.simulation.actuator import Actuator
+from pwatrack.spec.spec import Steady
 from tests.scenarios import in_scenario
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
@@ -63,6 +64,11 @@ class Machine:
         x_d = trajectory.x_d[0] @ s
         cell = cell_of(self.model, x_d)
         return x_d, trajectory.u_ff[cell] @ s, cell
+
+    def u_ff(self, t: float, eta_hat: Array, cell: int) -> Array:
+        trajectory = self.controller.trajectory
+        found: Array = trajectory.u_ff[cell] @ np.concatenate([eta_hat, self.w(t), [1.0]])
+        return found
 
     def generator(self, t: float, eta_hat: Array, cell: int) -> Array:
         trajectory = self.controller.trajectory
@@ -155,7 +161,7 @@ def test_a_loop_under_other_conditions_is_the_one_written_by_hand(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "late"), [("exponential", 0), ("euler", 0), ("exponential", 1), ("euler", 3)])
+@pytest.mark.parametrize(("method", "late"), [("emulated", 0), ("euler", 0), ("emulated", 1), ("euler", 3)])
 @pytest.mark.parametrize(
     "extra",
     [
@@ -201,7 +207,83 @@ def test_a_sampled_controller_is_the_program_written_by_hand(
             eta_hat = solve_ivp(machine.generator, (t, t + step), eta_hat, args=(cell,), **TIGHT).y[:, -1]
 
 
-@pytest.mark.parametrize("method", ["exponential", "euler"])
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0, 1, 3])
+@pytest.mark.parametrize(
+    "extra",
+    ["", EXTRAS["limits"] + EXTRAS["parameters"] + EXTRAS["disturbance"], EXTRAS["limits"] + "  rate_limit: {u: 30}\n"],
+)
+def test_a_controller_that_corrects_is_the_program_written_by_hand(
+    late: int, extra: str, paper_spec: Spec, paper: Result, tmp_path: Path
+) -> None:
+    """x̂ is predicted, with inputs that wait up to when u acts; u_ff is its mean over the hold, by quadrature."""
+    step, waiting, last = 0.02, [np.zeros(1)] * late, np.zeros(1)
+    extra += f"  controller: {{sample_time: {step}, delay: {late}}}\n"
+    result = simulate(loaded(paper_spec, tmp_path, extra, 0.5), paper.controller)
+    machine, gains = Machine(result), paper.controller.sampled_gains(Sampling(sample_time=step, delay=late))
+    x, x_hat, eta = np.split(result.start[: sum(machine.sizes)], np.cumsum(machine.sizes)[:-1])
+    held, desired = wanted(machine, eta, step, 25 + late)
+    for tick in range(25):
+        x_hat = x_hat + gains.M @ (machine.model.C @ x_hat - machine.measured(x, np.zeros(1)))
+        row = result.response.t.tolist().index(pytest.approx(tick * step, abs=1e-12))
+        np.testing.assert_allclose(result.response.x[row], x, atol=1e-8)
+        np.testing.assert_allclose(result.response.x_hat[row], x_hat, atol=1e-8)
+        ahead = x_hat
+        for u in waiting:
+            ahead = predicted(machine, ahead, u, step, gains.substeps)
+        last = machine.put_out(held[tick + late] + gains.K @ (ahead - desired[tick + late]), last)
+        waiting.append(last)
+        u = waiting.pop(0)
+        np.testing.assert_allclose(result.response.u[row], u, atol=1e-7)
+        span = (tick * step, (tick + 1) * step)
+        x = solve_ivp(machine.motion, span, x, args=(u,), max_step=step / 4, **TIGHT).y[:, -1]
+        x_hat = predicted(machine, x_hat, u, step, gains.substeps)
+
+
+def wanted(machine: "Machine", eta: Array, step: float, ticks: int) -> tuple[list[Array], list[Array]]:
+    """The mean of u_ff over each sample, in the cell in which x_d begins it, and x_d there."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    means, desired = [], []
+    for tick in range(ticks):
+        t = tick * step
+        x_d, _, cell = machine.desired(t, eta)
+        found = solve_ivp(machine.generator, (t, t + step), eta, args=(cell,), dense_output=True, **TIGHT)
+        assert found.sol is not None
+        values = [machine.u_ff(s, found.sol(s), cell) for s in t + (nodes + 1) * step / 2]
+        means.append(np.average(values, axis=0, weights=weights))
+        desired.append(x_d)
+        eta = found.y[:, -1]
+    return means, desired
+
+
+def predicted(machine: "Machine", x_hat: Array, u: Array, step: float, substeps: int) -> Array:
+    """One sample later under u, in some steps, each with the affine law of the cell in which it begins."""
+    model = machine.model
+    for _ in range(substeps):
+        i = cell_of(model, x_hat)
+        c = model.b[i] + model.B @ u
+        affine = np.block([[model.A[i], c[:, None]], [np.zeros((1, len(x_hat) + 1))]])
+        x_hat = (expm(affine * step / substeps) @ np.append(x_hat, 1.0))[:-1]
+    return x_hat
+
+
+def test_a_controller_that_corrects_is_nearer_to_the_continuous_one(paper_spec: Spec, paper: Result) -> None:
+    """From x̂ = x: what is measured acts at once, and what is held is a mean."""
+    start = paper_spec.scenario.initial.plant
+    assert not isinstance(start, Steady)
+    initial = replace(paper_spec.scenario.initial, observer=start)
+    short = in_scenario(paper_spec, duration=3.0, initial=initial)
+    exact = simulate(short, paper.controller).response.x
+
+    def gap(sampling: Sampling) -> float:
+        spec = in_scenario(short, conditions=Conditions(sampling=sampling))
+        return float(np.abs(simulate(spec, paper.controller).response.x - exact).max())
+
+    for step in (4e-3, 1e-3):
+        assert gap(Sampling(sample_time=step)) < gap(Sampling(sample_time=step, method="emulated")) / 20
+
+
+@pytest.mark.parametrize("method", ["emulated", "euler"])
 def test_a_sampled_controller_approaches_the_continuous_one_with_the_first_order(
     method: Any, paper_spec: Spec, paper: Result
 ) -> None:

@@ -118,13 +118,18 @@ def test_so_does_one_of_another_kind(name: str, tmp_path: Path) -> None:
 
 
 def assert_the_same_bits(controller: Controller, result: Result, h: float) -> None:
-    at = result.loop.at
+    at, clock = result.loop.at, result.loop.flow.clock
+    assert clock is not None
     assert controller.sample_time == h
     for z in result.response.trace.z:
         u = controller.step(z[at.y])
         assert u.tobytes() == z[at.u].tobytes()
         assert controller.state("x_hat").tobytes() == z[at.x_hat].tobytes()
-        assert controller.state("eta_hat").tobytes() == z[at.eta_hat].tobytes()
+        if clock.program.sampling.corrects:  # what (15) makes of the reference in continuous time is in z
+            away = np.abs(controller.state("eta_hat") - z[at.eta_hat]).max(initial=0.0)
+            assert away <= 1e-3 * np.abs(z[at.eta_hat]).max(initial=1e-300)
+        else:
+            assert controller.state("eta_hat").tobytes() == z[at.eta_hat].tobytes()
         assert controller.status == 0
 
 
@@ -144,7 +149,7 @@ def test_it_starts_anew_and_takes_a_reference_from_outside(run: tuple[Path, Resu
     w, t = 2 * np.pi, 0.002 * np.arange(50)
     y_d = 0.15 * np.column_stack([np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)])
     found = np.array([controller.step([0.1], row) for row in y_d]) - inside
-    assert np.abs(found).max() < 1e-3  # between ticks one is a sinusoid, the other a polynomial
+    assert np.abs(found).max() < 1.01 * 0.15 * w**3 * 0.001  # half a sample of what is not given
     with pytest.raises(ValueError, match="1 outputs and 3 entries"):
         controller.step([0.1], [0.0])
 
@@ -211,7 +216,7 @@ def test_parts_that_do_not_fit_each_other_are_refused(
 def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
     old = tmp_path / "controller.json"
     old.write_text(json.dumps({**content(run), "format": "pwatrack controller 1"}))
-    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 4'"):
+    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 5'"):
         Controller.load(old)
     for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 4"}'):
         old.write_text(text)

@@ -257,7 +257,8 @@ def test_faults_are_answered_and_nothing_is_undefined(machine: Subject, tmp_path
 def test_a_wrong_bit_in_the_vector_is_found(machine: Subject, tmp_path: Path) -> None:
     folder = written(machine, tmp_path / "c")
     text = (folder / "loop.c").read_text(encoding="utf-8")
-    gain = machine.file.K[0][0]
+    assert machine.file.program is not None
+    gain = machine.file.program.K[0][0]
     (folder / "loop.c").write_text(text.replace(repr(gain), repr(float(np.nextafter(gain, 0.0)))))
     with pytest.raises(AssertionError, match=r"1500 steps, [1-9]\d* wrong"):
         built(folder, COMPILERS[0], "-O2")
@@ -278,8 +279,10 @@ def test_sizes_and_digests_are_in_the_header(machine: Subject, tmp_path: Path) -
 
 
 def test_numbers_that_single_floats_do_not_hold_are_refused(machine: Subject, tmp_path: Path) -> None:
-    K = [[1e39, *machine.file.K[0][1:]]]
-    subject = replace(machine, file=machine.file.model_copy(update={"K": K}))
+    assert machine.file.program is not None
+    K = [[1e39, *machine.file.program.K[0][1:]]]
+    program = machine.file.program.model_copy(update={"K": K})
+    subject = replace(machine, file=machine.file.model_copy(update={"program": program}))
     assert "1e+39" in (written(subject, tmp_path / "double") / "loop.c").read_text(encoding="utf-8")
     with pytest.raises(InvalidSpec, match=r"a number of 1e\+39, and single floats end at 3\.4e\+38"):
         written(subject, tmp_path / "single", single=True)

@@ -425,7 +425,7 @@ def test_the_map_of_one_sample_has_estimates_and_generator_in_it(tmp_path: Path)
     """Its eigenvalues are among those of the flow that is simulated, from tick to tick in one mode."""
     controller = design(load_spec(write(tmp_path, reference="{output: 0.1*sin(2*t)}")))
     for h in (0.01, 0.2):
-        sampling = Sampling(sample_time=h)
+        sampling = Sampling(sample_time=h, method="emulated")
         loop = closed_loop(controller, Conditions(sampling=sampling))
         flow, at, z = loop.flow, loop.at, np.eye(loop.at.order)
         assert flow.clock is not None

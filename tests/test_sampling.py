@@ -25,7 +25,7 @@ from tests.promises import random_loop, track
 from tests.test_cli import call, index_of, refused
 from tests.test_outcome import cart
 
-methods: st.SearchStrategy[Method] = st.sampled_from(["exponential", "euler"])
+methods: st.SearchStrategy[Method] = st.sampled_from(["corrected", "emulated", "euler"])
 
 
 def errors(loop: ClosedLoop, x0: Array, sampling: Sampling, ticks: int) -> Array:
@@ -117,7 +117,7 @@ def test_an_output_that_is_late_takes_a_shorter_sample_time(tmp_path: Path) -> N
     found = []
     for delay in (0, 1, 5):
         with pytest.raises(CheckFailed) as refusal:
-            simulate(load_spec(cart(tmp_path, f"controller: {{sample_time: 5, delay: {delay}}}")))
+            simulate(load_spec(cart(tmp_path, f"controller: {{sample_time: 5, delay: {delay}, method: emulated}}")))
         figure = re.search(r"(\S+) s no cell by itself", str(refusal.value))
         assert figure is not None
         found.append(float(figure[1]))
@@ -141,7 +141,7 @@ simulation:
   duration: 60
   sample_time: 0.1
   initial: {plant: [0.3], observer: [-0.2]}
-  controller: {sample_time: TIME}
+  controller: {sample_time: TIME, method: emulated}
 """
 
 
@@ -217,7 +217,7 @@ def test_a_delay_is_a_few_whole_samples(tmp_path: Path, delay: str) -> None:
 def test_a_late_output_is_said(tmp_path: Path) -> None:
     result = simulate(load_spec(cart(tmp_path, "controller: {sample_time: 0.01, delay: 2}", duration=2)))
     (said,) = result.loop.conditions.texts(result.loop.plant)
-    assert said == "controller sampled every 0.01 s (exponential), its output 2 samples late"
+    assert said == "controller sampled every 0.01 s (corrected), its output 2 samples late"
     assert not result.response.u[:1].any()
 
 

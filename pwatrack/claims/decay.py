@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text, up
+from pwatrack.arrays import up
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.limits import NoSaturation
@@ -16,7 +16,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.control.words import Words, all_cells, down, load_kind
+from pwatrack.control.words import Words, all_cells, down, load_kind, matrix_text
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
@@ -148,7 +148,7 @@ def _gain_rows(words: Words, controller: ProvedController) -> Iterator[Row]:
         origin = _origin(goal) if through.any() or isinstance(goal, Given) else _NO_GAIN[role.letter]
         within = role is CONTROLLER and bool(plant.B.any()) and _within_limits(goal, controller)
         size = f"‖{role.letter}‖ = {norm} in sizes, {origin}{' within the limits' * within}"
-        yield "", f"{role.letter}{'ᵀ' * role.transposed} = {_matrix(gain)}, {size}"
+        yield "", f"{role.letter}{'ᵀ' * role.transposed} = {matrix_text(gain)}, {size}"
         for costs in () if controller.claims_of(Practical) else controller.claims_of(Costs):
             yield from (("", text) for text in costs.texts(role, words, controller))
 
@@ -163,7 +163,7 @@ def _generator_rows(words: Words, controller: ProvedController, generator: Traje
     else:
         yield "(17) generator", f"proved{_rate(proved)}; η = {', '.join(generator.form.eta_names)}"
         if generator.shift is not None:
-            yield "Assumption 2", f"holds with η = η̄ + M ξ_d, M = {_matrix(generator.shift)}"
+            yield "Assumption 2", f"holds with η = η̄ + M ξ_d, M = {matrix_text(generator.shift)}"
         else:
             reason = "(17) suffices, as the tracking dynamics are continuous in (ξ_d, η)"
             yield "Assumption 2", f"holds for no shift; {reason}"
@@ -226,11 +226,6 @@ def _rate(proved: Sequence[Contraction]) -> str:
     best = max(proved, key=lambda p: p.rate)
     by = f" by a polynomial of degree {best.degree}" if best.degree > 2 else ""
     return f"{by}, rate {down(best.rate)} 1/s"
-
-
-def _matrix(X: Array) -> str:
-    rows = [" ".join(number_text(v) for v in row) for row in X]
-    return "[" + "; ".join(rows) + "]"
 
 
 def _content(proof: AnyProof | Dichotomy) -> dict[str, Any]:

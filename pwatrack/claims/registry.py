@@ -10,11 +10,21 @@ from pwatrack.claims.decay import Decay
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
 
-CLAIMS: tuple[type[Claim], ...] = (Practical, Decay, Costs, NoSaturation, SignalBounds, Robust, StableInversion)
+CLAIMS: tuple[type[Claim], ...] = (
+    Practical,
+    SampledLoop,
+    Decay,
+    Costs,
+    NoSaturation,
+    SignalBounds,
+    Robust,
+    StableInversion,
+)
 
 IMPOSSIBLE = (
     "Multipliers Z_i prove, for the numbers as they are written, that no such P exists for any gain, or for the one "

@@ -119,7 +119,7 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         sizes=spec_sizes(spec),
     )
     room = room_within_limits(spec, trajectory, generator, controller.sizes)
-    return read(content, controller, asked_of(spec, room))
+    return read(content, controller, asked_of(spec, room, controller))
 
 
 def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:

@@ -18,12 +18,14 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom
+from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
+from pwatrack.model.conditions import Sampling
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
@@ -41,6 +43,7 @@ class Asked:
         box: Parameters that are uncertain.
         corners: The matrices at the corners of their box, for the plant of a design.
         solver: Who is asked for what is proved later.
+        sampled: The gains of a program that predicts and corrects, where it is to be proved with them.
     """
 
     words: Words
@@ -48,6 +51,7 @@ class Asked:
     box: Box
     corners: Callable[[PWASystem], Sequence[Matrices]]
     solver: Solver = "structured"
+    sampled: SampledGains | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +117,11 @@ class Claim(ABC):
     def figures(self, words: Words, controller: "ProvedController") -> dict[str, Any]:
         """Return what run.json says of it, by keys of its own."""
         return {}
+
+    @property
+    def runs_with(self) -> SampledGains | None:
+        """What the program runs with that it is about; None where it is about none."""
+        return None
 
     def leaves(self, form: Form) -> float | None:
         """Return what it adds to every bound of a signal, in its unit; None where it cannot tell: then no bound is."""
@@ -192,6 +201,13 @@ class ProvedController:
     def guarantees(self) -> Guarantees:
         """What the proofs promise: rates, bounds on errors, and by how much the gains may change."""
         return guarantees(self.plant, self.design, self.proofs, self.sizes, self.compensation.X)
+
+    def sampled_gains(self, sampling: Sampling) -> SampledGains:
+        """Return what a program runs with that corrects: the gains that a claim is about, or those made for it now."""
+        for gains in (claim.runs_with for claim in self.claims):
+            if gains is not None and (gains.sample_time, gains.delay) == (sampling.sample_time, sampling.delay):
+                return gains
+        return sampled_gains(self.plant, self.design.K, self.design.L, sampling)
 
     def claims_of(self, kind: type[C]) -> tuple[C, ...]:
         """Return the claims of a kind: none, one or several."""

@@ -1,17 +1,20 @@
 """The controller as a program that runs once in a sample time: its numbers. What it does: `docs/arithmetic.md`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.causes import ProblemPart
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.realisable import input_trajectory, state_trajectory
+from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
+from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.model.reference import Exosystem
 
@@ -44,26 +47,33 @@ class Follows:
         w0: w at the first tick, (s,).
         pieces: In order of time.
         end: The last tick at which it is defined, or None.
+        early: w at the ticks before the first that it is for, where inputs are for later ones, (ahead, s).
     """
 
     turn: Array
     w0: Array
     pieces: tuple[Piece, ...]
     end: int | None
+    early: Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledController:
     """Observer, generator and law of a controller, sampled.
 
-    Rows on v = (y, u, x̂, ŝ, η̂, w) and a last entry for the constant 1; columns that are always 0 are left out.
+    Rows on v = (y, u, x̂, ŝ, η̂, w) and a last entry for the constant 1; columns that are always 0 are left out. Where
+    it corrects, η̂ and w are those of the time at which u acts.
 
     Attributes:
         sampling: Sample time, how observer and generator step, how late u is.
+        substeps: In how many steps a prediction is made, each in the cell in which it begins; 1 where none is.
         H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
         guards, sides: Those of x_d: rows on (ŝ, η̂, w, 1) that are 0 where one ends, and on which side of these it is,
             (k, C), (d, k). They are fewer than those of x̂ where cells are merged.
-        observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1).
+        observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1). Where it
+            corrects: predicted, one substep later, on (u, x̂, ŝ, 1), (l, N, m + N + 1).
+        C: What would be measured, on (x̂, ŝ), (q, N).
+        M: What a difference of that to y corrects of (x̂, ŝ), (N, q); (0, q) where nothing is corrected.
         generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (d, p, C).
         x_d: x_d in its cell, on the same, (d, n, C).
         u_ff: u_ff in the cell of x_d, on the same, (d, m, C).
@@ -76,12 +86,15 @@ class SampledController:
     """
 
     sampling: Sampling
+    substeps: int
     H: Array
     h: Array
     signs: IntArray
     guards: Array
     sides: IntArray
     observer: Array
+    C: Array
+    M: Array
     generator: Array
     x_d: Array
     u_ff: Array
@@ -95,21 +108,27 @@ class SampledController:
     @property
     def sizes(self) -> dict[str, int]:
         """Lengths of y, u, x, (x̂, ŝ), η̂ and w."""
-        (m, n), (_, N, width), (_, p, C) = self.K.shape, self.observer.shape, self.generator.shape
-        return {"q": width - m - N - 1, "m": m, "n": n, "N": N, "p": p, "s": C - (N - n) - p - 1}
+        (m, n), (q, N), (_, p, columns) = self.K.shape, self.C.shape, self.generator.shape
+        return {"q": q, "m": m, "n": n, "N": N, "p": p, "s": columns - (N - n) - p - 1}
 
     @property
     def places(self) -> dict[str, slice]:
-        """Where each of its numbers is in its memory, and behind that what it works with: guards, and the last w."""
+        """Where each of its numbers is in its memory, and behind that what it works with.
+
+        That is: guards, the last w; what is predicted, in a substep from (u, x̂, ŝ), and by how much y is missed.
+        """
         of, late = self.sizes, self.sampling.delay
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
         lengths |= {"w": of["s"], "copies": 2 * of["s"], "late": late * of["m"]}
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
         lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
+        predicted = of["N"] if self.sampling.corrects else 0
+        lengths |= {"seen": predicted and of["m"] + predicted, "moved": predicted, "missed": predicted and of["q"]}
         edges = np.cumsum([0, *lengths.values()]).tolist()
         return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
 
 
+@np.errstate(all="ignore")  # what is out of range is refused
 def program(controller: ProvedController, conditions: Conditions, *, given: bool = False) -> SampledController:
     """Return the program of a controller that is sampled, within `conditions`: limits, rates and steps of inputs too.
 
@@ -132,28 +151,38 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
     m, partition, steps = plant.B.shape[1], plant.model.partition, _stepper(sampling)
     s_hat = len(controller.design.L) - len(plant.B)
     added = controller.compensation
+    gains = controller.sampled_gains(sampling) if sampling.corrects else None
     if given and controller.trajectory.preview:
         added = beside_given(plant, added.X)
+    flows = _flows(controller, trajectory)
+    u_ff, late = _on_estimates(trajectory.u_ff, added.u_ff), _ahead(controller, sampling, flows.shape[1])
     no_limits = np.tile([-np.inf, np.inf], (m, 1))
     rates, quanta = conditions.rates, conditions.quanta
-    return SampledController(
+    found = SampledController(
         sampling=sampling,
+        substeps=1 if gains is None else gains.substeps,
         H=partition.H,
         h=partition.h,
         signs=partition.signs,
-        observer=_observer(controller, steps),
-        generator=_generator(controller, trajectory, steps),
-        guards=_on_estimates(trajectory.guards, added.guards),
+        observer=_observer(controller, steps) if gains is None else _prediction(controller, gains),
+        C=plant.observed.C.floats,
+        M=np.zeros((0, len(plant.C))) if gains is None else gains.M,
+        generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in flows]) @ late,
+        guards=_on_estimates(trajectory.guards, added.guards) @ late,
         sides=trajectory.signs,
-        x_d=_on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))),
-        u_ff=_on_estimates(trajectory.u_ff, added.u_ff),
-        K=controller.design.K,
+        x_d=_on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))) @ late,
+        u_ff=(u_ff if gains is None else u_ff @ _means(flows, sampling.sample_time)) @ late,
+        K=controller.design.K if gains is None else gains.K,
         limits=no_limits if conditions.limits is None else conditions.limits,
         change=np.full(m, np.inf) if rates is None else rates * sampling.sample_time,
         quantum=np.zeros(m) if quanta is None else quanta.inputs,
-        follows=None if given else _follows(trajectory.exosystem, sampling.sample_time),
+        follows=None if given else _follows(trajectory.exosystem, sampling),
         reference=names,
     )
+    if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
+        message = f"{sampling.sample_time:g} s are too long a sample: what a cell does in it is out of range"
+        raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), hint="a shorter sample time"))
+    return found
 
 
 def _stepper(sampling: Sampling) -> Callable[[Array], Array]:
@@ -162,7 +191,7 @@ def _stepper(sampling: Sampling) -> Callable[[Array], Array]:
 
     def step(F: Array) -> Array:
         F = F * sampling.sample_time
-        return np.asarray(expm(F) if method == "exponential" else np.eye(len(F)) + F)
+        return np.asarray(np.eye(len(F)) + F if method == "euler" else expm(F))
 
     return step
 
@@ -180,19 +209,45 @@ def _observer(controller: ProvedController, step: Callable[[Array], Array]) -> A
     return np.array([step(F_i)[rows] for F_i in F])
 
 
-def _generator(controller: ProvedController, trajectory: DesiredTrajectory, step: Callable[[Array], Array]) -> Array:
-    """Return the rows of η̂ one sample later: (15), while its reference and the loads go on."""
+def _prediction(controller: ProvedController, gains: SampledGains) -> Array:
+    """Return the rows of x̂ and ŝ one substep later, under the held u: nothing is measured on the way."""
+    plant = controller.plant
+    (n, m), N = plant.B.shape, len(gains.M)
+    F = np.zeros((len(plant.observed.A), m + N + 1, m + N + 1))
+    F[:, m : m + n, :m] = plant.B
+    F[:, m : m + N, m : m + N] = [A.floats for A in plant.observed.A]
+    F[:, m : m + n, -1] = plant.model.b
+    return np.array([expm(F_i * (gains.sample_time / gains.substeps))[m : m + N] for F_i in F])
+
+
+def _flows(controller: ProvedController, trajectory: DesiredTrajectory) -> Array:
+    """Return F of (ŝ, η̂, w, 1)' = F (ŝ, η̂, w, 1) in each cell of x_d: (15), while its reference and the loads go on."""
     loads, S, rate = controller.plant.loads, trajectory.exosystem.S, trajectory.rate
     cells, p, size = rate.shape
     k = 0 if loads is None else len(loads.S.floats)
-    if not p:
-        return np.zeros((cells, 0, k + size))
     F = np.zeros((cells, k + size, k + size))
-    F[:, k : k + p] = _on_estimates(rate, controller.compensation.rate)
+    if p:
+        F[:, k : k + p] = _on_estimates(rate, controller.compensation.rate)
     F[:, k + p : k + size - 1, k + p : k + size - 1] = S
     if loads is not None:
         F[:, :k, :k] = loads.S.floats
-    return np.array([step(F_i)[k : k + p] for F_i in F])
+    return F
+
+
+def _means(flows: Array, h: float) -> Array:
+    """Return the means of e^(F t) over the sample in which an input is held."""
+    N = flows.shape[1]
+    zero = np.zeros((N, N))
+    return np.array([expm(np.block([[F * h, np.eye(N)], [zero, zero]]))[:N, N:] for F in flows])
+
+
+def _ahead(controller: ProvedController, sampling: Sampling, size: int) -> Array:
+    """Return what turns (ŝ, η̂, w, 1) into that with the ŝ of the time at which u acts: loads go on by themselves."""
+    found, loads = np.eye(size), controller.plant.loads
+    if loads is not None and sampling.ahead:
+        S = loads.S.floats
+        found[: len(S), : len(S)] = expm(S * (sampling.ahead * sampling.sample_time))
+    return found
 
 
 def _on_estimates(rows: Array, added: Array) -> Array:
@@ -200,14 +255,25 @@ def _on_estimates(rows: Array, added: Array) -> Array:
     return np.concatenate([added, rows], axis=-1)
 
 
-def _follows(exosystem: Exosystem, h: float) -> Follows:
-    """Return the exosystem in samples: where a signal has a new piece, its values at the next tick."""
-    S, found = exosystem.S, []
+def _follows(exosystem: Exosystem, sampling: Sampling) -> Follows:
+    """Return the exosystem in samples: where a signal has a new piece, its values at the next tick.
+
+    The first tick is that at which the first input acts.
+    """
+    S, h, found = exosystem.S, sampling.sample_time, []
     for where, times, values in exosystem.pieces():
         for t, w in zip(times.tolist(), values, strict=True):
             tick = ceil(t / h - _ON_TICK)
             found.append(Piece(tick=tick, start=where.start, w=expm(S[where, where] * max(tick * h - t, 0.0)) @ w))
     latest = {(piece.tick, piece.start): piece for piece in found}
+    w, before = exosystem.w0, list[Array]()
+    for tick in range(sampling.ahead + 1):
+        begun = [key for key in sorted(latest) if key[0] == tick]
+        w = np.array(w if tick == 0 else expm(S * h) @ w)
+        for piece in map(latest.pop, begun) if sampling.ahead else ():
+            w[piece.start : piece.start + len(piece.w)] = piece.w
+        before.append(w)
+    pieces = tuple(replace(latest[key], tick=key[0] - sampling.ahead) for key in sorted(latest))
     turn = list[Array]()
     with np.errstate(all="ignore"):
         for count in RENEWED:
@@ -215,8 +281,9 @@ def _follows(exosystem: Exosystem, h: float) -> Follows:
             if turn and not np.abs(after).max(initial=0.0) < _LARGEST:
                 break  # what grows has an end
             turn.append(after)
-    end = None if exosystem.end is None else int(exosystem.end / h * (1 + 1e-12))
-    return Follows(turn=np.array(turn), w0=exosystem.w0, pieces=tuple(latest[key] for key in sorted(latest)), end=end)
+    end = None if exosystem.end is None else max(int(exosystem.end / h * (1 + 1e-12)) - sampling.ahead, 0)
+    early = np.array(before[:-1]).reshape(sampling.ahead, len(S))
+    return Follows(turn=np.array(turn), w0=before[-1], pieces=pieces, end=end, early=early)
 
 
 def _given_trajectory(controller: ProvedController) -> tuple[DesiredTrajectory, tuple[str, ...]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from decimal import ROUND_FLOOR, Context
 from typing import Literal
 
-from pwatrack.arrays import number_text, up
+from pwatrack.arrays import Array, number_text, up
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.goal import Goal
 from pwatrack.lmi.role import Role
@@ -122,3 +122,8 @@ def per_second(unit: str) -> str:
     if unit.endswith("/s"):
         return f"{unit}²"
     return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
+
+
+def matrix_text(X: Array) -> str:
+    """Return a matrix in a line."""
+    return "[" + "; ".join(" ".join(number_text(v) for v in row) for row in X) + "]"

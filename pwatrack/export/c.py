@@ -188,7 +188,7 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
         if source.unproved
         else " ".join(
             [
-                "Its gains are proved in continuous time; that the sampled loop is stable was looked at cell by cell.",
+                "K and L of its design are proved in continuous time.",
                 *source.claims,
             ]
         )

@@ -64,12 +64,17 @@ class Controller:
 
     @property
     def K(self) -> Array:
-        """Controller gain, (m, n)."""
-        return np.array(self.file.K)
+        """Controller gain that it runs with, (m, n)."""
+        return self._programs[False].K
+
+    @property
+    def M(self) -> Array:
+        """What a missed measurement corrects, (N, q); (0, q) where nothing is corrected."""
+        return self._programs[False].M
 
     @property
     def L(self) -> Array:
-        """Observer gain, (N, q)."""
+        """Observer gain of the design in continuous time, (N, q)."""
         return np.array(self.file.L)
 
     @property

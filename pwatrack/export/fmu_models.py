@@ -37,7 +37,7 @@ def controller_model(c: Source, duration: float, resources: Mapping[str, bytes])
     proved = (
         "NOT PROVED: " + "; ".join(c.unproved)
         if c.unproved
-        else " ".join(["Proved for the gains as printed.", *c.claims])
+        else " ".join(["Proved for the gains K and L of the design, in continuous time.", *c.claims])
     )
     failed = f"FAILED: {'; '.join(c.file.failed)}. " if c.file.failed else ""
     shown = f"    (void)memcpy(&of->real[NEXT], of->core.late, {of['m']}u * sizeof(double));\n"

@@ -4,7 +4,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-FORMAT = "pwatrack controller 4"
+from pwatrack.control.sampled_gains import MOST_SUBSTEPS
+from pwatrack.model.conditions import Method
+
+FORMAT = "pwatrack controller 5"
 
 
 def _visible(text: str) -> str:
@@ -127,12 +130,16 @@ class StoredPiece(StoredPart):
 
 
 class Inside(Followed):
-    """One whose reference is made inside: w one sample later, 2^10 and 2^20 samples later."""
+    """One whose reference is made inside: w one sample later, 2^10 and 2^20 samples later.
+
+    `early` is w at the ticks before the first one that an input is for, where inputs are late.
+    """
 
     turn: Stack
     w0: Vector
     pieces: list[StoredPiece]
     end: Count | None
+    early: Matrix
 
 
 class Outside(Followed):
@@ -142,11 +149,18 @@ class Outside(Followed):
 
 
 class Sampled(StoredPart):
-    """The program of docs/arithmetic.md: x_hat one sample later on (y, u, x_hat, s_hat, 1); limits, null for none."""
+    """The program of docs/arithmetic.md: its gains, x_hat one sample or substep later; limits, null for none.
+
+    M has no rows where nothing is corrected; K is that of the design there. `proved` says what is proved of its loop.
+    """
 
     sample_time: Annotated[Finite, Field(gt=0)]
-    method: Literal["exponential", "euler"]
+    method: Method
+    proved: Text
     delay: Annotated[int, Field(ge=0, le=10)]
+    substeps: Annotated[int, Field(ge=1, le=MOST_SUBSTEPS)]
+    K: Matrix
+    M: Matrix
     observer: Stack
     low: list[Finite | None]
     high: list[Finite | None]
@@ -174,7 +188,7 @@ class ControllerFile(StoredPart):
     `failed` says what its run did not achieve, in an export too; [] where it did all, or there was no run.
     """
 
-    format: Literal["pwatrack controller 4"]
+    format: Literal["pwatrack controller 5"]
     sha256: Digest
     name: Text
     spec_sha256: Digest

@@ -93,8 +93,10 @@ class Source:
 
     @property
     def claims(self) -> list[str]:
-        """What is proved of its error, in sentences."""
-        return [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
+        """What is proved of its error, in sentences; last of the loop that is sampled."""
+        assert self.file.program is not None
+        said = [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
+        return [*said, f"The loop that is sampled: {self.file.program.proved}."]
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
         """Return what stands at the top: what it is, what is proved, digests, lines on its size, signals."""
@@ -102,9 +104,8 @@ class Source:
         signals = self.signals([*part.plant.outputs, *part.plant.inputs])
         y, u = ", ".join(signals[: of["q"]]), ", ".join(signals[of["q"] :])
         proved = [f"NOT PROVED: {line}" for line in self.unproved] or [
-            "Proved for the gains as printed, in continuous time: certificate.json.",
+            "Proved for the gains K and L of the design, in continuous time: certificate.json.",
             *self.claims,
-            "The loop that is sampled is not proved for switching between cells: docs/arithmetic.md of pwatrack.",
         ]
         lines = [
             part.name,

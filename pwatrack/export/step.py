@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _ORDER = """
-H h observer generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
+H h observer C M generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
 signs sides piece_tick piece_start piece_length piece_value low high change quantum
 """
 _SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
+_SHORT |= {"C": "outputs", "M": "correction"}
 _NUMBERS = {
     "tick": "samples so far",
     "since": "samples since the reference began anew",
@@ -102,7 +103,11 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     own = [Variable(f"new_{variable.name}", variable.kind, variable.length) for variable in (*arrays, *numbers)]
     own += [Variable("g", "real", at.source - at.g)] if at.source > at.g else []
     own += [Variable("source", "real", at.s)] if len(routine.turn) else []
-    own += [Variable(name, "whole") for name in ("a", "b", "i", "k", "level")]
+    predicted = {"seen": at.m + at.N, "moved": at.N, "missed": at.q} if len(routine.M) else {}
+    own += [Variable(name, "real", length) for name, length in predicted.items()]
+    own += [
+        Variable(name, "whole") for name in ("a", "b", "i", "k", "level", *(("here", "stage") if predicted else ()))
+    ]
     own += [Variable(name, "real") for name in ("total", PRODUCT, "difference", "worst", "least", "value", "last")]
     own.append(Variable("fine", "flag"))
     kept = (*arrays, *numbers, Variable("started", "flag", what="whether it has run"))
@@ -357,7 +362,7 @@ class _Worked:
 
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
-_WORK = ("g", "source")  # parts of the room that are not remembered
+_WORK = ("g", "source", "seen", "moved", "missed")  # parts of the room that are not remembered
 
 
 class _Named(ast.NodeTransformer):

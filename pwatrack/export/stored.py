@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.program import Follows, Piece, SampledController, program
@@ -23,9 +24,10 @@ from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
 _SINGLE = float(np.finfo(np.float32).max)
+_LOOKED = "not proved for switching between cells"
 _CLOSE = 1e-9  # of the largest entry of a table: what two matrix exponentials may differ by
 _SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
-_CHOSEN = ("sample_time", "method", "delay", "low", "high", "change", "quantum")
+_CHOSEN = ("sample_time", "method", "delay", "substeps", "low", "high", "change", "quantum")
 
 
 def content(
@@ -84,11 +86,16 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "w0": follows.w0.tolist(),
         "pieces": [{"tick": piece.tick, "start": piece.start, "w": piece.w.tolist()} for piece in follows.pieces],
         "end": follows.end,
+        "early": follows.early.tolist(),
     }
     return {
         "sample_time": inside.sampling.sample_time,
         "method": inside.sampling.method,
+        "proved": next((claim.sentence for claim in controller.claims_of(SampledLoop)), _LOOKED),
         "delay": inside.sampling.delay,
+        "substeps": inside.substeps,
+        "K": inside.K.tolist(),
+        "M": inside.M.tolist(),
         "observer": inside.observer.tolist(),
         "low": _finite(inside.limits[:, 0]),
         "high": _finite(inside.limits[:, 1]),
@@ -149,7 +156,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
     cells, n, m, q = map(len, (plant.cells, plant.states, plant.inputs, plant.outputs))
     planes, sides, guards = len(plant.h), len(followed.sides), len(followed.guards)
     N, p, s = len(known.L), len(known.trajectory.eta), len(part.outside.reference if given else part.inside.w0)
-    columns = N - n + p + s + 1
+    columns, corrects = N - n + p + s + 1, part.method == "corrected"
 
     if n > N or not (cells and sides):
         raise ValueError("L has fewer rows than there are states, or there is no cell")
@@ -164,13 +171,17 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
             values = [missing if value is None else value for value in values]
         return np.array(values, dtype=np.int64 if whole else np.float64).reshape(shape)
 
+    table("K", m, n)
     found = SampledController(
         sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
         H=table("plant.H", planes, n),
         h=table("plant.h", planes),
         signs=table("plant.signs", cells, planes, whole=True),
-        K=table("K", m, n),
-        observer=table("program.observer", cells, N, q + m + N + 1),
+        substeps=part.substeps,
+        K=table("program.K", m, n),
+        C=np.hstack([table("plant.C", q, n), np.zeros((q, N - n))]),
+        M=table("program.M", N if corrects else 0, q),
+        observer=table("program.observer", cells, N, m + N + 1 + q * (not corrects)),
         generator=table(f"program.{side}.generator", sides, p, columns),
         x_d=table(f"program.{side}.x_d", sides, n, columns),
         guards=table(f"program.{side}.guards", guards, columns),
@@ -182,7 +193,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
     )
-    for name in ("H", "h", "observer", "generator", "x_d", "u_ff", "guards", "K") if single else ():
+    for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
         if largest > _SINGLE:
             raise InvalidSpec(
@@ -194,7 +205,11 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
 
 def _follows(inside: Inside, turn: Array) -> Follows:
     pieces = tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces)
-    return Follows(turn=turn, w0=np.array(inside.w0, dtype=np.float64), pieces=pieces, end=inside.end)
+    w0 = np.array(inside.w0, dtype=np.float64)
+    if any(len(w) != len(w0) for w in inside.early):
+        raise ValueError(f"program.inside.early has not {len(w0)} columns")
+    early = np.array(inside.early, dtype=np.float64).reshape(len(inside.early), len(w0))
+    return Follows(turn=turn, w0=w0, pieces=pieces, end=inside.end, early=early)
 
 
 def _check_runs(known: ControllerFile) -> None:
@@ -202,6 +217,8 @@ def _check_runs(known: ControllerFile) -> None:
     inside, _ = (runs(known, given=given) for given in (False, True))
     follows, of = inside.follows, inside.sizes
     assert follows is not None
+    if len(follows.early) != inside.sampling.ahead:
+        raise ValueError("program.inside.early has not one row for each sample that inputs are predicted ahead")
     if [*map(len, known.started)] != [of["N"], of["p"]]:
         raise ValueError(f"start has not {of['N']} and {of['p']} entries")
     if (inside.limits[:, 0] > inside.limits[:, 1]).any():
@@ -284,7 +301,7 @@ def _finite(values: Array) -> list[float | None]:
 
 
 def with_gains(spec: Spec, known: ControllerFile) -> Spec:
-    """Return a spec that asks for the gains of a stored controller, and no others.
+    """Return a spec that asks for the gains of a stored controller and its sampling, and no others.
 
     Raises:
         InvalidSpec: If they have other sizes.
@@ -294,6 +311,10 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
     (n, m), (N, q) = plant.B.shape, (plant.observed.A[0].shape[0], len(plant.C))
     if K.shape != (m, n) or L.shape != (N, q):
         raise _other("K and L have other sizes")
+    conditions, part = spec.scenario.conditions, known.program
+    if part is not None and conditions.sampling is None:
+        sampling = Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay)
+        spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
     return replace(spec, objectives=replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L)))
 
 
@@ -318,7 +339,7 @@ def check_same(
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)
-    for name in ("observer", "generator", "x_d", "u_ff", "guards"):
+    for name in ("observer", "K", "M", "generator", "x_d", "u_ff", "guards"):
         one, other = getattr(found, name), getattr(runs(known.model_copy(update={"program": made})), name)
         if np.abs(one - other).max(initial=0.0) > _CLOSE * np.abs(other).max(initial=0.0):
             raise _other(f"program, '{name}'")

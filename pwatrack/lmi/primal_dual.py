@@ -112,6 +112,21 @@ def solve(
     )
 
 
+def least(linear: LinearMap, *, gap: float) -> Array | None:
+    """Return v that satisfies the constraints with nearly the least cost; None where none does, or it is stuck.
+
+    Example: the least v with v ≥ 1 and v ≥ 2.
+
+        >>> from pwatrack.lmi.dense_map import StackMap
+        >>> at_least = StackMap(-np.ones((1, 2, 1, 1)), np.array([[[1.0]], [[2.0]]]), np.ones(1))
+        >>> least(at_least, gap=1e-6).round(4).tolist()
+        [2.0]
+    """
+    with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
+        found = _minimise(linear, _start(linear), gap, None, 0.0)
+    return None if found is None or found[2] else found[0].v
+
+
 def _map(program: SemidefiniteProgram) -> LinearMap:
     """Return the quicker of the two forms of the linear map."""
     order = max(c.constant.shape[1] for c in program.constraints)

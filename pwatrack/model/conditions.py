@@ -10,7 +10,7 @@ from pwatrack.arrays import Array, amount, number_text
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
-Method = Literal["exponential", "euler"]
+Method = Literal["corrected", "emulated", "euler"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,14 +34,25 @@ class Sampling:
 
     Attributes:
         sample_time: In s.
-        method: How observer and generator step on in the cell they are in: "exponential" is exact for what
-            the controller knows, "euler" is one explicit Euler step.
+        method: "corrected" predicts, and corrects with what is measured in the tick in which it acts, with gains for
+            this sample time. The others step the observer (18) on under the held y, in the cell it is in: "emulated"
+            is exact for what the controller knows, "euler" is one explicit Euler step.
         delay: How many sample times an input is put out after what it is computed from was measured.
     """
 
     sample_time: float
-    method: Method = "exponential"
+    method: Method = "corrected"
     delay: int = 0
+
+    @property
+    def corrects(self) -> bool:
+        """Whether what is measured in a tick acts in it."""
+        return self.method == "corrected"
+
+    @property
+    def ahead(self) -> int:
+        """How many samples ahead the state is predicted that an input is for: it is late, and that is known."""
+        return self.delay if self.corrects else 0
 
 
 @dataclass(frozen=True, kw_only=True)

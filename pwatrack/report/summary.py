@@ -11,6 +11,7 @@ from rich.table import Table
 from pwatrack.arrays import complex_text, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import sized
 from pwatrack.report.figures import (
@@ -71,7 +72,9 @@ def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Chec
     table = titled(result.spec.name)
     _outcome_rows(table, checked, f"{result.end:g} s: {result.outcome.text}")
     if conditions := result.loop.beyond_the_proofs:
-        table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}")
+        sampled = any(claim.proof is not None for claim in result.controller.claims_of(SampledLoop))
+        but = "; of these, the sampling is in the proof of the sampled loop" * sampled
+        table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}{but}")
     if result.controller.trajectory.growth is not None:
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _add(table, rows(result.spec.words, result.controller))

@@ -277,7 +277,7 @@ def _exosystems(reference: Exosystem, conditions: Conditions, at: Layout) -> Arr
     """Return what drives itself: the reference, for a program also a copy, and disturbances, (N, N)."""
     F = np.zeros((at.order, at.order))
     F[at.w, at.w] = reference.S
-    if conditions.sampling:
+    if at.w_held.stop > at.w_held.start:
         F[at.w_held, at.w_held] = reference.S
     if conditions.disturbance is not None:
         F[at.d, at.d], F[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
@@ -340,13 +340,17 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
     changing too fast, and cuts it off at the limits of the actuator; where it is late, the input goes behind those
     that wait, and the first of them is put out. What is measured and what is put out are whole multiples of their
     quanta. The first tick, at t = 0, has no step. In the given flow observer and generator move in continuous time
-    under held u, y and w.
+    under held u, y and w. Of a program that corrects, x_d is what (15) makes of the reference in continuous time: what
+    its own steps leave of that is an error of the loop.
     """
-    F0 = flow.F0.copy()
+    F0, corrects = flow.F0.copy(), program.sampling.corrects
     F0[at.observer], F0[at.w_held] = 0.0, 0.0
-    still = [replace(part, F=np.zeros_like(part.F)) for part in flow.parts[1:]]
-    names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat, "eta_hat": at.eta_hat, "w": at.w_held}
+    moving = {"plant", "generator"} if corrects else {"plant"}
+    parts = [part if part.name in moving else replace(part, F=np.zeros_like(part.F)) for part in flow.parts]
+    names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat}
+    names |= {} if corrects else {"eta_hat": at.eta_hat, "w": at.w_held}
     names |= {"late": at.late, "before": at.before, "wanted": at.wanted, "change": at.change}
+    eta = np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64)
     pairs = [(program.places[name], where) for name, where in names.items() if where.stop > where.start]
     source, place = (np.r_[side] for side in zip(*pairs, strict=True))
     clock = Clock(
@@ -356,8 +360,10 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
         source=source,
         place=place,
         scale=np.ones(len(place)),
+        eta=eta,
+        eta_scale=np.ones(len(eta)),
     )
-    return Flow(F0=F0, parts=(flow.parts[0], *still), clock=clock)
+    return Flow(F0=F0, parts=tuple(parts), clock=clock)
 
 
 def _placed(rates: Array, where: slice) -> Array:

@@ -26,15 +26,22 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
         return np.array(values, dtype=np.int64, order="C")
 
     of = program.sizes
+    corrects = program.sampling.corrects
     s, known = of["s"], of["N"] - of["n"] + of["p"] + of["s"]
     follows = program.follows if s else None
     pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
     ticks, starts = [piece.tick for piece in pieces], np.cumsum([0, *(len(piece.w) for piece in pieces)])
-    floats = ("H", "h", "observer", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
+    floats = ("H", "h", "observer", "M", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
     return ControllerArrays(
         at=Places(
-            **of, known=known, delay=program.sampling.delay, **{key: at.start for key, at in program.places.items()}
+            **of,
+            known=known,
+            delay=program.sampling.delay,
+            ahead=program.sampling.ahead,
+            substeps=program.substeps,
+            **{key: at.start for key, at in program.places.items()},
         ),
+        C=numbers(program.C[: len(program.C) * corrects]),
         **{name: numbers(getattr(program, name)) for name in floats},
         signs=whole(program.signs),
         sides=whole(program.sides),
@@ -58,18 +65,32 @@ def memory(
 ) -> dict[str, NDArray[Any]]:
     """Return what the program remembers, as it starts, and room to work in: `memory`, `counts` and `room` of a tick.
 
-    It starts from x̂(0), then ŝ(0), (N,), and η̂(0), (p,).
+    It starts from x̂(0), then ŝ(0), (N,), and η̂(0), (p,); where inputs are for later ticks, η̂ has gone on to the first.
     """
     at = program.places
     found = np.zeros(at["x_d"].stop, dtype=real)
+    eta_hat = _gone_on(program, np.asarray(x_hat), np.asarray(eta_hat))
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
     if program.follows is not None:
         found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
-    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["source"].stop, dtype=real)}
+    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["missed"].stop, dtype=real)}
+
+
+def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
+    """Return η̂ at the tick at which the first input acts; as it is where w is given."""
+    n = program.sizes["n"]
+    for w in () if program.follows is None else program.follows.early:
+        known = np.concatenate([x_hat[n:], eta_hat, w, [1.0]])
+        contradicted = np.maximum(-program.sides * (program.guards @ known), 0.0)
+        eta_hat = program.generator[contradicted.max(axis=1, initial=0.0).argmin()] @ known
+    return eta_hat
 
 
 NONE = SampledController(  # one that never runs
     sampling=Sampling(sample_time=1.0),
+    substeps=1,
+    C=np.zeros((0, 0)),
+    M=np.zeros((0, 0)),
     H=np.zeros((0, 0)),
     h=np.zeros(0),
     signs=np.zeros((0, 0), dtype=np.int64),

@@ -39,10 +39,13 @@ class Clock:
     source: IntArray  # which numbers of the program's memory are in z, (V,)
     place: IntArray  # and where
     scale: Array  # in z they are so many times as large
+    eta: IntArray  # where its η̂ begins in z, if that goes on there by itself, (0 or p,)
+    eta_scale: Array  # likewise
 
     def scaled(self, d: Array) -> "Clock":
         """Return the clock of D⁻¹ z, D = diag(d)."""
-        return replace(self, measured=self.measured * d, scale=self.scale / d[self.place])
+        scale, eta_scale = self.scale / d[self.place], self.eta_scale / d[self.eta]
+        return replace(self, measured=self.measured * d, scale=scale, eta_scale=eta_scale)
 
 
 @dataclass(frozen=True, kw_only=True)

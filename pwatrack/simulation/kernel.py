@@ -129,7 +129,9 @@ class Resets(NamedTuple):
 # Sizes of a controller (known: of ŝ, η̂ and w together), by how many samples its inputs are late, and where in its
 # memory, and in the room beyond it, each part begins: see `Program.places`.
 Places = namedtuple(
-    "Places", "q m n N p s known delay y u x_hat s_hat eta_hat w copies late before wanted change x_d g source"
+    "Places",
+    "q m n N p s known delay ahead substeps "
+    "y u x_hat s_hat eta_hat w copies late before wanted change x_d g source seen moved missed",
 )
 
 
@@ -140,6 +142,8 @@ class ControllerArrays(NamedTuple):
     H: Array  # from here to `sides`: as there
     h: Array
     observer: Array
+    C: Array  # none where nothing is corrected
+    M: Array
     generator: Array
     x_d: Array
     u_ff: Array
@@ -1008,6 +1012,63 @@ def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int
 
 
 @_as_written
+def _predict(routine: ControllerArrays, room: Array) -> None:
+    """Step (u, x̂, ŝ) at room[seen:] on by one sample, under u, each substep in the cell in which it begins."""
+    at = routine.at
+    here = 0
+    for stage in range(at.substeps):  # noqa: B007
+        for a in range(len(routine.h)):
+            room[at.g + a] = _sum(routine.H[a], room, at.seen + at.m, at.n) + routine.h[a]
+        here = _cell(here, routine.signs, room, at.g)
+        for a in range(at.N):
+            room[at.moved + a] = _row(routine.observer[here, a], room, at.seen, at.m + at.N)
+        for a in range(at.N):
+            room[at.seen + at.m + a] = room[at.moved + a]
+
+
+@_as_written
+def _observe(routine: ControllerArrays, memory: Array, room: Array, old: Any) -> None:
+    """Step (x̂, ŝ) on by one sample: a prediction where y corrects it then, else with the y that is held."""
+    at = routine.at
+    if len(routine.M) > 0:
+        for a in range(at.m + at.N):
+            room[at.seen + a] = memory[at.u + a]
+        _predict(routine, room)
+        for a in range(at.N):
+            room[at.x_hat + a] = room[at.seen + at.m + a]
+    else:
+        for a in range(at.N):
+            room[at.x_hat + a] = _row(routine.observer[old.cell, a], memory, at.y, at.eta_hat)
+
+
+@_as_written
+def _correct(routine: ControllerArrays, room: Array) -> None:
+    """Correct (x̂, ŝ) by what C (x̂, ŝ) misses of y."""
+    at = routine.at
+    "3. Correction by what is measured."
+    for a in range(at.q):
+        room[at.missed + a] = _sum(routine.C[a], room, at.x_hat, at.N) - room[at.y + a]
+    for a in range(at.N):
+        room[at.x_hat + a] = room[at.x_hat + a] + _sum(routine.M[a], room, at.missed, at.q)
+
+
+@_as_written
+def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int) -> bool:
+    """Put out what the law makes of the state at room[x:], and say whether all of it is finite."""
+    at = routine.at
+    fine = True
+    for channel in range(at.m):
+        "6. Law: input {channel}."
+        value = _row(routine.u_ff[new.cell_d, channel], room, at.s_hat, at.known)
+        for a in range(at.n):
+            difference = room[x + a] - room[at.x_d + a]
+            product = routine.K[channel, a] * difference
+            value = value + product
+        fine = _put_out(routine, memory, room, channel, value, fine)
+    return fine
+
+
+@_as_written
 def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given: Array, old: Any, new: Any) -> bool:
     """Write what the controller remembers after a tick to room and new, and say whether u may be put out.
 
@@ -1020,8 +1081,7 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
     new.cell, new.cell_d, new.status = old.cell, old.cell_d, RAN
     if old.started:
         "1. Observer and generator, one sample later."
-        for a in range(at.N):
-            room[at.x_hat + a] = _row(routine.observer[old.cell, a], memory, at.y, at.eta_hat)
+        _observe(routine, memory, room, old)
         for a in range(at.p):
             room[at.eta_hat + a] = _row(routine.generator[old.cell_d, a], memory, at.s_hat, at.known)
         if len(routine.turn) > 0:
@@ -1036,6 +1096,8 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
     if len(routine.turn) == 0:
         for a in range(at.s):
             room[at.w + a] = given[a]
+    if len(routine.M) > 0:
+        _correct(routine, room)
     if len(routine.h) > 0:
         "4. Cell of x_hat: the first one whose signs are contradicted least."
         for a in range(len(routine.h)):
@@ -1049,15 +1111,17 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
     "5. Desired state."
     for a in range(at.n):
         room[at.x_d + a] = _row(routine.x_d[new.cell_d, a], room, at.s_hat, at.known)
-    fine = True
-    for channel in range(at.m):
-        "6. Law: input {channel}."
-        value = _row(routine.u_ff[new.cell_d, channel], room, at.s_hat, at.known)
-        for a in range(at.n):
-            difference = room[at.x_hat + a] - room[at.x_d + a]
-            product = routine.K[channel, a] * difference
-            value = value + product
-        fine = _put_out(routine, memory, room, channel, value, fine)
+    if at.ahead > 0:
+        "6. State at the time at which the input acts."
+        for a in range(at.N):
+            room[at.seen + at.m + a] = room[at.x_hat + a]
+        for b in range(at.ahead):
+            for a in range(at.m):
+                room[at.seen + a] = memory[at.late + b * at.m + a]
+            _predict(routine, room)
+        fine = _act(routine, memory, room, new, at.seen + at.m)
+    else:
+        fine = _act(routine, memory, room, new, at.x_hat)
     return fine
 
 

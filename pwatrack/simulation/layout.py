@@ -28,7 +28,7 @@ class Layout:
     wanted: slice  # the one that it wants before the limits
     change: slice  # by how much that was to change
     y: slice  # the measured output
-    w_held: slice  # its own w
+    w_held: slice  # its own w, of one that corrects nothing: then η̂ is its own, too
     order: int  # N, the length of z
 
     @staticmethod
@@ -50,7 +50,7 @@ class Layout:
                 "wanted": m * (conditions.limits is not None),
                 "change": m * (conditions.rates is not None),
                 "y": q,
-                "w_held": s,
+                "w_held": 0 if sampling.corrects else s,
             }
         edges = np.cumsum([0, *sizes.values()]).tolist()
         return Layout(**dict(zip(sizes, map(slice, edges[:-1], edges[1:]), strict=True)), order=edges[-1] + 1)
@@ -62,7 +62,7 @@ class Layout:
 
     @property
     def w_seen(self) -> slice:
-        """What the controller has for w: its own, where it is sampled."""
+        """What x_d is drawn with for w: the controller's own, where it has one."""
         return self.w_held if self.w_held.stop > self.w_held.start else self.w
 
     def driven(self, u: Array, plant: PWASystem, model: PWASystem) -> Array:

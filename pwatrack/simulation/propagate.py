@@ -358,7 +358,14 @@ def _ticks(flow: Flow) -> Any:
 
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.int64)
     clock = flow.clock or Clock(
-        program=NONE, measured=np.zeros((0, len(flow.F0))), quantum=none, source=nowhere, place=nowhere, scale=none
+        program=NONE,
+        measured=np.zeros((0, len(flow.F0))),
+        quantum=none,
+        source=nowhere,
+        place=nowhere,
+        scale=none,
+        eta=nowhere,
+        eta_scale=none,
     )
     return ControllerClock(
         routine=routine(clock.program),
@@ -374,11 +381,13 @@ def _controller(flow: Flow, z: Array) -> dict[str, Any]:
     """Return what the program of a clock starts with, which is in z, and room for it to work in."""
     clock = flow.clock
     program = NONE if clock is None else clock.program
-    found = memory(program, *(np.zeros(program.sizes[name]) for name in ("N", "p")))
+    x_hat, eta_hat = (np.zeros(program.sizes[name]) for name in ("N", "p"))
     if clock is not None:
-        numbers = found["memory"]
-        numbers[clock.source] = z[clock.place] / clock.scale
-        numbers[program.places["copies"]] = np.tile(numbers[program.places["w"]], 2)
+        started = np.zeros(program.places["x_d"].stop)
+        started[clock.source] = z[clock.place] / clock.scale
+        x_hat = started[program.places["x_hat"].start : program.places["s_hat"].stop]
+        eta_hat = z[clock.eta] / clock.eta_scale if program.sampling.corrects else started[program.places["eta_hat"]]
+    found = memory(program, x_hat, eta_hat)
     return {**found, "y": np.zeros(program.sizes["q"])}
 
 

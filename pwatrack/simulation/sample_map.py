@@ -1,6 +1,6 @@
 """What one sample does to errors in each cell by itself, and at which sample times that lets them grow."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_FLOOR, Context
 
 import numpy as np
@@ -8,6 +8,8 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import SampledController, program
+from pwatrack.errors import InvalidSpec
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.model.pwa import PWASystem
 
@@ -50,12 +52,16 @@ class SampleMaps:
     controller: ProvedController
     plant: PWASystem  # the one that runs
     sampling: Sampling  # but for its sample time, which is what the methods are asked for
+    _kept: dict[float, SampledController] = field(default_factory=dict, repr=False)
 
     def radius(self, cell: int, h: float) -> float:
         """Return the spectral radius of the map in a cell for a sample time h (s): below 1, deviations vanish."""
-        A = self.controller.trajectory.rate[cell, :, : len(self.controller.trajectory.names)]
         with np.errstate(all="ignore"):
-            maps = self.loop(cell, h), self._stepped(A, h)
+            try:
+                eta = self.runs(h).generator[cell][:, len(self.controller.design.L) - self.plant.A.shape[1] :]
+            except InvalidSpec:  # what a cell does in a sample is out of range
+                return np.inf
+            maps = self.loop(cell, h), eta[:, : len(eta)]
         if not all(np.isfinite(M).all() for M in maps):
             return np.inf  # what grows is out of range
         return max(float(np.abs(np.linalg.eigvals(M)).max(initial=0.0)) for M in maps)
@@ -77,43 +83,50 @@ class SampleMaps:
             >>> maps.loop(0, 0.1).shape, maps.radius(0, 0.1) < 1
             ((8, 8), True)
         """
-        model, L, law = self.controller.plant, self.controller.design.L, self._law(cell)
-        (n, m), (N, q), late = model.B.shape, L.shape, self.sampling.delay
+        (n, m), of, late = self.plant.B.shape, self.runs(h), self.sampling.delay
         plant = expm(np.block([[self.plant.A[cell], self.plant.B], [np.zeros((m, n + m))]]) * h)  # u is held
-        seen = replace(model, watched=None).observed.A[cell].floats + L @ model.observed.C.floats
-        inputs = np.hstack([np.vstack([model.B, np.zeros((N - n, m))]), -L])
-        observer = self._stepped(np.block([[seen, inputs], [np.zeros((m + q, N + m + q))]]), h)
+        N, of_y = of.sizes["N"], np.zeros((of.sizes["N"], n))
+        stepped = of.observer[cell][:, -N - m - 1 : -1]  # on (u, x̂, ŝ)
+        if self.sampling.corrects:
+            once = np.vstack([np.eye(m, m + N), stepped])
+            stepped = np.linalg.matrix_power(once, of.substeps)[m:]
+        else:
+            of_y = of.observer[cell][:, : of.sizes["q"]] @ self.plant.C
+        of_u, seen = stepped[:, :m], stepped[:, m:]
+        law = self._law(cell, of)
         k = n + law.shape[1]  # of plant, observer and, with loads, generator
-        M = np.zeros((k + m * late, k + m * late))
-        M[:n, :n], M[n : n + N, n : n + N] = plant[:n, :n], observer[:N, :N]
-        M[n : n + N, :n] = observer[:N, N + m :] @ self.plant.C
-        M[n + N : k, 2 * n : k] = self._generator(cell, h)[:, : k - 2 * n]
-        driven = np.vstack([plant[:n, n:], observer[:N, N : N + m], np.zeros((k - n - N, m))])
+        M, driven = np.zeros((k + m * late, k + m * late)), np.zeros((k, m))
+        M[:n, :n], M[n : n + N, :n], M[n : n + N, n : n + N] = plant[:n, :n], of_y, seen
+        M[n + N : k, 2 * n : k] = of.generator[cell][:, : k - 2 * n] if k > n + N else 0.0
+        driven[:n], driven[n : n + N] = plant[:n, n:], of_u
+        for rows in (M, driven) if self.sampling.corrects else ():  # with y of the next tick
+            rows[n : n + N] += of.M @ (of.C @ rows[n : n + N] - self.plant.C @ rows[:n])
         if not late:
             M[:, n:] += driven @ law
             return M
         M[:k, k : k + m] = driven
         M[k:-m, k + m :] = np.eye(m * (late - 1))
-        M[-m:, n:k] = law
+        of_state, of_late = np.eye(N), np.zeros((N, m * late))
+        for j in range(self.sampling.ahead):  # the law gets what is predicted with the inputs that wait
+            of_state, of_late = seen @ of_state, seen @ of_late
+            of_late[:, m * j : m * (j + 1)] += of_u
+        M[-m:, n : n + N], M[-m:, n + N : k], M[-m:, k:] = law[:, :N] @ of_state, law[:, N:], law[:, :N] @ of_late
         return M
 
-    def _law(self, cell: int) -> Array:
-        """Return the rows of u on x̂ and, where loads are estimated, on their estimates ŝ and on η̂."""
-        K, trajectory, added = self.controller.design.K, self.controller.trajectory, self.controller.compensation
-        if self.controller.plant.loads is None:
-            return K
-        p = trajectory.rate.shape[1]
-        of_eta = trajectory.u_ff[cell][:, :p] - K @ trajectory.x_d[cell][:, :p]
-        return np.hstack([K, added.u_ff[cell] - K @ added.X.floats, of_eta])
+    def runs(self, h: float) -> SampledController:
+        """Return what runs at a sample time (s), with the cells of the plant; the last one is kept."""
+        if h not in self._kept:
+            self._kept.clear()
+            of = replace(self.controller, plant=replace(self.controller.plant, watched=None))
+            self._kept[h] = program(of, Conditions(sampling=replace(self.sampling, sample_time=h)))
+        return self._kept[h]
 
-    def _generator(self, cell: int, h: float) -> Array:
-        """Return the rows of η̂ one sample later on (ŝ, η̂); none without loads, where nothing drives it in the loop."""
-        loads, rate = self.controller.plant.loads, self.controller.trajectory.rate[cell]
-        if loads is None:
-            return np.zeros((0, 0))
-        S, p = loads.S.floats, len(rate)
-        rates = np.block([[S, np.zeros((len(S), p))], [self.controller.compensation.rate[cell], rate[:, :p]]])
-        return self._stepped(rates, h)[len(S) :]
+    def _law(self, cell: int, of: SampledController) -> Array:
+        """Return the rows of u on x̂ and, where loads are estimated, on their estimates ŝ and on η̂."""
+        if self.controller.plant.loads is None:
+            return of.K
+        known = of.sizes["N"] - of.sizes["n"] + of.sizes["p"]
+        return np.hstack([of.K, of.u_ff[cell][:, :known] - of.K @ of.x_d[cell][:, :known]])
 
     def longest(self, h: float) -> float | None:
         """Return the longest sample time below a given one at which each cell is stable by itself, in s, or None.
@@ -143,7 +156,3 @@ class SampleMaps:
             key = self.plant.A[cell].tobytes() + self.controller.plant.A[cell].tobytes() + A_eta[cell].tobytes()
             found.setdefault(key, cell)
         return list(found.values())
-
-    def _stepped(self, F: Array, h: float) -> Array:
-        """Return what the program makes of ż = F z in one sample."""
-        return np.asarray(expm(F * h)) if self.sampling.method == "exponential" else np.eye(len(F)) + F * h

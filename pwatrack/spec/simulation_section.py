@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Discriminator, Field, Tag
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.causes import Subject
 from pwatrack.model.conditions import Method
@@ -63,11 +63,16 @@ class NoiseSection(Section):
     seed: Annotated[Whole, Field(ge=0), whole(0)] = 1
 
 
+def _renamed(method: Any) -> Any:
+    """Files of earlier versions say "exponential"."""
+    return "emulated" if method == "exponential" else method
+
+
 class SampledSection(Section):
     """The controller as a program that runs once in a sample time (s), its output late by some samples."""
 
     sample_time: Positive
-    method: Method = "exponential"
+    method: Annotated[Method, BeforeValidator(_renamed)] = "corrected"
     delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE), whole(0, _MOST_LATE)] = 0
 
 

@@ -62,7 +62,7 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
         try:
             asked = replace(spec, objectives=replace(spec.objectives, uncertain=box(factor)))
             with spec.located(), asking(spec.objectives.solver):
-                next(Robust.prove(controller, asked_of(asked, None)))
+                next(Robust.prove(controller, asked_of(asked, None, controller)))
         except (Undecided, OutsideTheory) as error:
             refusals.append(Undecided(*error.problems))
             return None

@@ -12,7 +12,7 @@ from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.headroom import Headroom
 from pwatrack.control.modes import check_loads
-from pwatrack.control.program import SampledController
+from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError
@@ -48,7 +48,9 @@ def design(spec: Spec, *, growing: bool = False) -> ProvedController:
         try:
             controller, room = _with_gains(spec, growing)
             with spec.located():
-                return proved(controller, asked_of(spec, room))
+                if spec.scenario.conditions.sampling is not None:
+                    program(controller, spec.scenario.conditions)  # or a refusal: a sample may be too long
+                return proved(controller, asked_of(spec, room, controller))
         except PwatrackError as refusal:
             return _practical(spec, growing, refusal)
 
@@ -64,7 +66,7 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
         little = not_worth(spec, practical)
         if spec.objectives.practical or not little:
             less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
-            return proved(found, asked_of(less, _room(less, found)))
+            return proved(found, asked_of(less, _room(less, found), found))
         remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
     elif not spec.objectives.practical:
         raise refusal
@@ -72,15 +74,17 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
     raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
-def asked_of(spec: Spec, room: Headroom | None) -> Asked:
+def asked_of(spec: Spec, room: Headroom | None, controller: ProvedController) -> Asked:
     """Return what a spec asks to be proved, given what the feedforward leaves of the limits of its inputs, if any."""
-    problem, goals = spec.problem, spec.objectives
+    problem, goals, sampling = spec.problem, spec.objectives, spec.scenario.conditions.sampling
+    corrects = sampling is not None and sampling.corrects
     return Asked(
         words=spec.words,
         room=room,
         box=goals.uncertain,
         corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
         solver=goals.solver,
+        sampled=controller.sampled_gains(sampling) if sampling is not None and corrects else None,
     )
 
 
@@ -240,4 +244,4 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
 def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
-        return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller)))
+        return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller), controller))

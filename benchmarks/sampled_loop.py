@@ -1,0 +1,100 @@
+"""Every plant of the specs, sampled: how far off is the loop with either program, and is it proved?
+
+    make sampled [SPECS="specs/gallery/gantry.yaml …"]
+
+The sample time is a 25th of the period of the fastest mode of A_i + B K, to one digit. Each plant runs under the
+conditions of its spec, without noise and steps: with the program that predicts and corrects, and with the observer of
+the theorems stepped under a held y. Printed is the largest error of the last tenth of both runs, the rate that is
+proved in continuous time and of the sampled loop, and how long that proof took. Last are medians.
+"""
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from pwatrack import Spec, load_spec
+from pwatrack.claims.sampled import SampledLoop
+from pwatrack.control.controller import ProvedController
+from pwatrack.errors import PwatrackError
+from pwatrack.model.conditions import Method, Sampling
+from pwatrack.workflow.pipeline import asked_of, design, simulate
+from pwatrack.workflow.result import SimulatedLoop
+
+SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
+_SAMPLES = 25  # in a period of the fastest mode
+_MOST = 20_000  # samples of a run
+
+
+def sample_time(controller: ProvedController) -> float:
+    """Return the sample time that is taken, in s."""
+    plant = controller.plant
+    fastest = max(float(np.abs(np.linalg.eigvals(A + plant.B @ controller.K)).max()) for A in plant.A)
+    return float(f"{2 * np.pi / (_SAMPLES * fastest):.1g}")
+
+
+def sampled(spec: Spec, sampling: Sampling) -> Spec:
+    """Return a spec whose controller is sampled, for as long as is simulated here."""
+    conditions = replace(spec.scenario.conditions, sampling=sampling, noise=None, quanta=None)
+    duration = min(spec.scenario.duration, _MOST * sampling.sample_time)
+    scenario = replace(spec.scenario, conditions=conditions, duration=duration, sample_time=duration / 2000)
+    return replace(spec, scenario=scenario)
+
+
+def left(result: SimulatedLoop) -> float:
+    """Return the largest error of the last tenth."""
+    error = result.response.error_norm
+    return float(error[-len(error) // 10 :].max())
+
+
+def errors(spec: Spec, controller: ProvedController, h: float) -> list[float]:
+    """Return what is left with either program, not a number where it is refused."""
+    found, methods = list[float](), list[Method](["corrected", "emulated"])
+    for method in methods:
+        try:
+            found.append(left(simulate(sampled(spec, Sampling(sample_time=h, method=method)), controller)))
+        except PwatrackError:
+            found.append(np.nan)
+    return found
+
+
+def main(paths: list[Path]) -> None:
+    """Print a line for each plant."""
+    console, shares, rates, seconds = Console(width=140), list[float](), list[float](), list[float]()
+    for path in paths:
+        try:
+            spec = load_spec(path)
+            conditions = replace(spec.scenario.conditions, sampling=None)
+            controller = design(replace(spec, scenario=replace(spec.scenario, conditions=conditions)))
+        except PwatrackError as error:
+            console.print(f"{path.stem:28} {str(error)[:100]}")
+            continue
+        h = sample_time(controller)
+        start = time.perf_counter()
+        asked = asked_of(sampled(spec, Sampling(sample_time=h)), None, controller)
+        (claim,) = SampledLoop.prove(controller, asked)
+        seconds.append(time.perf_counter() - start)
+        controller = replace(controller, claims=(*controller.claims, claim))
+        corrected, emulated = errors(spec, controller, h)
+        shares.append(emulated / corrected)
+        said = claim.missing
+        if claim.proof is not None:
+            rates.append(claim.proof.rate / controller.guarantees.rate)
+            said = f"rate {claim.proof.rate:.3g} of {controller.guarantees.rate:.3g} 1/s"
+        console.print(
+            f"{path.stem:28} {h:7.0e} s  left {corrected:8.2g}, emulated {emulated:8.2g}  {seconds[-1]:5.1f} s  {said}"
+        )
+    console.print(
+        f"emulated leaves {np.nanmedian(shares):.3g} times as much (median), least {np.nanmin(shares):.2g} times"
+    )
+    console.print(
+        f"{len(rates)} of {len(seconds)} proved, at {np.median(rates):.2g} of the rate in continuous time (median)"
+    )
+    console.print(f"proof or its refusal: median {np.median(seconds):.2g} s, longest {max(seconds):.3g} s")
+
+
+if __name__ == "__main__":
+    main([Path(name) for name in sys.argv[1:]] or SPECS)

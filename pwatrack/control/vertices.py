@@ -1,0 +1,52 @@
+"""Matrices that have some others in their hull, exactly, and the rows in which they differ."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.rational import Rational, fraction_of, identity, stacked
+
+
+def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
+    """Return different matrices, without those between two others, exactly: the hull stays what it is.
+
+    Example:
+        >>> [X.texts for X in outermost([BallMatrix.of([[v, v * v * 0 + 1]]) for v in (1, 2, 2, 3)])]
+        [[['1', '1']], [['3', '1']]]
+    """
+    found = different(matrices)
+    if any(X.radius is not None for X in found):
+        return found
+    points = [X.centre.entries() for X in found]
+    return [X for k, X in enumerate(found) if not _between(points, k)]
+
+
+def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:
+    """Say whether a point is between two others: from it they lie in opposite directions."""
+    seen = set[tuple[int, ...]]()
+    for j, point in enumerate(points):
+        if j == k:
+            continue
+        change = [v - w for v, w in zip(point, points[k], strict=True)]
+        size = abs(next(v for v in change if v != 0))
+        direction = tuple(fraction_of(v / size) for v in change)
+        if tuple(-v for v in direction) in seen:
+            return True
+        seen.add(direction)  # type: ignore[arg-type]
+    return False
+
+
+def held_rows(changes: Sequence[BallMatrix], n: int) -> BallMatrix:
+    """Return R with a row for each dimension in which A_a − A_b differ, and 1 alone in some column of each row.
+
+    Where these have radii: unit rows for all columns that are not 0.
+    """
+    if not changes:
+        return BallMatrix.of([], (0, n))
+    if all(X.radius is None for X in changes):
+        form, rank = stacked([X.centre for X in changes]).rref()
+        return BallMatrix(form).part(range(rank), range(n))
+    sizes = [np.abs(X.floats) + (0 if X.radius is None else np.abs(BallMatrix(X.radius).floats)) for X in changes]
+    taken = np.flatnonzero(np.max(sizes, axis=(0, 1)))
+    return BallMatrix(identity(n)).part(taken.tolist(), range(n))

@@ -1,0 +1,59 @@
+"""The loop that is sampled: forms that depend on the time since a tick fall, for any switching, decided at knots."""
+
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+from .balls import Ball, enlarge, falls, sides, sizes, stacked
+from .bounds import Loop
+from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .reading import number, packed
+from .shape import NUMBER, PACKED, ROWS, WHOLE, of
+from .ticks import AuditedErrors
+
+KEY = "sampled"
+SHAPE = (None, of(ROWS, "K M rows") | of(NUMBER, "sample_time rate") | {"substeps": WHOLE, "P": [PACKED]})
+Form = tuple[Matrix, list[Fraction]]  # and about the roots of its diagonal
+
+
+def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with the proof of the sampled loop, and what it claims."""
+    if content is None:
+        return [], []
+    if whole["practical"] is not None:
+        raise AuditFault("the sampled loop is proved of a plant without merged cells only")
+    h, rate, errors = number(content["sample_time"]), number(content["rate"]), AuditedErrors(content, loop)
+    if h <= 0 or rate <= 0 or content["substeps"] < 1:
+        raise AuditFault("the sample time, the rate or the number of substeps of the sampled loop is not positive")
+    forms, parts = [packed(P) for P in content["P"]], content["substeps"] if errors.changes else 1
+    knots, rest = divmod(len(forms), parts)
+    if rest or knots < 2 or any(len(P) != errors.order for P, _ in forms):
+        raise AuditFault("the forms of the sampled loop are not those of its knots")
+    runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
+    faults = [] if all(definite(P) for P, _ in forms) else ["a form is not positive definite"]
+    faults += [] if shrinks(errors.tick, runs[0][0], runs[-1][-1]) else ["a tick makes its form grow"]
+    ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
+    faults += [] if all(ends) else ["the end of a substep makes its form grow"]
+    turned = [Ball(added(F.T.centre, identity(errors.order, rate)), F.T.radius) for F in errors.flows]
+    for run in runs:
+        for one, other in pairwise(run):
+            rise = [[v * (knots - 1) * parts / h for v in row] for row in added(other[0], one[0], -1)]
+            if not all(falls(F, *form, rise) for form in (one, other) for F in turned):
+                faults.append("its form does not fall fast enough between ticks")
+    said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(turned)} flows"
+    return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(forms)} knots"]
+
+
+def shrinks(jump: Ball, after: Form, before: Form) -> bool:
+    """Decide J^T P_after J < P_before for all J in a ball."""
+    (P, powers), (Q, others) = after, before
+    J, R = jump
+    lower = product(P, J)
+    if not R:
+        return definite(added(Q, product(transposed(J), lower), -1))
+    whole = stacked(sides(Ball(Q), Ball(transposed(lower))), sides(Ball(lower), Ball(P))).centre
+    left, zero = [[-v for v in row] for row in whole], identity(len(Q), 0)
+    enlarge(left, stacked(sides(Ball(zero), Ball(zero)), sides(Ball(product(sizes(P), R)), Ball(zero))).centre, [
+        *others, *powers
+    ])  # fmt: skip
+    return definite(left, sign=-1)

@@ -1,0 +1,169 @@
+"""Forms that depend on a clock: switched linear systems that jump at the ticks of it (Allerhand and Shaked 2011).
+
+Between ticks z' = F(t) z with F(t) in the hull of F_i, at a tick z⁺ = J z with J in the hull of J_j; the period may
+have r parts, at whose ends but the last z⁺ = R z. With P(τ) linear between P_0 … P_N at knots δ apart in each part,
+
+    (P_{k+1} − P_k) / δ + F_iᵀ P_e + P_e F_i + 2 α P_e ≺ 0    for e = k and e = k + 1, all k, all i
+    Rᵀ P_0 R ≺ P_N of the part before,    J_jᵀ P_0 J_j ≺ P_N   from the first part to the last, for all j
+
+make zᵀ P(τ) z fall as e^(−2 α t), whatever the switching: on a segment its derivative is affine in P(τ) and in F, and
+J ↦ Jᵀ P_0 J is convex, so the ends and the vertices speak for all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+
+from pwatrack.ball_matrix import BallMatrix, absolute
+from pwatrack.lmi.clocked_forms import ClockedForms
+from pwatrack.lmi.exact import Packed, left_side, rounded_down, unsure
+from pwatrack.rational import Rational, beside, identity, is_positive_definite, number, scalar, stacked
+
+_TRIED = (1.0, 0.99, 0.9, 0.5)  # shares of the rate that is looked for, until one is proved
+_BITS = (40, 80)  # of the entries of P_k
+_LOOKS = 5  # at a rate, at most, once one is proved
+_MET = 0.8  # of a rate that was asked for, what is taken for it: rounding may hide the rest
+_GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
+_SHARES = (0.9, 0.5, 0.0)  # of what parts by themselves reach: what is asked of the whole
+_MANY = 16  # vertices, from which on it is asked first whether there is any rate: each look takes seconds
+_OF_MANY = (0.0, 0.5)  # what is asked then
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clocked:
+    """A switched system with a clock, exact.
+
+    Attributes:
+        F: What z obeys between ticks, (n, n) each, in 1/s.
+        J: What a tick makes of z, (n, n) each.
+        period: h in s.
+        parts: r, of equal length.
+        between: R, what the end of each part but the last makes of z; None where there is one part.
+        blocks: Sizes of parts of z that hardly act on each other in a circle, one after the other; () if not known.
+    """
+
+    F: Sequence[BallMatrix]
+    J: Sequence[BallMatrix]
+    period: Fraction
+    parts: int = 1
+    between: BallMatrix | None = None
+    blocks: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockedProof:
+    """P_0 … P_N ≻ 0 of each part that satisfy the inequalities above, proved exactly.
+
+    Attributes:
+        P: At the knots, those of the first part first.
+        rate: α, a short decimal in 1/s.
+    """
+
+    P: tuple[Packed, ...]
+    rate: float
+
+
+def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedProof | None:
+    """Return forms at N + 1 knots that prove a rate, or a little less; None where none are found.
+
+    Args:
+        knots: N, at least 1.
+        rate: α in 1/s, at least 0.
+
+    Example: z' = −z with a tick that doubles z falls where ticks are more than log 2 apart.
+
+        >>> F, J = [BallMatrix.of([[-1]])], [BallMatrix.of([[2]])]
+        >>> often, seldom = (Clocked(F=F, J=J, period=Fraction(h)) for h in ("0.69", "0.71"))
+        >>> clocked_proof(often, knots=40) is None, clocked_proof(seldom, knots=40) is None
+        (True, False)
+    """
+    found = _looked_for(system, knots).at(rate)
+    return None if found is None else proved_forms(system, found.P, rate)
+
+
+def fastest(system: Clocked, *, knots: int) -> ClockedProof | None:
+    """Return forms that prove nearly the largest rate that forms at so many knots can, or None.
+
+    Example: z' = −z with a tick that halves z, every second: it falls as e^(−(1 + log 2) t).
+
+        >>> half = Clocked(F=[BallMatrix.of([[-1]])], J=[BallMatrix.of([["1/2"]])], period=Fraction(1))
+        >>> 1.5 < fastest(half, knots=8).rate < 1.7
+        True
+    """
+    program = _looked_for(system, knots)
+    with np.errstate(all="ignore"):
+        if not np.abs(program.over).max() < _GROWS:
+            return None
+    if len(system.blocks) < 2:
+        alone = program.fastest(program.most, _LOOKS)
+        return None if alone is None else proved_forms(system, alone[1].P, alone[0])
+    most, best = program.most_of_parts(system.blocks, _LOOKS), None
+    for share in () if most is None else _OF_MANY if len(system.F) > _MANY else _SHARES:
+        found = program.at(share * (most or 0.0))
+        if found is not None and found.rate > (0.0 if best is None else best.rate):
+            best = found
+        if best is None and not share:
+            return None
+        if best is not None and share and best.rate >= _MET * share * (most or 0.0):
+            break
+    return None if best is None else proved_forms(system, best.P, best.rate)
+
+
+def proved_forms(system: Clocked, found: Sequence[Rational], rate: float) -> ClockedProof | None:
+    """Return forms in short numbers that prove a rate, or a little less, or None."""
+    for bits in _BITS:
+        P = tuple(Packed.of(P_k, bits=bits) for P_k in found)
+        for share in _TRIED if rate else (1.0,):
+            shown = rounded_down(rate * share, 6) if rate else 0.0
+            if proves(system, P, shown):
+                return ClockedProof(P=P, rate=shown)
+    return None
+
+
+def proves(system: Clocked, P: Sequence[Packed], rate: float) -> bool:
+    """Say whether forms satisfy the inequalities, decided in fractions, for everything in the balls of F and J."""
+    N = len(P) // system.parts - 1
+    if N < 1 or len(P) != system.parts * (N + 1) or rate < 0 or not is_positive_definite(P[0].P):
+        return False
+    slope = number(Fraction(N * system.parts) / system.period)
+    turned = [F.transpose() for F in system.F]
+    parts = [P[j : j + N + 1] for j in range(0, len(P), N + 1)]
+    jumps = [(J, parts[0][0], parts[-1][-1]) for J in system.J]
+    for before, after in pairwise(parts):
+        assert system.between is not None
+        jumps.append((system.between, after[0], before[-1]))
+    if not all(is_positive_definite(_jump(*jump)) for jump in jumps):
+        return False
+    for part in parts:
+        for one, other in pairwise(part):
+            rise = (other.P - one.P) * slope
+            for P_e in (one, other):
+                decay = rise + scalar(2 * rate) * P_e.P
+                if not all(is_positive_definite(left_side(F, P_e) - decay) for F in turned):
+                    return False
+    return all(is_positive_definite(P_k.P) for P_k in P[1:])
+
+
+def _jump(J: BallMatrix, first: Packed, last: Packed) -> Rational:
+    """Return what is positive definite where Jᵀ P_0 J ≺ P_N for everything in the ball of J.
+
+    That is P_N − Jᵀ P_0 J; where there is a ball [P_N, Jᵀ P_0; P_0 J, P_0], or what is below it.
+    """
+    lower = first.P * J.centre
+    if J.radius is None:
+        return last.P - J.centre.transpose() * lower
+    whole = stacked([beside([last.P, lower.transpose()]), beside([lower, first.P])])
+    zero = J.radius * 0
+    radius = stacked([beside([zero, zero]), beside([absolute(first.P) * J.radius, zero])])
+    unit = [*last.scale, *first.scale]
+    return whole - unsure(radius, identity(2 * J.radius.nrows()), unit)  # ⪰ ±(E + Eᵀ) for every |E_jk| ≤ radius_jk
+
+
+def _looked_for(system: Clocked, knots: int) -> ClockedForms:
+    """Return the program that looks for forms in floating point."""
+    F, J = (np.array([X.floats for X in matrices]) for matrices in (system.F, system.J))
+    R = np.eye(F.shape[1]) if system.between is None else system.between.floats
+    return ClockedForms(F=F, J=J, R=R, parts=system.parts, knots=knots, period=float(system.period))

@@ -1,0 +1,214 @@
+"""Clock-dependent forms looked for in floating point: what they have to satisfy is in `clocked`, and proved there.
+
+In coordinates in which Σ |z_k|² over the ticks of the mean of the vertices is I, which makes P of size 1; margins count
+in what a form loses in a period at the largest rate. Of many vertices few decide: those that the forms found so far do
+not satisfy are added, until all are satisfied.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import accumulate, pairwise
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_lyapunov
+
+from pwatrack.arrays import Array, balancing
+from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.margin_program import MarginProgram
+
+_ALL = 8  # vertices up to which all are asked for at once
+_WORST = 4  # vertices that are added for each end of a segment where some are not satisfied
+_ROUNDS = 12  # in which vertices are added
+_HELD = 0.02  # of the margin that was found: what every other vertex is to keep
+_STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
+_AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
+_NEAR = 0.05  # share of the largest rate up to which it is looked for
+_OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
+
+Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
+
+
+@dataclass(frozen=True)
+class Forms:
+    """What was found.
+
+    Attributes:
+        P: At the knots, (n, n) each.
+        rate: That they seem to prove, in 1/s.
+    """
+
+    P: list[Array]
+    rate: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockedForms:
+    """The program for one system.
+
+    Attributes:
+        F: Vertices of what z obeys between ticks, (v, n, n).
+        J: Those of what a tick makes of it, (w, n, n).
+        R: What the end of a part of the period makes of it, (n, n).
+        parts, knots, period: As in `clocked`.
+        near: A form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates.
+    """
+
+    F: Array
+    J: Array
+    R: Array
+    parts: int
+    knots: int
+    period: float
+    near: Array | None = None
+    _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+
+    def part(self, where: slice) -> "ClockedForms":
+        """Return the program for some entries of z, as if there were no others."""
+        F, J = (np.unique(X[:, where, where], axis=0) for X in (self.F, self.J))
+        return ClockedForms(F=F, J=J, R=self.R[where, where], parts=self.parts, knots=self.knots, period=self.period)
+
+    @cached_property
+    def over(self) -> Array:
+        """What a period makes of z for each vertex, and for the mean of them, (v + 1, n, n)."""
+        F = np.append(self.F, [self.F.mean(axis=0)], axis=0)
+        flows = np.asarray(expm(F * (self.period / self.parts)))
+        return np.asarray(flows @ np.linalg.matrix_power(self.R @ flows, self.parts - 1))
+
+    @cached_property
+    def most(self) -> float:
+        """No larger rate can be proved: what a vertex does by itself, in 1/s."""
+        radius = max(float(np.abs(np.linalg.eigvals(J @ self.over)).max()) for J in self.J)
+        return -float(np.log(max(radius, 1e-300))) / self.period
+
+    @cached_property
+    def coordinates(self) -> Array:
+        """L, for which L z is of size 1 in the form of the mean, or in one that is known."""
+        if self.near is not None:
+            return np.asarray(np.linalg.cholesky(self.near)).T
+        over = self.J.mean(axis=0) @ self.over
+        d = balancing(np.abs(over).max(axis=0)[None])
+        form = solve_discrete_lyapunov((over[-1] / d[:, None] * d).T, np.eye(len(d)))
+        return np.asarray(np.asarray(np.linalg.cholesky((form + form.T) / 2)).T / d)
+
+    @property
+    def step(self) -> float:
+        """Time between knots."""
+        return self.period / (self.parts * self.knots)
+
+    @cached_property
+    def segments(self) -> list[Segment]:
+        """Both ends of all segments."""
+        starts = [j * (self.knots + 1) + k for j in range(self.parts) for k in range(self.knots)]
+        return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
+
+    def jumps(self, J: Array, R: Array) -> Iterator[tuple[int, int, Array, float]]:
+        """What jumps make, from the last knot of a part to the first of the next; shares of the margin."""
+        size = self.knots + 1
+        for j in range(1, self.parts):
+            yield j * size - 1, j * size, R, 0.25 / self.parts
+        for J_j in J:
+            yield self.parts * size - 1, 0, J_j, 0.25
+
+    def at(self, rate: float) -> Forms | None:
+        """Return forms that satisfy all inequalities at a rate with the largest margin, or None."""
+        if rate >= self.most:
+            return None
+        L, asked = self.coordinates, self._asked
+        back, weight = np.linalg.inv(L), np.eye(len(L)) * min(1.0, 2 * self.most * self.period)
+        F, J, R = (L @ X @ back for X in (self.F + rate * np.eye(len(L)), self.J, self.R))
+        first = range(len(F)) if len(F) <= _ALL else np.unique(np.linspace(0, len(F) - 1, _ALL).astype(int)).tolist()
+        for segment in self.segments:
+            asked.setdefault(segment, list(first))
+        for _ in range(_ROUNDS):
+            found = self._solved(F, J, R, weight)
+            if found is None:
+                return None
+            P, margin = found
+            least = {s: _least(self.left(P, s, F) - _HELD * margin * self.share * weight) for s in self.segments}
+            wanted = {s: [i for i in np.argsort(v)[:_WORST].tolist() if v[i] < 0] for s, v in least.items()}
+            added = {s: [i for i in new if i not in asked[s]] for s, new in wanted.items()}
+            if not any(added.values()):
+                forms = [L.T @ P_k @ L for P_k in P]
+                return Forms(forms, self.rate(forms))
+            for s, new in added.items():
+                asked[s] += new
+        return None
+
+    def fastest(self, most: float, looks: int) -> tuple[float, Forms] | None:
+        """Return forms that prove nearly the largest rate, below one that none can, and that rate."""
+        program, first = self, self.at(0.0)
+        if first is None or not first.rate > 0:
+            return None
+        for _ in range(_AGAIN):
+            again = replace(self, near=first.P[0]).at(first.rate)
+            first = again if again is not None and again.rate > first.rate else first
+
+        def at(rate: float) -> tuple[float, Forms] | None:
+            nonlocal program
+            found = program.at(rate)
+            if found is None or not found.rate > 0:
+                return None
+            program = replace(program, near=found.P[0])
+            return found.rate, found
+
+        program = replace(self, near=first.P[0])
+        return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[:2]
+
+    def most_of_parts(self, blocks: Sequence[int], looks: int) -> float | None:
+        """Return the largest rate that parts of z have as if each were by itself; None where one has none."""
+        edges, most = [0, *accumulate(blocks)], self.most
+        for edge in pairwise(edges):
+            part = self.part(slice(*edge))
+            found = part.fastest(min(most, part.most), looks) if edge[1] - edge[0] > 1 else (most, None)
+            if found is None:
+                return None
+            most = min(most, found[0])
+        return most
+
+    @property
+    def share(self) -> float:
+        """Of the margin, of one segment."""
+        return 0.5 / (self.parts * self.knots)
+
+    def left(self, P: Sequence[Array] | Array, segment: Segment, F: Array) -> Array:
+        """Return −(P_{k+1} − P_k) − step (Fᵀ P_e + P_e F), (v, n, n)."""
+        k, after, e = segment
+        product = P[e] @ F
+        return np.asarray(P[k] - P[after] - self.step * (product + product.transpose(0, 2, 1)))
+
+    def rate(self, P: Sequence[Array]) -> float:
+        """Return the rate that forms prove, as far as floating point can tell; none is proved where it is negative."""
+        try:
+            back = [np.linalg.inv(np.linalg.cholesky(P_k)) for P_k in P]
+        except np.linalg.LinAlgError:
+            return -np.inf
+        sides = (back[s[2]] @ self.left(P, s, self.F) @ back[s[2]].T for s in self.segments)
+        flows = min(float(_least(X).min()) for X in sides) / (2 * self.step)
+        turned = (back[k] @ (P[k] - J.T @ P[after] @ J) @ back[k].T for k, after, J, _ in self.jumps(self.J, self.R))
+        return min(flows, float(_least(self.counted(np.array(list(turned)))).min()))
+
+    def counted(self, turned: Array) -> Array:
+        """Return what ticks leave of the form beside rates: it need not lose there, if it does not grow."""
+        return turned * (_STEEP / self.period)
+
+    def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
+        """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
+        program = MarginProgram(F.shape[1], self.parts * (self.knots + 1))
+        for k in range(program.count):
+            program.add({k: -program.eye}, _OF_P * weight)
+        program.add({0: program.trace}, 0 * weight, np.eye(program.n))
+        for before, after, X, share in self.jumps(J, R):
+            program.add({before: -program.eye, after: program.congruence(X)}, share * weight)
+        for segment, vertices in self._asked.items():
+            k, after, e = segment
+            for i in vertices:
+                terms = {k: -program.eye, after: program.eye}
+                terms[e] = terms[e] + self.step * program.lyapunov(F[i])
+                program.add(terms, self.share * weight)
+        return program.solved()
+
+
+def _least(X: Array) -> Array:
+    """Return the least eigenvalue of each of some symmetric matrices."""
+    return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])

@@ -1,0 +1,109 @@
+"""Gains for a program that predicts and corrects, and the program itself beside the plant, for tests of its proof."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from pwatrack import Spec
+from pwatrack.arrays import Array
+from pwatrack.claims.sampled import SampledLoop
+from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.model.pwa import PWASystem
+from pwatrack.workflow.pipeline import asked_of
+
+
+def kalman(plant: PWASystem, h: float, *, q: float = 1.0, r: float = 1.0) -> Array:
+    """Return M of the sampled Kalman filter of the mean cell: densities q of all states and r of all outputs."""
+    A, C = np.mean([X.floats for X in plant.observed.A], axis=0), plant.observed.C.floats
+    N = len(A)
+    both = expm(np.block([[-A, q * np.eye(N)], [np.zeros((N, N)), A.T]]) * h)
+    turned = both[N:, N:].T
+    noise, R = turned @ both[:N, N:], r / h * np.eye(len(C))
+    P = solve_discrete_are(turned.T, C.T, (noise + noise.T) / 2, R)
+    return np.asarray(-P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).round(6)
+
+
+def regulator(plant: PWASystem, h: float, *, r: float = 1.0) -> Array:
+    """Return K of the sampled regulator of the mean cell."""
+    n, m = plant.B.shape
+    whole = expm(np.block([[plant.A.mean(axis=0), plant.B], [np.zeros((m, n + m))]]) * h)
+    A, B = whole[:n, :n], whole[:n, n:]
+    P = solve_discrete_are(A, B, np.eye(n) * h, r * np.eye(m) * h)
+    return np.asarray(-np.linalg.solve(r * h * np.eye(m) + B.T @ P @ B, B.T @ P @ A)).round(6)
+
+
+def asking(spec: Spec, controller: ProvedController, gains: SampledGains) -> Asked:
+    """Return what a spec asks, and the sampled loop with these gains."""
+    return replace(asked_of(spec, None, controller), sampled=gains)
+
+
+def with_sampled(spec: Spec, controller: ProvedController, gains: SampledGains) -> ProvedController:
+    """Return a controller with the claim of its sampled loop."""
+    found = SampledLoop.prove(controller, asking(spec, controller, gains))
+    return replace(controller, claims=(*controller.claims, *found))
+
+
+def running(
+    errors: SampledErrors, start: Array, estimate: Array, ticks: int, fine: int
+) -> Iterator[tuple[int, int, Array]]:
+    """Yield z of a loop whose reference rests at 0, in each substep many times, with the number of both.
+
+    The plant is integrated by Runge and Kutta, and its prediction by exponentials in the cell of each substep's begin.
+
+    Args:
+        errors: What they are of; the plant rests at 0 without inputs and loads.
+        start: x and s, (N,).
+        estimate: x̂ and ŝ before the first tick.
+        ticks: How many.
+        fine: Steps in each substep.
+    """
+    plant, gains = errors.plant, errors.gains
+    (n, _), r = plant.B.shape, errors.parts
+    K, M, C, R = gains.K, gains.M, plant.observed.C.floats, errors.R.floats
+    E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
+    step = gains.sample_time / r / fine
+    x, s, seen = start[:n], start[n:], estimate
+    for _ in range(ticks):
+        seen = seen + M @ (C @ seen - C[:, :n] @ x)
+        held = K @ seen[:n]
+        u = held - np.linalg.pinv(plant.B) @ E @ seen[n:]
+        for part in range(r):
+            begun, begin = plant.partition.locate(seen[:n]), seen[:n]
+            F = np.zeros((len(seen) + 1, len(seen) + 1))
+            F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[begun], E, plant.b[begun] + plant.B @ u
+            turned, ahead = expm(F * step), np.append(seen, 1.0)
+            for k in range(fine + 1):
+                seen = ahead[:-1]
+                yield part, k, np.concatenate([x, held, seen - np.append(x, s), R @ (seen[:n] - begin)])
+                if k < fine:
+                    x = integrated(plant, x, plant.B @ u + E @ s, step)
+                    ahead = turned @ ahead
+
+
+def integrated(plant: PWASystem, x: Array, push: Array, step: float) -> Array:
+    """Return x one step later."""
+
+    def rate(at: Array) -> Array:
+        i = plant.partition.locate(at)
+        return np.asarray(plant.A[i] @ at + plant.b[i] + push)
+
+    one = rate(x)
+    two = rate(x + step / 2 * one)
+    three = rate(x + step / 2 * two)
+    four = rate(x + step * three)
+    return np.asarray(x + step / 6 * (one + 2 * two + 2 * three + four))
+
+
+def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
+    """Return P(τ) after a share of a part of the period."""
+    P = np.array([P_k.P.tolist() for P_k in proof.P], dtype=float)
+    size = len(P) // parts
+    place = share * (size - 1)
+    k = min(int(place), size - 2)
+    one, other = P[part * size + k], P[part * size + k + 1]
+    return np.asarray(one + (place - k) * (other - one))

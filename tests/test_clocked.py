@@ -1,0 +1,147 @@
+"""Forms that depend on a clock: against closed forms, and against switching that was never looked at."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi import margin_program
+from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, proves
+from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.margin_program import MarginProgram
+
+
+def scalar(a: float, g: float, h: str) -> Clocked:
+    return Clocked(F=[BallMatrix.of([[a]])], J=[BallMatrix.of([[g]])], period=Fraction(h))
+
+
+@given(st.floats(-3, 3), st.floats(-2, 2), st.sampled_from(["0.1", "0.5", "1"]))
+@settings(max_examples=40)
+def test_one_state_is_proved_where_it_shrinks_from_tick_to_tick_and_nowhere_else(a: float, g: float, h: str) -> None:
+    a, g = round(a, 3), round(g, 3)
+    growth = a * float(Fraction(h)) + np.log(max(abs(g), 1e-12))
+    found = clocked_proof(scalar(a, g, h), knots=16)
+    if growth >= 0:
+        assert found is None
+    if growth < -0.2:
+        assert found is not None
+
+
+def random_system(seed: int) -> Clocked:
+    """Two flows near each other and a tick that feeds back a sample of the state, held between ticks."""
+    random = np.random.default_rng(seed)
+    A = random.normal(size=(2, 2)) - 0.5 * np.eye(2)
+    B, push = random.normal(size=(2, 1)), 0.1 * random.normal(size=(2, 2))
+    K = -np.linalg.lstsq(B, A + 0.3 * np.eye(2), rcond=None)[0]
+    flows = [np.block([[X, B], [np.zeros((1, 3))]]) for X in (A - 1.5 * np.eye(2), A - 1.5 * np.eye(2) + push)]
+    jump = np.block([[np.eye(2), np.zeros((2, 1))], [K, np.zeros((1, 1))]])
+    F, J = ([BallMatrix.of(X.round(3)) for X in matrices] for matrices in (flows, [jump]))
+    return Clocked(F=F, J=J, period=Fraction("0.05"))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_form_falls_for_switching_of_any_kind(seed: int) -> None:
+    system, rate = random_system(seed), 0.05
+    found = clocked_proof(system, knots=2, rate=rate)
+    assert found is not None
+    assert found.rate > 0
+    P, random = [np.array(P_k.P.tolist(), dtype=float) for P_k in found.P], np.random.default_rng(seed)
+    z, h, steps = random.normal(size=3), float(system.period), 40
+    value = z @ P[0] @ z
+    for _ in range(60):
+        for k in range(steps):
+            share = random.uniform()
+            F = share * system.F[0].floats + (1 - share) * system.F[1].floats
+            z = expm(F * h / steps) @ z
+            after = z @ at(P, (k + 1) / steps) @ z
+            assert after <= value * np.exp(-2 * found.rate * h / steps) * (1 + 1e-9)
+            value = after
+        z = system.J[0].floats @ z
+        after = z @ P[0] @ z
+        assert after <= value * (1 + 1e-12)
+        value = after
+
+
+def at(P: list[Array], share: float) -> Array:
+    """P(τ), linear between its knots."""
+    place = share * (len(P) - 1)
+    k = min(int(place), len(P) - 2)
+    return P[k] + (place - k) * (P[k + 1] - P[k])
+
+
+def test_what_was_changed_is_no_proof() -> None:
+    system = random_system(0)
+    found = clocked_proof(system, knots=1, rate=0.05)
+    assert found is not None
+    assert holds(system, found)
+    last = found.P[-1]
+    smaller = replace(last, integers=tuple(tuple(v // 2 for v in row) for row in last.integers))
+    assert not holds(system, replace(found, P=(found.P[0], smaller)))
+    assert not holds(system, replace(found, rate=found.rate * 1e3))
+
+
+def test_a_ball_of_a_jump_counts() -> None:
+    """|g| is at most 1/2 in the ball of one jump and may be 2 in that of the other."""
+    system = scalar(-0.1, 0.4, "1")
+    near, far = (BallMatrix(system.J[0].centre, BallMatrix.of([[radius]]).centre) for radius in (0.1, 1.6))
+    assert clocked_proof(replace(system, J=[near]), knots=1) is not None
+    assert clocked_proof(replace(system, J=[far]), knots=1) is None
+
+
+def holds(system: Clocked, found: ClockedProof) -> bool:
+    packed: tuple[Packed, ...] = found.P
+    return proves(system, packed, found.rate)
+
+
+def test_parts_of_a_period_with_a_jump_after_each() -> None:
+    """x' = −x + y/2, y' = x; the end of a part makes y 0, and so does the tick: proved, and not where y only grows."""
+    F = [BallMatrix.of([[-1, 0.5], [1, 0]]), BallMatrix.of([[-1, -0.5], [1, 0]])]
+    reset = BallMatrix.of([[1, 0], [0, 0]])
+    system = Clocked(F=F, J=[reset], period=Fraction(2), parts=4, between=reset)
+    found = fastest(system, knots=1)
+    assert found is not None
+    assert len(found.P) == 8
+    assert 0.05 < found.rate < 1
+    assert holds(system, found)
+    assert not holds(replace(system, period=Fraction(40)), found)
+    assert not proves(system, found.P[:7], found.rate)
+    assert not holds(system, replace(found, rate=1.5))
+    kept = replace(system, between=BallMatrix.of([[1, 0], [0, 2]]))
+    assert fastest(kept, knots=1) is None
+
+
+def test_of_many_vertices_those_that_decide_are_found() -> None:
+    """What is asked of a few alone would not hold for all."""
+    random = np.random.default_rng(3)
+    A = [np.array([[-1.0, a], [b, -1.0]]) for a, b in random.uniform(-0.6, 0.6, size=(60, 2)).round(3)]
+    system = Clocked(F=[BallMatrix.of(X) for X in A], J=[BallMatrix.of([[1, 0], [0, 1]])], period=Fraction("0.1"))
+    found = fastest(system, knots=1)
+    assert found is not None
+    assert holds(system, found)
+    slowest = min(-np.linalg.eigvals(X).real.max() for X in A)
+    assert 0.5 * slowest < found.rate <= slowest
+
+
+@pytest.mark.parametrize("order", [2, 7])
+def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(order)
+    F = random.normal(size=(3, order, order)) * 0.2 - np.eye(order)
+    margins = list[float]()
+    for limits in ((0, 0, 0), (0, 1e12, 1e12)):
+        monkeypatch.setattr(margin_program, "DENSE", limits)
+        program = MarginProgram(order, 1)
+        program.add({0: program.trace}, np.zeros((order, order)), np.eye(order))
+        for X in F:
+            program.add({0: program.lyapunov(X)}, np.eye(order))
+        found = program.solved()
+        assert found is not None
+        P, t = found
+        assert max(np.linalg.eigvalsh(X.T @ P[0] + P[0] @ X + t * np.eye(order))[-1] for X in F) < 1e-6
+        margins.append(t)
+    assert margins[0] == pytest.approx(margins[1], rel=0.03)

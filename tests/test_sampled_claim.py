@@ -1,0 +1,307 @@
+"""The proof of a loop that is sampled: against the loop itself, random switching, and forged certificates."""
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pwatrack import Spec, design, load_spec
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.sampled import SampledLoop
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.vertices import held_rows, outermost
+from pwatrack.lmi.audit.bounds import Loop
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.audit.plant import AuditedPlant
+from pwatrack.lmi.audit.ticks import AuditedErrors
+from pwatrack.lmi.clocked import ClockedProof, fastest
+from pwatrack.report.certificate import design_certificate
+from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
+
+LOADED = """
+name: mass on a spring, pushed by a load
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  B: [[0], [2]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: stop, kind: spring, of: z, start: 0.1, slope: 3, into: {v: -1}}
+design: {tracking: state, estimate: input}
+reference: {setpoint: {y: 0.05}}
+simulation: {duration: 1, sample_time: 0.05}
+"""
+
+
+@pytest.fixture(scope="module")
+def section(specs: Path) -> tuple[Spec, ProvedController]:
+    spec = load_spec(specs / "two_mass_paper_gains.yaml")
+    return spec, design(spec)
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    path = tmp_path_factory.mktemp("loaded") / "plant.yaml"
+    path.write_text(LOADED)
+    spec = load_spec(path)
+    return spec, design(spec)
+
+
+def gains_of(controller: ProvedController, h: float, substeps: int = 1, K: Array | None = None) -> SampledGains:
+    K = controller.K if K is None else K
+    return SampledGains(K=K, M=kalman(controller.plant, h), sample_time=h, substeps=substeps)
+
+
+def the_claim(controller: ProvedController) -> SampledLoop:
+    return controller.claim(SampledLoop)
+
+
+def proof_of(controller: ProvedController) -> ClockedProof:
+    proof = the_claim(controller).proof
+    assert proof is not None
+    return proof
+
+
+@pytest.mark.parametrize("h", [0.002, 0.01, 0.05])
+def test_the_example_of_section_five_is_proved(h: float, section: tuple[Spec, ProvedController]) -> None:
+    spec, controller = section
+    found = with_sampled(spec, controller, gains_of(controller, h))
+    assert proof_of(found).rate > 0.01
+    (label, said), (_, runs) = the_claim(found).rows(spec.words, found)
+    assert label == "sampled loop"
+    assert runs.startswith("runs with K = [-1.6088 -1.126 0.2282 -0.1182], M = [-0.0")
+    assert said.startswith(f"sampled every {h} s, of the plant as designed, while no limit of an input is reached: ")
+
+
+def falls_along(errors: SampledErrors, proof: ClockedProof, starts: Array, ticks: int) -> None:
+    """The form falls along the loop as it runs, cells crossed wherever they are."""
+    fine, N = 12, errors.plant.observed.C.shape[1]
+    fallen = np.exp(-2 * proof.rate * errors.gains.sample_time / errors.parts / fine)
+    for start in starts:
+        value = float("inf")
+        for part, k, z in running(errors, start[:N], start[N:], ticks, fine):
+            after = float(z @ form_at(proof, errors.parts, part, k / fine) @ z)
+            assert after <= value * (fallen if k else 1) * (1 + 1e-7)
+            value = after
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_the_form_falls_along_the_loop_itself(substeps: int, section: tuple[Spec, ProvedController]) -> None:
+    spec, controller = section
+    found = with_sampled(spec, controller, gains_of(controller, 0.05, substeps))
+    errors = SampledErrors.of(controller.plant, the_claim(found).gains)
+    starts = np.random.default_rng(1).normal(size=(3, 8)) * 0.3
+    falls_along(errors, proof_of(found), starts, ticks=120 // (substeps + 1))
+
+
+def test_so_it_does_where_a_load_is_estimated(loaded: tuple[Spec, ProvedController]) -> None:
+    spec, controller = loaded
+    h, plant = 0.05, controller.plant
+    found = with_sampled(spec, controller, gains_of(controller, h, K=regulator(plant, h)))
+    errors = SampledErrors.of(plant, the_claim(found).gains)
+    falls_along(errors, proof_of(found), np.random.default_rng(2).normal(size=(3, 6)) * 0.3, ticks=60)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_form_falls_for_switching_that_no_plant_makes(seed: int, section: tuple[Spec, ProvedController]) -> None:
+    random = np.random.default_rng(seed)
+    _, controller = section
+    errors = SampledErrors.of(controller.plant, gains_of(controller, 0.1, 2))
+    system = errors.clocked
+    proof = fastest(system, knots=1)
+    assert proof is not None
+    assert system.between is not None
+    P = [np.array(P_k.P.tolist(), dtype=float) for P_k in proof.P]
+    F, (J,), R = np.array([X.floats for X in system.F]), system.J, system.between.floats
+    z, steps = random.normal(size=errors.order), 10
+    for _ in range(20):
+        for part in range(2):
+            one, other = P[2 * part : 2 * part + 2]
+            for k in range(steps):
+                value = z @ (one + k / steps * (other - one)) @ z
+                share = random.dirichlet(np.full(len(F), 0.2))
+                z = expm(np.tensordot(share, F, 1) * 0.05 / steps) @ z
+                after = z @ (one + (k + 1) / steps * (other - one)) @ z
+                assert after <= value * np.exp(-2 * proof.rate * 0.05 / steps) * (1 + 1e-9)
+            z = (R if part == 0 else J.floats) @ z
+            assert z @ P[2 - 2 * part] @ z <= after
+
+
+@pytest.fixture(scope="module")
+def certified(loaded: tuple[Spec, ProvedController]) -> tuple[Spec, ProvedController, dict[str, Any]]:
+    spec, controller = loaded
+    K = regulator(controller.plant, 0.05)
+    found = with_sampled(spec, controller, gains_of(controller, 0.05, 2, K))
+    return spec, found, design_certificate(spec, found)
+
+
+def test_a_certificate_holds_the_proof_and_is_read_again(
+    certified: tuple[Spec, ProvedController, dict[str, Any]],
+) -> None:
+    spec, found, content = certified
+    said, faults = audit(json.dumps(content))
+    assert not faults
+    assert [one for one in said if one.startswith("the sampled loop: every 0.05 s, rate ")]
+    (told,) = SampledLoop.read(content, found, asking(spec, found, the_claim(found).gains))
+    assert told.data(found) == the_claim(found).data(found)
+    assert list(told.rows(spec.words, found)) == list(the_claim(found).rows(spec.words, found))
+    assert told.figures(spec.words, found)["sampled"]["rate"] == proof_of(found).rate
+    other = replace(the_claim(found).gains, sample_time=0.06)
+    with pytest.raises(ValueError, match="not those of its certificate"):
+        list(SampledLoop.read(content, found, asking(spec, found, other)))
+
+
+FORGED: dict[str, Callable[[Any], Any]] = {
+    "a larger rate": lambda s: s.update(rate="3"),
+    "no rate": lambda s: s.update(rate="0"),
+    "a longer sample time": lambda s: s.update(sample_time="0.5"),
+    "no sample time": lambda s: s.update(sample_time="0"),
+    "another K": lambda s: s["K"][0].__setitem__(0, "5"),
+    "another M": lambda s: s["M"][0].__setitem__(0, "5"),
+    "a K with a column more": lambda s: s["K"][0].append("0"),
+    "an M with a row less": lambda s: s["M"].pop(),
+    "no K": lambda s: s.update(K=[]),
+    "one substep": lambda s: s.update(substeps=1, P=s["P"][:2]),
+    "more substeps than knots": lambda s: s.update(substeps=3),
+    "very many substeps": lambda s: s.update(substeps=10**9),
+    "no substep": lambda s: s.update(substeps=0),
+    "knots that are missing": lambda s: s["P"].pop(),
+    "no knots": lambda s: s.update(P=[]),
+    "knots in another order": lambda s: s["P"].reverse(),
+    "a form that is changed": lambda s: s["P"][1]["integers"][0].__setitem__(0, "1"),
+    "a form with a row less": lambda s: s["P"][0]["integers"].pop(),
+    "a form of other size": lambda s: s["P"].__setitem__(0, {"integers": [["1"]], "exponents": [0]}),
+    "a negative form": lambda s: [
+        P.update(integers=[[str(-int(v)) for v in row] for row in P["integers"]]) for P in s["P"]
+    ],
+    "no rows": lambda s: s.update(rows=[]),
+    "rows of 0": lambda s: s.update(rows=[["0", "0"]]),
+    "other rows": lambda s: s.update(rows=[["0", "1"]]),
+    "rows of other length": lambda s: s.update(rows=[["1"]]),
+    "very many rows": lambda s: s.update(rows=[["1", "0"]] * 5000),
+    "a key that is missing": lambda s: s.pop("rate"),
+    "a key more": lambda s: s.update(alpha="1"),
+    "whole numbers that are texts": lambda s: s.update(substeps="2"),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_proof_is_refused(name: str, certified: tuple[Spec, ProvedController, dict[str, Any]]) -> None:
+    content = copy.deepcopy(certified[2])
+    FORGED[name](content["sampled"])
+    content["bounds"] = []  # they take long
+    faults = audit(json.dumps(content))[1]
+    assert faults
+    assert not any(fault.startswith("not a certificate") for fault in faults), faults
+
+
+def test_a_proof_of_a_plant_with_other_loads_is_refused(
+    certified: tuple[Spec, ProvedController, dict[str, Any]],
+) -> None:
+    content = copy.deepcopy(certified[2])
+    content["plant"]["loads"]["S"] = [["-1"]]
+    faults = audit(json.dumps(content))[1]
+    assert faults == ["the loads are no constants at inputs, exactly"]
+
+
+def test_a_plant_of_one_cell_is_proved_without_rows(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text("\n".join(line for line in LOADED.splitlines() if "stop" not in line and "nonlin" not in line))
+    spec = load_spec(path)
+    controller = design(spec)
+    found = with_sampled(spec, controller, gains_of(controller, 0.05, 4))
+    content = design_certificate(spec, found)
+    assert content["sampled"]["rows"] == []
+    assert len(content["sampled"]["P"]) == 2
+    assert audit(json.dumps(content))[1] == []
+    content["sampled"]["rows"] = [["1", "0"]]
+    faults = audit(json.dumps(content))[1]
+    assert faults == ["the rows of the sampled loop do not span the differences of its cells"]
+
+
+def matrices_of(balls: Any) -> set[Any]:
+    return {tuple(map(tuple, ball.centre)) for ball in balls}
+
+
+@pytest.mark.parametrize("which", ["section", "loaded"])
+def test_the_auditor_makes_the_same_matrices_from_the_file(which: str, request: pytest.FixtureRequest) -> None:
+    spec, controller = request.getfixturevalue(which)
+    gains = gains_of(controller, 0.05, 2, regulator(controller.plant, 0.05))
+    errors = SampledErrors.of(controller.plant, gains)
+    content = design_certificate(spec, controller)
+    told = SampledLoop(gains=gains, proof=ClockedProof(P=(), rate=1.0)).data(controller)["sampled"]
+    again = AuditedErrors(told, Loop(AuditedPlant(content["plant"]), [], [], None))
+    system = errors.clocked
+    assert system.between is not None
+    for own, audited in ((system.F, again.flows), (system.J, [again.tick]), ([system.between], [again.substep])):
+        texts = {tuple(tuple(map(Fraction, row)) for row in X.texts) for X in own}
+        assert texts == matrices_of(audited)
+
+
+def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> None:
+    spec, controller = section
+    slow = replace(gains_of(controller, 2.0), K=10 * controller.K)
+    found = with_sampled(spec, controller, slow)
+    assert the_claim(found).proof is None
+    assert the_claim(found).data(found) == {}
+    rows = list(the_claim(found).rows(spec.words, found))
+    assert rows[0] == (
+        "sampled loop",
+        "not proved: no forms were found that prove it; every 1 s it is proved",
+    )
+    (told,) = SampledLoop.read({"sampled": None}, controller, asking(spec, controller, slow))
+    assert list(told.rows(spec.words, found))[1:] == rows[1:]
+    assert told.sentence == the_claim(found).sentence
+    assert list(SampledLoop.prove(controller, replace(asking(spec, controller, slow), sampled=None))) == []
+
+
+def test_loads_elsewhere_than_at_inputs_are_not_tried(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(LOADED.replace("estimate: input", "estimate: {hum: {into: {v: 2}, frequency: 3}}"))
+    spec = load_spec(path)
+    controller = design(spec)
+    (claim,) = SampledLoop.prove(controller, asking(spec, controller, gains_of(controller, 0.05)))
+    assert claim.missing == "loads that are estimated do not only act at inputs, one for each tracked output"
+
+
+def test_late_inputs_and_merged_cells_are_not_tried(section: tuple[Spec, ProvedController]) -> None:
+    spec, controller = section
+    gains = gains_of(controller, 0.05)
+    late = asking(spec, controller, replace(gains, delay=1))
+    (claim,) = SampledLoop.prove(controller, late)
+    assert claim.missing == "inputs are late, and what waits is not in the proof"
+    watched = replace(controller, plant=replace(controller.plant, watched=controller.plant))
+    (claim,) = SampledLoop.prove(watched, late)
+    assert claim.missing == "cells are merged, and what is merged would act on the prediction too"
+
+
+def test_a_plant_with_too_many_cells_is_not_tried(section: tuple[Spec, ProvedController]) -> None:
+    spec, controller = section
+    gains = gains_of(controller, 0.05, 1000)
+    (claim,) = SampledLoop.prove(controller, asking(spec, controller, gains))
+    assert claim.missing == "its cells are too many"
+
+
+def test_outermost_matrices_and_the_rows_that_they_differ_in() -> None:
+    grid = [BallMatrix.of([[a, b], [0, 1]]) for a in (0, 1, 5) for b in ("0.5", 2, 3)]
+    corners = outermost(grid)
+    assert sorted((X.floats[0, 0], X.floats[0, 1]) for X in corners) == [(0, 0.5), (0, 3), (5, 0.5), (5, 3)]
+    changes = [corners[0] - X for X in corners[1:]]
+    assert held_rows(changes, 2).texts == [["1", "0"], ["0", "1"]]
+    one = [BallMatrix.of([[0, 2, 4]]), BallMatrix.of([[0, 1, 2]])]
+    assert held_rows(one, 3).texts == [["0", "1", "2"]]
+    unsure = [BallMatrix(X.centre, BallMatrix.of([["0", "0", "0.1"]]).centre) for X in one]
+    assert held_rows(unsure, 3).texts == [["0", "1", "0"], ["0", "0", "1"]]
+    assert len(outermost([*unsure, unsure[0]])) == 2
