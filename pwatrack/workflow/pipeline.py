@@ -10,7 +10,7 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import proved
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.headroom import Headroom
+from pwatrack.control.headroom import Headroom, InputConstraint
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
@@ -101,7 +101,7 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom |
             controller=goals.controller,
             observer=goals.observer,
             sizes=sizes,
-            within=None if room is None else room.within(sizes.state),
+            within=_within(spec, room, sizes.state),
         )
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes)
@@ -114,6 +114,17 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom |
             proofs=proofs,
             sizes=sizes,
         ), room
+
+
+def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint | None:
+    """Return what limits ask of K, where it is to be such that none is reached."""
+    if not getattr(spec.objectives.controller, "within_limits", False):
+        return None
+    if room is None:
+        message = "'within: limits' is asked of K, and no input has a limit"
+        hint = "say what inputs can do under simulation: actuator: {limits: {…: […, …]}}"
+        raise InvalidSpec(Problem(message=message, subject=("design", "controller", "within"), hint=hint))
+    return room.within(sizes)
 
 
 def _room(spec: Spec, controller: ProvedController) -> Headroom | None:
