@@ -9,6 +9,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.decay import Decay
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
+from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.stable_inversion import StableInversion
@@ -21,6 +22,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     Decay,
     Costs,
     NoSaturation,
+    LimitedRegion,
     SignalBounds,
     Robust,
     StableInversion,

@@ -74,14 +74,14 @@ class Starts:
 
     Attributes:
         kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
-            run. "ensemble": those of its members. "members": the same with Δ = 0.
+            run. "ensemble": those of its members. "members": the same with Δ = 0. "every": all there are.
         e: Rows of G for e, (n, k).
         delta: Rows of G for Δ, (n, k), or None for Δ = 0.
         load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
             sign, (p, k). None where Δ = 0: then no load acts.
     """
 
-    kind: Literal["exact", "sizes", "run", "ensemble", "members"]
+    kind: Literal["exact", "sizes", "run", "ensemble", "members", "every"]
     e: Array
     delta: Array | None = None
     load: Array | None = None
@@ -155,8 +155,20 @@ class Headroom:
     @property
     def left(self) -> Array | None:
         """How far each input may be from its feedforward at any time, (m,); None where nothing is left or known."""
-        left = None if self.peak is None else self.peak.left(self.limits)
+        left = self.spare
         return None if left is None or not (left > 0).all() else left
+
+    @property
+    def spare(self) -> Array | None:
+        """The same with 0 where the feedforward takes a whole limit; None where it takes more, or that is not known."""
+        return None if self.peak is None or self.peak.beyond(self.limits) else self.peak.left(self.limits)
+
+    @property
+    def bearable(self) -> Array:
+        """Between what constant loads at each input may be, (m, 2), so that the feedforward less them is in limits."""
+        assert self.peak is not None
+        ends = np.column_stack([self.peak.high - self.limits[:, 1], self.peak.low - self.limits[:, 0]])
+        return np.clip(ends, [-np.inf, 0.0], [0.0, np.inf])
 
     def within(self, sizes: Array) -> InputConstraint | None:
         """Return what a gain is to keep: from the starts of an ensemble where there is one, else within sizes (n,).
