@@ -23,7 +23,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from tests.test_cli import call
+from tests.test_cli import call, refused
 from tests.test_within_limits import STAGE, written
 
 TANK = """
@@ -98,7 +98,6 @@ def test_loads_that_every_start_bears_are_what_leaves_the_feedforward_in_its_lim
         assert (abs(response.x[-1, 0] - 20) < 1e-3) == rests
 
 
-LIMITS = "[-4, 4]"
 BIG = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1, u: 2}\n  units:").replace("slope: 50", "slope: 2")
 
 
@@ -184,3 +183,45 @@ def test_no_start_on_the_edge_of_a_region_leaves_it_for_any_switching(seed: int)
     found = loop.around(np.eye(N), np.ones(m))
     assert found is not None
     assert growth(loop, found, 1 / max(found.sizes), random, 200) < 1e-9
+
+
+MOVED = STAGE.replace("slope: 50", "slope: 1").replace("  units:", "  sizes: {z: 0.1, v: SPEED, u: 100}\n  units:")
+WAVE = {"REFERENCE": "0.1*sin(t)", "LIMITS": "[-2, 2]"}
+
+
+def test_a_smaller_gain_is_taken_where_starts_are_not_inside_and_what_it_costs_is_said(tmp_path: Path) -> None:
+    """2 z'' = u with a u that costs little: the regulator is large, and a twentieth of the starts is in its region."""
+    path, out = written(tmp_path, MOVED.replace("d: 3", "d: 0"), SPEED="1.2", **WAVE), tmp_path / "out"
+    made = design(load_spec(path))
+    cheaper = made.design.cheaper
+    assert cheaper is not None
+    assert scaled(made.claim(LimitedRegion))["exact"] >= 1
+    ratio = float(np.linalg.norm(made.sizes.gain(cheaper)) / np.linalg.norm(made.sizes.gain(made.K)))
+    assert ratio > 3
+    said = " ".join(call("design", path, "--out", out).stdout.split())
+    assert f"for that K is {ratio:.2g} times smaller in sizes than that of least cost, [-1000" in said
+    assert any("it belongs to" in line for line in verify(out, path))
+    told = json.loads((out / "run.json").read_text(encoding="utf-8"))["limits_active"]
+    assert told["K_smaller_by"] == pytest.approx(ratio)
+
+
+def test_where_not_all_starts_can_be_inside_the_gain_stays_but_where_most_of_them_are_asked_for(tmp_path: Path) -> None:
+    """At 2 m/s nothing holds 2 z'' = z + u with 2 N: z + √2 v has to be below 2."""
+    text, shares = MOVED.replace("[0, -d/m]]", "[1/2, 0]]"), []
+    for asked in ("", "design: {controller: {within: region}}\n"):
+        spec = load_spec(written(tmp_path, text.replace("reference:", f"{asked}reference:"), SPEED="2", **WAVE))
+        made = design(spec)
+        shares.append(scaled(made.claim(LimitedRegion))["exact"])
+        assert (made.design.cheaper is None) == (not asked)
+    assert 3 * shares[0] < shares[1] < 1.8 / 2 / (0.1 / 2 + 2 / np.sqrt(2))
+    for wrong in ("within: region, rate: largest", "within: region, gain: 3"):
+        asked = f"design: {{controller: {{{wrong}}}}}\nreference:"
+        path = written(tmp_path, text.replace("reference:", asked), SPEED="2", **WAVE)
+        assert "'region' goes with a given rate, or with none" in refused(call("check", path), 2)
+
+
+def test_a_given_gain_is_left_as_it_is(tmp_path: Path) -> None:
+    given = "design: {controller: {K: [[-900, -80]]}}\nreference:"
+    made = design(load_spec(written(tmp_path, MOVED.replace("reference:", given), SPEED="2", **WAVE)))
+    assert made.design.cheaper is None
+    assert made.K.tolist() == [[-900, -80]]

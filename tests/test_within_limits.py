@@ -360,7 +360,7 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
 def tank(a: float, b: float, s: float, most: float) -> tuple[Task, InputConstraint]:
     sizes = Sizes(state=np.array([s]), input=np.array([1.0]), output=np.ones(1), speed=1.0)
     task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=sizes)
-    return task, InputConstraint(starts=np.array([[s]]), left=np.array([most]))
+    return task, InputConstraint(starts=[np.array([[s]])], left=np.array([most]))
 
 
 @pytest.mark.slow
@@ -419,7 +419,7 @@ def test_gains_within_limits_keep_them_and_no_regulator_of_heavier_inputs_is_muc
         K = -B.T @ solve_continuous_are(A, B, Q, weight * np.eye(1)) / weight
         if largest(A + B @ K, K, s) <= most:
             tried.append((cost(K), -float(np.linalg.eigvals(A + B @ K).real.max())))
-    within = InputConstraint(starts=np.diag(s), left=np.array([most]))
+    within = InputConstraint(starts=[np.diag(s)], left=np.array([most]))
     K, proof = gain(task, AtLeast(), within)
     assert isinstance(proof, Certificate)
     if within.share(task, K, proof) < 1:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.exact_text import decimal_texts, doubles
 from pwatrack.claims.limits import (
@@ -25,7 +26,7 @@ from pwatrack.claims.limits import (
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
-from pwatrack.control.words import Words, down
+from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
 
 _NOT_FOUND = "no ellipsoid was found that proves it"
@@ -81,15 +82,17 @@ class LimitedRegion(Claim):
         yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return ellipsoids and rows H."""
+        """Return ellipsoids and rows H, and the gain of least cost where another one took its place."""
         entries = [one.data | {"H": decimal_texts(one.held.H)} for one in self.found if isinstance(one.held, Region)]
-        return {"regions": entries}
+        cheaper = controller.design.cheaper
+        return {"regions": entries} | ({} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)})
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return by which scale starts may be off."""
         left, names = self.room.spare, words.plant.inputs
         said = [] if left is None else [one.figures(left, names) for one in self.found]
-        return {"limits_active": {"starts": said, "missing": self.missing}}
+        smaller = None if controller.design.cheaper is None else _smaller(controller, controller.design.cheaper)
+        return {"limits_active": {"starts": said, "missing": self.missing, "K_smaller_by": smaller}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield from which starts errors go to 0."""
@@ -105,6 +108,11 @@ class LimitedRegion(Claim):
                 starts = one.said(left, loads=controller.plant.loads is not None)
             yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
             label = ""
+        cheaper = controller.design.cheaper
+        if cheaper is not None:
+            ratio = _smaller(controller, cheaper)
+            much = f"{ratio:.2g} times smaller" if ratio >= 1 else f"{1 / ratio:.2g} times larger"
+            yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
 
     def _with_loads(self, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
         """Say with which loads."""
@@ -119,6 +127,12 @@ class LimitedRegion(Claim):
             ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
             named.append(f"{name} from {ends}")
         return f" and all constant loads at {' and at '.join(named)}" if named else ""
+
+
+def _smaller(controller: ProvedController, cheaper: Array) -> float:
+    """Return how many times as large as K the gain of least cost is, in sizes."""
+    norms = (float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (cheaper, controller.K))
+    return next(norms) / next(norms)
 
 
 def _beyond(controller: ProvedController, room: Headroom) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from numbers import Real
+from typing import Literal
 
 import numpy as np
 
@@ -38,7 +39,8 @@ class AtLeast:
         rate: Decay rate in 1/s that is to be reached; 0 where any will do.
         bound: On the norm of the gain in sizes, see `Task.norm`: where that gain is larger, the smallest one that
             is found is taken.
-        within_limits: Whether the gain is to be such that no limit of an input is reached.
+        within: "limits" where no limit of an input is to be reached; "region" where errors are to go to 0 from as much
+            of the starts as can be, with inputs at their limits.
 
     Raises:
         InvalidSpec: If a number is not a positive one (a rate may be 0, a bound infinite).
@@ -46,7 +48,7 @@ class AtLeast:
 
     rate: float = 0.0
     bound: float = np.inf
-    within_limits: bool = False
+    within: Literal["limits", "region"] | None = None
 
     def __post_init__(self) -> None:
         _positive(rate=self.rate or 1.0, gain=1.0 if self.bound == np.inf else self.bound)
@@ -72,11 +74,11 @@ class Fastest:
 
     Attributes:
         bound: On the norm of the gain in sizes, see `Task.norm`.
-        within_limits: Whether the gain is to be such that no limit of an input is reached.
+        within: "limits" where no limit of an input is to be reached.
     """
 
     bound: float = np.inf
-    within_limits: bool = False
+    within: Literal["limits"] | None = None
 
     def __post_init__(self) -> None:
         _positive(gain=1.0 if self.bound == np.inf else self.bound)

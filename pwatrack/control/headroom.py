@@ -5,6 +5,7 @@ With P ⪰ z zᵀ for all these errors z, the inequality of the decay and [ū_j�
 1994, section 7.2.3).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,7 @@ from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
+from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
@@ -102,15 +104,17 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class InputConstraint:
-    """Errors e = G ζ, |ζ_k| ≤ 1, from which |K e| is to stay within bounds.
+    """Errors e = G ζ, |ζ_k| ≤ 1, from which K e is not to reach limits, or these are to do no harm.
 
     Attributes:
-        starts: G (n, k), of rank n.
-        left: ū (m,), positive; infinite where an input has no limit.
+        starts: Boxes G (n, k); where no limit may be reached one, of rank n.
+        left: ū (m,); infinite where an input has no limit.
+        over: Of what is left, what K may ask of an input from there: at 1 no limit is reached.
     """
 
-    starts: Array
+    starts: Sequence[Array]
     left: Array
+    over: float = 1.0
 
     def share(self, task: Task, K: Array, proof: Certificate) -> float:
         """Return how many times as large these errors may be for a gain K (m, n), by an exact proof; 0 for none.
@@ -119,18 +123,22 @@ class InputConstraint:
 
             >>> task = Task(A=np.zeros((1, 1, 1)), B=np.eye(1), cells=["all"])
             >>> K = np.array([[-0.5]])
-            >>> within = InputConstraint(starts=np.array([[2.0]]), left=np.array([3.0]))
+            >>> within = InputConstraint(starts=[np.array([[2.0]])], left=np.array([3.0]))
             >>> 2.999 < within.share(task, K, task.reached(K, np.eye(1), 0.0)) <= 3
             True
         """
         if not K.any():
             return np.inf
-        limited = np.flatnonzero(np.isfinite(self.left))
-        rows = BallMatrix.of(K[limited], (len(limited), K.shape[1]))
+        limited = np.flatnonzero(np.isfinite(self.left)).tolist()
+        left, rows = self.left[limited], BallMatrix.of(K[limited], (len(limited), K.shape[1]))
         closed, inner = different(task.exactly_closed(K)), Inner.proved(proof.P, proof.rate)
-        found = held(closed, self.starts, rows, self.left[limited], inner)
-        sizes = np.zeros(0) if found is None else np.array(found.sizes)
-        return 0.0 if found is None else float(1 / (sizes / self.left[limited]).max())
+        B = task.balls[1].part(range(len(task.B)), limited)
+        loop = SaturatedLoop(M=closed, B=B, D=rows, inners=[inner])
+        if self.over > 1 and (loop.work > MOST_WORK or loop.everywhere() is not None):
+            return np.inf
+        found = [loop.around(G, left) if self.over > 1 else held(closed, G, rows, left, inner) for G in self.starts]
+        shares = [0.0 if one is None else float(1 / (np.array(one.sizes) / left).max()) for one in found]
+        return min(shares)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,4 +188,14 @@ class Headroom:
             return None
         members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
-        return InputConstraint(starts=e[:, e.any(axis=0)], left=left)
+        return InputConstraint(starts=[e[:, e.any(axis=0)]], left=left)
+
+    def around(self, sizes: Array) -> InputConstraint | None:
+        """Return from where limits are to do no harm if x̂ = x: starts of an ensemble or else a run, and within sizes.
+
+        What is left on the smaller side is taken; sizes are (n,).
+        """
+        left, kinds = self.spare, [one.kind for one in self.starts]
+        chosen = "members" if "members" in kinds else "run"
+        boxes = [one.e[:, one.e.any(axis=0)] for one in self.starts if one.kind == chosen and one.e.any()]
+        return None if left is None else InputConstraint(starts=[*boxes, np.diag(sizes)], left=left, over=np.inf)

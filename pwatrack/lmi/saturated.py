@@ -28,7 +28,7 @@ from pwatrack.lmi.solve import solve
 
 MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
 _DECAYS = (1e-3, 1e-5)  # of the speed of the loop: what V falls with at least, so that there is a margin
-_LARGEST = 1e6  # Q, where starts have size 1
+_LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
 _DIGITS = 9  # of H
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
 
@@ -182,6 +182,7 @@ class _Scaled:
             yield from self.falls(x)
             one = x["1"][:, None, None]
             yield _LARGEST * one * eye - Q
+            yield Q - _LEAST * one * eye
             yield np.block([[Q, one * G], [one * G.T, w[:, :, None] * np.eye(k)]])
             yield one - w.sum(axis=1)[:, None, None]
             for j in inside.tolist():

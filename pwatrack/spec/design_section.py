@@ -61,6 +61,8 @@ class GoalSection(Section):
             yield Fault(text, hint="for example rate: 0.1", key=("gain",))
         if self.gain == "smallest" and "within" in given:
             yield Fault(": 'gain: smallest' settles the gain, 'within' beside it has no meaning", key=("within",))
+        elif getattr(self, "within", None) == "region" and (self.rate == "largest" or (self.gain and not self.rate)):
+            yield Fault(": 'region' goes with a given rate, or with none", hint="or within: limits", key=("within",))
         if self.cost is not None and context.states and context.inputs and context.outputs:
             yield from _no_weight("Q", np.array(self.cost.Q))
             yield from _no_weight("R", np.array(self.cost.R))
@@ -80,8 +82,8 @@ class ControllerSection(GoalSection):
 
     cost: Annotated[CostSection, weighs("states", "inputs")] | None = None
     K: Annotated[Rows, shaped("inputs", "states")] | None = None
-    within: Literal["limits"] | None = None
-    """That no limit of an input is reached from errors within sizes, or from where members of an ensemble start."""
+    within: Literal["limits", "region"] | None = None
+    """That no limit is reached from errors within sizes or where members start, or does no harm from most of these."""
 
 
 class ObserverSection(GoalSection):

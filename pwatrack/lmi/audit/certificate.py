@@ -33,7 +33,7 @@ DECIDED = {  # each claim of `reading.PROOFS`
 }
 # claims of a design: each has its KEY, its SHAPE, and `decided`
 CLAIMS = (bounds, starts, region, corners, simplified, clocked)
-DESIGN = REFUSAL | {"eta_with_loads?": ROWS} | {claim.KEY: claim.SHAPE for claim in CLAIMS}
+DESIGN = REFUSAL | {"eta_with_loads?": ROWS, "K_of_least_cost?": ROWS} | {claim.KEY: claim.SHAPE for claim in CLAIMS}
 ANEW = "write it anew with 'pwatrack design', or check it with the version that wrote it"
 _MOST_BYTES = 2**28  # of the file
 
