@@ -19,10 +19,6 @@ class BallMatrix:
 
     Sums and products hold every sum and product of what is in them.
 
-    Attributes:
-        centre: (j, k).
-        radius: (j, k), nowhere negative; None where all is exact.
-
     Example:
         >>> A = BallMatrix.of([["1/3", Real(Fraction(2), Fraction(1, 10))]])
         >>> (A @ A.transpose()).texts, A.floats.round(3).tolist()
@@ -31,8 +27,8 @@ class BallMatrix:
         [['0.41']]
     """
 
-    centre: Rational
-    radius: Rational | None = None
+    centre: Rational  # (j, k)
+    radius: Rational | None = None  # (j, k), nowhere negative; None where all is exact
 
     @classmethod
     def of(cls, rows: Any, shape: tuple[int, int] | None = None) -> "BallMatrix":

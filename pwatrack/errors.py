@@ -53,22 +53,16 @@ class Place:
 class Problem:
     """One thing that is wrong.
 
-    Attributes:
-        message: What is wrong, complete.
-        subject: What it is about: `(Part.CELLS, 0, Part.A)`, or a path in a file, `("system", "cells", 0, "A")`.
-            Whoever read the file knows the `place` of each. None: it is not about the description.
-        hint: What to do, in plain words.
-        remedy: The same as a name, for who knows how a file says it.
-        place: Where it stands.
-        short: The message for a terminal, where it lists very many things; empty where it is the same.
+    Its subject is what it is about: `(Part.CELLS, 0, Part.A)`, or a path in a file, `("system", "cells", 0, "A")`.
+    Whoever read the file knows the `place` of each. None: it is not about the description.
     """
 
-    message: str
+    message: str  # what is wrong, complete
     subject: Subject | None = ()
-    hint: str = ""
-    remedy: Remedy | None = None
+    hint: str = ""  # what to do, in plain words
+    remedy: Remedy | None = None  # the same as a name, for who knows how a file says it
     place: Place | None = None
-    short: str = ""
+    short: str = ""  # the message for a terminal, where it lists very many things; empty where it is the same
 
     @staticmethod
     def of_many(

@@ -15,35 +15,20 @@ FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖ (1/s)", "final_error": "final
 
 @dataclass(frozen=True, kw_only=True)
 class SpecOutcome:
-    """How the run of one spec ended.
-
-    Attributes:
-        spec, folder: The file, and the folder of its run.
-        exit: Its exit code; negative if a signal ended it, None if it did not end: see `reason`.
-        expected: Exit code that the spec expects.
-        reason: Why it did not end by itself; empty if it did.
-        how: Whether it was run now, or before with nothing changed since, or not at all.
-        figures: From its run.json, empty if this run left none.
-        unit: Of its errors; sizes where several signals are tracked.
-        notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
-        required: Each requirement with what came out, and whether it is met.
-        messages: What it said on stderr.
-        faults: What is wrong with it, one by one.
-        seconds: How long it took.
-    """
+    """How the run of one spec ended."""
 
     spec: Path
-    folder: Path
-    exit: int | None
-    expected: int = 0
-    reason: str = ""
-    how: Literal["run", "cached", "skipped"] = "run"
-    figures: Mapping[str, float] = field(default_factory=dict)
-    unit: str = ""
-    notes: tuple[str, ...] = ()
-    required: tuple[tuple[str, bool], ...] = ()
-    messages: str = ""
-    faults: tuple[JobFault, ...] = ()
+    folder: Path  # of its run
+    exit: int | None  # its exit code; negative if a signal ended it, None if it did not end: see `reason`
+    expected: int = 0  # exit code that the spec expects
+    reason: str = ""  # why it did not end by itself; empty if it did
+    how: Literal["run", "cached", "skipped"] = "run"  # run now, or before with nothing changed since, or not
+    figures: Mapping[str, float] = field(default_factory=dict)  # from its run.json, empty if this run left none
+    unit: str = ""  # of its errors; sizes where several signals are tracked
+    notes: tuple[str, ...] = ()  # the remarks of the run, and what its simulation came to if that is not that it tracks
+    required: tuple[tuple[str, bool], ...] = ()  # each requirement with what came out, and whether it is met
+    messages: str = ""  # what it said on stderr
+    faults: tuple[JobFault, ...] = ()  # what is wrong with it, one by one
     seconds: float = 0.0
 
     @staticmethod

@@ -21,29 +21,17 @@ from pwatrack.report.run_folder import Plots, sweep
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """How a batch is run.
+    """How a batch is run."""
 
-    Attributes:
-        pattern: What specs below a folder are named like; None: all that end in .yaml or .yml.
-        parameters: Replacements as NAME=VALUE, in every spec.
-        plots: Of which runs pictures are drawn.
-        outside: Whether specs may refer to files outside of their folders.
-        jobs: How many run at a time.
-        timeout: Seconds after which a spec is given up.
-        memory: Megabytes that a spec may take beyond the program itself; None for any.
-        fail_fast: Whether none is begun after one has failed.
-        again: Which specs are run that were run before: all, those that failed, or only those that have changed.
-    """
-
-    pattern: str | None = None
-    parameters: tuple[str, ...] = ()
-    plots: Plots = "all"
-    outside: bool = False
-    jobs: int = 1
-    timeout: float = 600.0
-    memory: float | None = None
-    fail_fast: bool = False
-    again: Literal["all", "failed", "changed"] = "all"
+    pattern: str | None = None  # what specs below a folder are named like; None: all that end in .yaml or .yml
+    parameters: tuple[str, ...] = ()  # replacements as NAME=VALUE, in every spec
+    plots: Plots = "all"  # of which runs pictures are drawn
+    outside: bool = False  # whether specs may refer to files outside of their folders
+    jobs: int = 1  # how many run at a time
+    timeout: float = 600.0  # seconds after which a spec is given up
+    memory: float | None = None  # megabytes that a spec may take beyond the program itself; None for any
+    fail_fast: bool = False  # whether none is begun after one has failed
+    again: Literal["all", "failed", "changed"] = "all"  # those run before: all, that failed, that have changed
 
 
 class Watcher:

@@ -19,20 +19,13 @@ _MOST = 20  # runs: more columns and curves are not told apart
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """What a run folder says.
-
-    Attributes:
-        folder: The folder.
-        index: Its run.json.
-        t, error: Times in s, and the norm of the tracking error there; empty if it was not simulated.
-        unit: Of the error.
-    """
+    """What a run folder says."""
 
     folder: Path
     index: Mapping[str, Any]
-    t: Array
-    error: Array
-    unit: str
+    t: Array  # in s; empty if it was not simulated
+    error: Array  # the norm of the tracking error there
+    unit: str  # of the error
 
     @property
     def figures(self) -> dict[str, float]:

@@ -33,19 +33,13 @@ _STEPS = 1000  # of a test vector
 
 @dataclass(frozen=True)
 class Subject:
-    """What is exported: a controller with its proof, and what goes with it.
-
-    Attributes:
-        unproved: What of it is not proved.
-        vector: What it reads in a test.
-        spec: Its spec, if that is there.
-    """
+    """What is exported: a controller with its proof, and what goes with it."""
 
     file: ControllerFile
     certificate: str
-    unproved: tuple[str, ...]
-    vector: Vector
-    spec: Spec | None
+    unproved: tuple[str, ...]  # what of it is not proved
+    vector: Vector  # what it reads in a test
+    spec: Spec | None  # if that is there
 
     def source(self, name: str, *, given: bool, single: bool = False) -> Source:
         """Return what its code is written from."""

@@ -49,33 +49,22 @@ class Partition:
     Which cells have an interior, share a facet, overlap or leave a hole is decided for the exact numbers, in whole
     numbers, whatever their sizes.
 
-    Attributes:
-        H: Normals of the hyperplanes, (k, n): the doubles nearest to `exact_H`.
-        h: Offsets of the hyperplanes, (k,): likewise.
-        signs: Side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1.
-        names: Name of each cell, l of them.
-        exact_H, exact_h: The same numbers as they were written; the middle of what is only known to lie in a ball.
-            Where a normal is beyond 1e±100 they are divided by its largest entry.
-        complete: Whether the cells are all regions that the hyperplanes cut ℝⁿ into, by construction; then nothing
-            is left to prove.
-        repair: Largest change of a border that two cells write with different roundings, relative to its numbers.
-        remarks: What was noticed when it was made.
-
     Example:
         >>> halves = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["left", "right"])
         >>> halves.names[halves.locate(np.array([3.0]))]
         'right'
     """
 
-    H: Array
-    h: Array
-    signs: IntArray
-    names: tuple[str, ...]
+    H: Array  # normals of the hyperplanes, (k, n): the doubles nearest to `exact_H`
+    h: Array  # offsets of the hyperplanes, (k,): likewise
+    signs: IntArray  # side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1
+    names: tuple[str, ...]  # name of each cell, l of them
+    # as they were written, of a ball the middle; beyond 1e±100 over the largest entry
     exact_H: tuple[tuple[Fraction, ...], ...]
-    exact_h: tuple[Fraction, ...]
-    complete: bool = False
-    repair: float = 0.0
-    remarks: tuple[str, ...] = ()
+    exact_h: tuple[Fraction, ...]  # likewise
+    complete: bool = False  # whether they are all regions of the hyperplanes, by construction: nothing is left to prove
+    repair: float = 0.0  # largest change of a border that two cells write with different roundings, of its numbers
+    remarks: tuple[str, ...] = ()  # what was noticed when it was made
 
     @classmethod
     def create(cls, *, H: object, h: object, signs: object, names: Sequence[str]) -> "Partition":

@@ -19,34 +19,22 @@ _MOST_CYCLES = 2_000  # tree edges times other facets: with more, facets that do
 
 @dataclass(frozen=True, kw_only=True)
 class Discontinuity:
-    """What is left of F_i − F_j − g G on a facet.
-
-    Attributes:
-        facet: Where.
-        A, b: (n, n) and (n,).
-        relative: The largest row of it, of the terms of that row at a point of the facet of typical size.
-    """
+    """What is left of F_i − F_j − g G on a facet."""
 
     facet: Facet
-    A: Array
-    b: Array
-    relative: float
+    A: Array  # (n, n)
+    b: Array  # (n,)
+    relative: float  # the largest row of it, of the terms of that row at a point of the facet of typical size
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repair:
-    """By how much the data were changed to make the field exactly continuous.
+    """By how much the data were changed to make the field exactly continuous."""
 
-    Attributes:
-        A, b: The largest change of each entry over the cells, (n, n) and (n,).
-        B: The change of each entry, (n, m).
-        relative: The largest change of a row, of the terms of that row; see `Discontinuity`.
-    """
-
-    A: Array
-    b: Array
-    B: Array
-    relative: float
+    A: Array  # the largest change of each entry over the cells, (n, n)
+    b: Array  # likewise, (n,)
+    B: Array  # the change of each entry, (n, m)
+    relative: float  # the largest change of a row, of the terms of that row; see `Discontinuity`
 
     def and_then(self, other: "Repair | None") -> "Repair":
         """Return both repairs as one."""

@@ -17,19 +17,12 @@ _ROUNDING = 1e-10  # relative size below which an entry computed from the data c
 
 @dataclass(frozen=True, kw_only=True)
 class Derivatives:
-    """Rows with y⁽ᵏ⁾ = c_k x + o_k for k < r, the first of which that an input reaches is the last.
+    """Rows with y⁽ᵏ⁾ = c_k x + o_k for k < r, the first of which that an input reaches is the last."""
 
-    Attributes:
-        rows: c_0 … c_{r−1}, (r, n); the last that of the first cell.
-        piecewise: Whether c_{r−1} is another one in other cells.
-        last: c_{r−1} in each cell, (l, n).
-        doubt: By how much rounding may have moved the entries of c_{r−1} B, (m,).
-    """
-
-    rows: Array
-    piecewise: bool
-    last: Array
-    doubt: Array
+    rows: Array  # c_0 … c_{r−1}, (r, n); the last that of the first cell
+    piecewise: bool  # whether c_{r−1} is another one in other cells
+    last: Array  # c_{r−1} in each cell, (l, n)
+    doubt: Array  # by how much rounding may have moved the entries of c_{r−1} B, (m,)
 
     @property
     def degree(self) -> int:

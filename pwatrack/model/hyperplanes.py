@@ -15,18 +15,11 @@ _ROUNDING = Fraction(1, 10**12)  # of its own numbers, up to which a border is t
 
 @dataclass(frozen=True, kw_only=True)
 class SharedHyperplanes:
-    """Which hyperplanes are kept, and the sides of these that the cells claim.
+    """Which hyperplanes are kept, and the sides of these that the cells claim."""
 
-    Attributes:
-        kept: Numbers of the hyperplanes that stand for all, in ascending order.
-        signs: (l, k), for those that are kept.
-        repairs: Hyperplanes (k, other, by how much of its numbers k differs) for which another one stands that is
-            not exactly the same.
-    """
-
-    kept: tuple[int, ...]
-    signs: IntArray
-    repairs: tuple[tuple[int, int, Fraction], ...] = ()
+    kept: tuple[int, ...]  # numbers of the hyperplanes that stand for all, in ascending order
+    signs: IntArray  # (l, k), for those that are kept
+    repairs: tuple[tuple[int, int, Fraction], ...] = ()  # (k, other, by how much of its numbers k differs), not 0
 
 
 def merge(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:

@@ -26,22 +26,16 @@ _MOST_CELLS = 100_000  # that nonlinearities may make together: a gigabyte with 
 class PiecewiseLinear:
     """A continuous scalar function φ, linear between breakpoints.
 
-    Attributes:
-        breakpoints: Increasing, k of them.
-        slopes: k + 1 of them, from left to right.
-        value: φ at the first breakpoint.
-        segments: A name for each of the k + 1 segments.
-
     Example:
         >>> clip = saturation(lower=-1.0, upper=2.0, slope=3.0)
         >>> [clip(s) for s in (-5.0, 0.5, 9.0)]
         [-3.0, 1.5, 6.0]
     """
 
-    breakpoints: tuple[Real, ...]
-    slopes: tuple[Real, ...]
-    value: Real
-    segments: tuple[str, ...]
+    breakpoints: tuple[Real, ...]  # increasing, k of them
+    slopes: tuple[Real, ...]  # k + 1 of them, from left to right
+    value: Real  # φ at the first breakpoint
+    segments: tuple[str, ...]  # a name for each of the k + 1 segments
 
     def __call__(self, s: float) -> float:
         """Return φ(s)."""
@@ -125,20 +119,14 @@ def _function(
 class Nonlinearity:
     """Adds direction · φ(row · x + constant) to ẋ.
 
-    Attributes:
-        name: For the names of the cells.
-        function: φ.
-        row, constant: The linear form, (n,) and a scalar.
-        direction: (n,).
-
     All numbers are `Real`, fractions, or doubles, which count as the decimals that they print as.
     """
 
-    name: str
-    function: PiecewiseLinear
-    row: Any
-    constant: Number
-    direction: Any
+    name: str  # for the names of the cells
+    function: PiecewiseLinear  # φ
+    row: Any  # of the linear form, (n,)
+    constant: Number  # of the linear form
+    direction: Any  # (n,)
 
     def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
         """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
@@ -150,15 +138,10 @@ class Nonlinearity:
 
 @dataclass(frozen=True, kw_only=True)
 class ScalarForm:
-    """The field A x + b + Σ direction φ(row · x + constant).
+    """The field A x + b + Σ direction φ(row · x + constant)."""
 
-    Attributes:
-        A, b: (n, n) and (n, 1).
-        elements: The terms of the sum.
-    """
-
-    A: BallMatrix
-    b: BallMatrix
+    A: BallMatrix  # (n, n)
+    b: BallMatrix  # (n, 1)
     elements: tuple[Nonlinearity, ...]
 
     @cached_property

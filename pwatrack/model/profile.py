@@ -130,19 +130,12 @@ def _rounded_power(degree: int, start: Array, middle: Array, edges: Array, width
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given.
+    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given."""
 
-    Attributes:
-        corners: The course, from well before t = 0.
-        continuous: Whether it is continuous; a step is not.
-        smooth: Width of the moving average, or None.
-        end: Last time at which it is defined, or None if it stays constant.
-    """
-
-    corners: "scipy.interpolate.PPoly"
-    continuous: bool
-    smooth: float | None
-    end: float | None
+    corners: "scipy.interpolate.PPoly"  # the course, from well before t = 0
+    continuous: bool  # whether it is continuous; a step is not
+    smooth: float | None  # width of the moving average, or None
+    end: float | None  # last time at which it is defined, or None if it stays constant
 
     def signal(self, r: int) -> Signal:
         """Return the signal; with `smooth` it has r continuous derivatives, and corners are rounded whatever r is."""
@@ -153,30 +146,20 @@ class Profile:
 
 @dataclass(frozen=True, kw_only=True)
 class Roughness:
-    """What is fast in a derivative of a table.
+    """What is fast in a derivative of a table."""
 
-    Attributes:
-        cutoff: In Hz.
-        whole, left: Largest size of the derivative, and of that of what is slower than the cutoff.
-    """
-
-    cutoff: float
-    whole: float
-    left: float
+    cutoff: float  # in Hz
+    whole: float  # largest size of the derivative
+    left: float  # that of what is slower than the cutoff
 
 
 @dataclass(frozen=True)
 class Table:
-    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed.
+    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed."""
 
-    Attributes:
-        t, y: Times in s and values, (K,).
-        filtered: Whether what is fast was taken away.
-    """
-
-    t: Array
-    y: Array
-    filtered: bool = False
+    t: Array  # in s, (K,)
+    y: Array  # (K,)
+    filtered: bool = False  # whether what is fast was taken away
 
     @property
     def end(self) -> float:

@@ -24,20 +24,13 @@ ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one o
 
 @dataclass(frozen=True, kw_only=True)
 class Matrices:
-    """A_i, b_i, B, C and the tracked rows as written: exactly, or with a ball around each irrational entry.
+    """A_i, b_i, B, C and the tracked rows as written: exactly, or with a ball around each irrational entry."""
 
-    Attributes:
-        A: (n, n), one per cell.
-        b: (n, 1), likewise.
-        B, C: (n, m) and (q, n).
-        tracked: What is to follow a reference, (p, n).
-    """
-
-    A: tuple[BallMatrix, ...]
-    b: tuple[BallMatrix, ...]
-    B: BallMatrix
-    C: BallMatrix
-    tracked: BallMatrix
+    A: tuple[BallMatrix, ...]  # (n, n), one per cell
+    b: tuple[BallMatrix, ...]  # (n, 1), likewise
+    B: BallMatrix  # (n, m)
+    C: BallMatrix  # (q, n)
+    tracked: BallMatrix  # what is to follow a reference, (p, n)
 
     @property
     def exact(self) -> bool:
@@ -47,15 +40,10 @@ class Matrices:
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What an observer runs: the plant, or the plant and its loads as one system.
+    """What an observer runs: the plant, or the plant and its loads as one system."""
 
-    Attributes:
-        A: (N, N), one per cell.
-        C: (q, N).
-    """
-
-    A: tuple[BallMatrix, ...]
-    C: BallMatrix
+    A: tuple[BallMatrix, ...]  # (N, N), one per cell
+    C: BallMatrix  # (q, N)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,16 +55,6 @@ class PWASystem:
 
     An instance is continuous and its cells cover ℝⁿ: `create` proves both.
 
-    Attributes:
-        partition: The l cells in ℝⁿ.
-        exact: A_i, b_i, B, C and the tracked rows: the numbers that proofs are about.
-        repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
-        states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
-        loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
-        written: The field as a sum of scalar elements, where it was written so.
-        watched: The plant that the observer runs, where that is another one: that of which this one has merged cells.
-        remarks: What was noticed while it was built, and changes nothing.
-
     Example: a mass against a one-sided spring of stiffness 4.
 
         >>> contact = PWASystem.create(
@@ -86,17 +64,17 @@ class PWASystem:
         [0.0, -2.5]
     """
 
-    partition: Partition
-    exact: Matrices
-    states: tuple[str, ...]
+    partition: Partition  # the l cells in ℝⁿ
+    exact: Matrices  # A_i, b_i, B, C and the tracked rows: the numbers that proofs are about
+    states: tuple[str, ...]  # names, for reports
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    tracked_names: tuple[str, ...]
-    repair: Repair | None = None
-    loads: Loads | None = None
-    written: ScalarForm | None = None
-    watched: "PWASystem | None" = None
-    remarks: tuple[str, ...] = ()
+    tracked_names: tuple[str, ...]  # one that is the name of an output is that output
+    repair: Repair | None = None  # by how much these differ from those given, which jump at a facet by rounding
+    loads: Loads | None = None  # unknown loads E s that act on it beside these, where an observer shall estimate some
+    written: ScalarForm | None = None  # the field as a sum of scalar elements, where it was written so
+    watched: "PWASystem | None" = None  # that of which this one has merged cells, where the observer runs it
+    remarks: tuple[str, ...] = ()  # what was noticed while it was built, and changes nothing
 
     @classmethod
     def create(

@@ -19,15 +19,10 @@ from pwatrack.model.signal import Signal
 
 @dataclass(frozen=True)
 class OutputReference:
-    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3).
+    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3)."""
 
-    Attributes:
-        courses: By output.
-        preview: Whether it is known beforehand, so that x_d may be worked out.
-    """
-
-    courses: tuple[tuple[Course, ...], ...]
-    preview: bool = True
+    courses: tuple[tuple[Course, ...], ...]  # by output
+    preview: bool = True  # whether it is known beforehand, so that x_d may be worked out
 
     def signals(self, degrees: Sequence[int]) -> list[Signal]:
         """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""
@@ -85,15 +80,6 @@ class Exosystem:
 
     Every derivative is again linear in w: s⁽ᵏ⁾ = Q Sᵏ w.
 
-    Attributes:
-        S: (p, p), in 1/s.
-        rates: The eigenvalue of S that each entry of w belongs to, with its imaginary part ≥ 0, (p,).
-        Q: (q, p), one row per signal.
-        w0: (p,).
-        resets: In order of time.
-        period: In s, or None if the signals are constant or not periodic.
-        end: Last time at which all signals are defined, or None.
-
     Example:
         >>> from pwatrack.model.signal import ExponentialPolynomial
         >>> wave = (np.pi * ExponentialPolynomial.time()).sin() * 2.0 + 1.0
@@ -102,13 +88,13 @@ class Exosystem:
         ([3.0], [-6.283185], 2.0)
     """
 
-    S: Array
-    rates: NDArray[np.complex128]
-    Q: Array
-    w0: Array
-    resets: tuple[Reset, ...]
-    period: float | None
-    end: float | None
+    S: Array  # (p, p), in 1/s
+    rates: NDArray[np.complex128]  # the eigenvalue of S of each entry of w, with its imaginary part ≥ 0, (p,)
+    Q: Array  # (q, p), one row per signal
+    w0: Array  # (p,)
+    resets: tuple[Reset, ...]  # in order of time
+    period: float | None  # in s, or None if the signals are constant or not periodic
+    end: float | None  # last time at which all signals are defined, or None
 
     @property
     def constant(self) -> bool:

@@ -30,9 +30,6 @@ class ExponentialPolynomial:
     The class is closed under sums, products and differentiation, and holds
     constants, polynomials, sines, cosines and exponentials of linear arguments.
 
-    Attributes:
-        terms: Coefficients c_λ by λ.
-
     Example:
         >>> t = ExponentialPolynomial.time()
         >>> wave = (3 * t).sin() * (3 * t).sin()
@@ -40,7 +37,7 @@ class ExponentialPolynomial:
         0.994996
     """
 
-    terms: Mapping[complex, ComplexArray]
+    terms: Mapping[complex, ComplexArray]  # coefficients c_λ by λ
 
     @classmethod
     def constant(cls, value: float) -> "ExponentialPolynomial":
@@ -205,20 +202,15 @@ def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArr
 class Signal:
     """A signal made of pieces, each an exponential polynomial of the time since its start.
 
-    Attributes:
-        starts: Increasing, the first is 0, in s.
-        pieces: One per start.
-        end: Last time at which it is defined, or None if it goes on for ever.
-
     Example:
         >>> ramp = Signal((0.0, 2.0), (ExponentialPolynomial.time(), ExponentialPolynomial.constant(2.0)))
         >>> ramp(1.5), ramp(7.0), ramp(1.5, derivative=1)
         (1.5, 2.0, 1.0)
     """
 
-    starts: tuple[float, ...]
-    pieces: tuple[ExponentialPolynomial, ...]
-    end: float | None = None
+    starts: tuple[float, ...]  # increasing, the first is 0, in s
+    pieces: tuple[ExponentialPolynomial, ...]  # one per start
+    end: float | None = None  # last time at which it is defined, or None if it goes on for ever
 
     @classmethod
     def of(cls, formula: ExponentialPolynomial | float) -> "Signal":

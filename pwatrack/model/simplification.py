@@ -21,22 +21,14 @@ from pwatrack.real import Real
 
 @dataclass(frozen=True, kw_only=True)
 class Simplification:
-    """φ = φ̃ + w with |w| ≤ largest everywhere.
+    """φ = φ̃ + w with |w| ≤ largest everywhere."""
 
-    Attributes:
-        element: Which element of a plant, counted from 0; and
-        nonlinearity: that element, with φ.
-        first, last: The breakpoints of φ that become one or none.
-        function: φ̃; where it is a line it has one breakpoint with the same slope on either side.
-        largest: w̄, exact; an upper bound of it where φ has irrational numbers.
-    """
-
-    element: int
-    nonlinearity: Nonlinearity
-    first: int
-    last: int
-    function: PiecewiseLinear
-    largest: Fraction
+    element: int  # of those of a plant, counted from 0
+    nonlinearity: Nonlinearity  # that one, with φ
+    first: int  # the first breakpoint of φ, and
+    last: int  # the last one, of those that become one or none
+    function: PiecewiseLinear  # φ̃; where it is a line it has one breakpoint with the same slope on either side
+    largest: Fraction  # w̄, exact; an upper bound of it where φ has irrational numbers
 
     @property
     def column(self) -> BallMatrix:

@@ -97,12 +97,6 @@ class Sizes:
     With z = x / state, v = u / input, w = y / output and time τ = speed · t all numbers of a plant have no unit. So
     what is said there, such as |z| = 1 or weights of one, does not depend on the units of the file.
 
-    Attributes:
-        state, input, output, load: (n,), (m,), (q,), (p,), positive; the last of the states of unknown loads.
-        tracked: Of what follows a reference, where there is a plant that says what that is.
-        speed: In 1/s: a state moves by about its size in 1 / speed.
-        origins: By name of the signal, where its size is from.
-
     Example: a mass of 2 kg whose position matters to 0.1 m, and its speed to 1 m/s. It takes about 20 N.
 
         >>> A, B, C = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [0.5]]), np.array([[1.0, 0.0]])
@@ -111,13 +105,13 @@ class Sizes:
         (10.0, [20.0], [0.1])
     """
 
-    state: Array
-    input: Array
-    output: Array
-    speed: float
-    origins: Mapping[str, Origin] = field(default_factory=dict)
-    load: Array = field(default_factory=lambda: np.zeros(0))
-    tracked: Array = field(default_factory=lambda: np.zeros(0))
+    state: Array  # (n,), positive, as are all
+    input: Array  # (m,)
+    output: Array  # (q,)
+    speed: float  # in 1/s: a state moves by about its size in 1 / speed
+    origins: Mapping[str, Origin] = field(default_factory=dict)  # by name of the signal, where its size is from
+    load: Array = field(default_factory=lambda: np.zeros(0))  # of states of loads, (p,)
+    tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what follows
 
     @classmethod
     def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
