@@ -1,6 +1,5 @@
 """Read-only float64 arrays: every matrix in this package is one."""
 
-from collections.abc import Sequence
 from decimal import ROUND_CEILING, Context
 from typing import Any
 
@@ -16,31 +15,11 @@ OVER_SUMS = 1 + 1e-12  # more than the rounding of a sum of products
 OVER_POWERS = 1 + 1e-9  # more than the rounding of a few operations and exponentials
 
 
-def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: str = "array") -> Array:
-    """Return a read-only float64 copy of `values`.
-
-    Args:
-        values: Anything NumPy can turn into numbers.
-        shape: Expected shape; `None` in a place accepts any length there.
-        name: What to call the array in an error message.
-
-    Raises:
-        ValueError: If the shape is wrong or an entry is not finite.
-
-    Example:
-        >>> readonly([[1, 2]], shape=(1, None)).flags.writeable
-        False
-    """
+def readonly(values: Any) -> Array:
+    """Return a read-only float64 copy of numbers, all of which have to be finite: else a ValueError."""
     array = np.array(values, dtype=np.float64)
-    if shape is not None:
-        wanted = tuple(shape)
-        fits = array.ndim == len(wanted) and all(
-            w is None or w == got for w, got in zip(wanted, array.shape, strict=True)
-        )
-        if not fits:
-            raise ValueError(f"{name} has shape {array.shape}, expected {wanted}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} has an entry that is not finite")
+        raise ValueError("array has an entry that is not finite")
     array.flags.writeable = False
     return array
 

@@ -32,12 +32,7 @@ class BallMatrix:
 
     @classmethod
     def of(cls, rows: Any, shape: tuple[int, int] | None = None) -> "BallMatrix":
-        """Return a matrix of numbers as they are written: `Real`, fractions, doubles as the decimals they print as.
-
-        Args:
-            rows: (j, k), nested sequences or an array.
-            shape: (j, k), needed where there is no entry.
-        """
+        """Return a matrix of numbers as they are written: `Real`, fractions, doubles as the decimals they print as."""
         numbers = [
             [Real.of(v if isinstance(v, Real | Fraction | int | str) else float(v)) for v in row] for row in rows
         ]
@@ -77,8 +72,7 @@ class BallMatrix:
     def inverse(self) -> "BallMatrix":
         """Return all inverses: |(T + E)⁻¹ − T⁻¹| ≤ (I − Q)⁻¹ Q |T⁻¹| with Q = |T⁻¹| |E|, where I − Q is an M-matrix.
 
-        Raises:
-            ZeroDivisionError: If a matrix in it may be singular.
+        Raises ZeroDivisionError if a matrix in it may be singular.
         """
         inverse = self.centre.inv()
         if self.radius is None:

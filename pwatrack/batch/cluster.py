@@ -25,17 +25,12 @@ Settings = tuple[float | None, float | None, tuple[str, ...]]  # timeout, memory
 
 
 class Cluster(Executor):
-    """An executor on the workers of a dask scheduler. Use it as a context: an exception inside cancels what is left.
+    """An executor on the workers of a dask scheduler, limited as `Pool` is, in whose processes they do their tasks.
 
-    Args:
-        address: Of the scheduler, such as "tcp://10.0.0.1:8786".
-        timeout, memory, preload: As for `Pool`, in whose processes the workers do their tasks.
-
-    A future's `result()` raises `Lost` as that of a pool does, also where the scheduler went away, and `InvalidSpec`
-    where a worker cannot do the task as it would be done here: it has no pwatrack, or other versions.
-
-    Raises:
-        InvalidSpec: If distributed is not installed, or there is no scheduler, or no worker.
+    Use it as a context: an exception inside cancels what is left. A future's `result()` raises `Lost` as that of a pool
+    does, also where the scheduler went away, and `InvalidSpec` where a worker cannot do the task as it would be done
+    here: it has no pwatrack, or other versions. Raises InvalidSpec if distributed is not installed, or there is no
+    scheduler at the address, such as "tcp://10.0.0.1:8786", or no worker.
     """
 
     def __init__(

@@ -52,11 +52,7 @@ def batch(
     scheduler: str | None = None,
     work: Work = simulate,
 ) -> int:
-    """Run a batch, show how it goes on, print its table, write its reports, and return its exit code.
-
-    Raises:
-        InvalidSpec: If there is no spec, or a report is of no known kind or cannot be written.
-    """
+    """Run a batch, show how it goes on, print its table, write its reports, and return its exit code."""
     writers = [(report_writer(path), path) for path in reports] + ([(write_junit, junit)] if junit else [])
     print_left_out(left_out(paths, options.pattern))
     ended: Sequence[SpecOutcome] = []
@@ -112,9 +108,6 @@ def swept(
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
 
     Ranges that are given replace those in the file.
-
-    Raises:
-        InvalidSpec: If a range is not one, the spec is in error with the parameters given, or files cannot be written.
     """
     from pwatrack.spec.load import assignments, read_sweep
 

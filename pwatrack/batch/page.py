@@ -24,11 +24,7 @@ _NARROW = 76  # rem: in less than this the columns do not fit beside each other,
 
 
 def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
-    """Write the page, what failed first; the small pictures are in it, the large ones are links.
-
-    Raises:
-        InvalidSpec: If the file cannot be written.
-    """
+    """Write the page, what failed first; the small pictures are in it, the large ones are links."""
     required = any(outcome.required for outcome in outcomes)
     names = [*_TEXTS, *(["required"] if required else []), *FIGURES.values(), "time (s)"]
     ordered = sorted(outcomes, key=lambda outcome: not outcome.failed)
@@ -97,11 +93,7 @@ def _pictures(folder: Path, here: Path) -> str:
 
 
 def _small(picture: Path) -> bytes:
-    """Return a picture in few dots and colours.
-
-    Raises:
-        OSError: If it cannot be read.
-    """
+    """Return a picture in few dots and colours."""
     from PIL import Image
 
     with Image.open(picture) as image:

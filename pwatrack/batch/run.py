@@ -54,22 +54,11 @@ def run_batch(
     executor: Executor | None = None,
     watcher: Watcher | None = None,
 ) -> list[SpecOutcome]:
-    """Design and simulate every spec among files and below folders.
+    """Design and simulate every spec among files and below folders; return an outcome for each, in their order.
 
-    Args:
-        paths: Where the specs are.
-        out: Each spec gets a run folder in here, under its own path.
-        options: How they are run.
-        work: What is done with each of them, by the name of a module's function: other processes do it.
-        preload: Modules that they import once, before any work.
-        executor: Who does the work instead of processes here, on whatever machine: files go along and come back.
-        watcher: Is told of every spec as it ends.
-
-    Returns:
-        One outcome per spec, in order of the paths.
-
-    Raises:
-        InvalidSpec: If there is no spec.
+    Each spec gets a run folder in `out`, under its own path. `work` is a function of a module, which other processes
+    call by its name, after they have imported `preload`; or an executor does it, on whatever machine: files go along
+    and come back. The watcher is told of every spec as it ends. Raises InvalidSpec if there is no spec.
     """
     options, watcher = options or Options(), watcher or Watcher()
     places = find_specs([paths] if isinstance(paths, Path) else paths, options.pattern)

@@ -64,8 +64,7 @@ class Edge:
 def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
     """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
 
-    Raises:
-        InvalidSpec: If they are too many, or a parameter varies twice.
+    Raises InvalidSpec if they are too many, or a parameter varies twice.
 
     Example:
         >>> from pwatrack.spec.axis import axis
@@ -153,13 +152,9 @@ def sweep(
 ) -> tuple[list[Point], list[Edge]]:
     """Look at many places, from `places`, and refine where a kind of proof ends: points and ends, in order.
 
-    Args:
-        spec, axes, fixed: The file, the parameters that vary, and others, as text.
-        executor: Who does the work, on whatever machine: `look` and `bisect`, one place at a time.
-        at: Where to look.
-        simulated: Whether to simulate too.
-        refine: Share of each range within which to find the ends, between neighbours of a grid; None: not at all.
-        progress: Is told how many places and ends are done, and how many there are.
+    The executor does `look` and `bisect`, one place at a time, on whatever machine. `refine` is the share of each range
+    within which ends are found, between neighbours of a grid; None: they are not sought. `progress` is told how many
+    places and ends are done, and how many there are.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]

@@ -11,11 +11,7 @@ from pwatrack.spec.axis import Axis
 
 
 def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> list[Path]:
-    """Write sweep.csv, boundary.csv if the ends of the proof were sought, and sweep.parquet if pyarrow is there.
-
-    Raises:
-        InvalidSpec: If they cannot be written.
-    """
+    """Write sweep.csv, boundary.csv if the ends of the proof were sought, and sweep.parquet if pyarrow is there."""
     names = [axis.name for axis in axes]
     figures = list(dict.fromkeys(name for point in points for name in point.figures))
     header = [*names, "exit", "verdict", *figures, "said"]
@@ -43,11 +39,7 @@ def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edg
 
 
 def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> bool:
-    """Draw curves over one parameter or maps over two; return whether there is such a picture.
-
-    Raises:
-        InvalidSpec: If it cannot be written.
-    """
+    """Draw curves over one parameter or maps over two; return whether there is such a picture."""
     if len(axes) > 2:
         return False
     import numpy as np

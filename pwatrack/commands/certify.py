@@ -9,11 +9,9 @@ from pwatrack.lmi.audit.reading import parsed
 
 
 def certify(path: Path, out: Path) -> list[str]:
-    """Write what Coq checks of a certificate to a folder, and return the names of the files. Args: as `verify`.
+    """Write what Coq checks of a certificate to a folder, and return the names of the files.
 
-    Raises:
-        InvalidSpec: If a file cannot be read, or nothing in it is of the kind that the theory speaks of.
-        CheckFailed: If the certificate does not hold, or is not that of its folder and spec.
+    Raises as `verify`, and InvalidSpec if nothing in it is of the kind that the theory speaks of.
     """
     verify(path)
     file, text = certificate_text(path)

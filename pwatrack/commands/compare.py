@@ -40,11 +40,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run folder.
-
-    Raises:
-        InvalidSpec: If it tells no run, or its trace is not as its index says.
-    """
+    """Read a run folder; raises InvalidSpec if it tells no run, or its trace is not as its index says."""
     index = read_index(folder)
     if index is None:
         raise InvalidSpec(f"{folder} tells no run: there is no run.json of ours in it")
@@ -91,11 +87,7 @@ def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
 
 
 def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
-    """Print runs beside each other, and draw their errors over each other.
-
-    Raises:
-        InvalidSpec: If a folder tells no run, they are too many, or the picture cannot be written.
-    """
+    """Print runs beside each other, and draw their errors over each other."""
     if len(folders) > _MOST:
         raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
     runs = [read_run(folder) for folder in folders]

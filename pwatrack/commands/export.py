@@ -120,8 +120,7 @@ def stored_file(target: Path, parameters: Mapping[str, Any], sample_time: float 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
     """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
 
-    Raises:
-        PwatrackError: Whatever design and simulation raise, and InvalidSpec if it has no sample time.
+    Raises whatever design and simulation raise, and InvalidSpec if it has no sample time.
     """
     conditions = spec.scenario.conditions
     if sample_time is not None:

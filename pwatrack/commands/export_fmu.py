@@ -28,18 +28,10 @@ def export_fmu(
     unproved: bool,
     failed: bool,
 ) -> list[str]:
-    """Write FMUs for co-simulation, and return in sentences what was written. The rest is as for `export`.
+    """Write FMUs `of` a controller, a plant whose spec is at hand, or both; return in sentences what was written.
 
-    Args:
-        target: As there; for a plant its spec must be at hand.
-        versions: Of FMI.
-        of: What is written: its controller, its plant.
-
-    Raises:
-        InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
-            not for what is exported.
-        CheckFailed: If the controller is not proved, unless `unproved`; if its run failed, unless `failed`; if a
-            compiler that is there makes no binary.
+    The rest is as for `export`. Raises also InvalidSpec for too many cells, or an option that is not for what is
+    exported, and CheckFailed if a compiler that is there makes no binary.
     """
     made = dict[str, Model]()
     if "controller" not in of:

@@ -70,18 +70,12 @@ class Partition:
     def create(cls, *, H: object, h: object, signs: object, names: Sequence[str]) -> "Partition":
         """Check the shapes, merge hyperplanes that are the same set, and return the partition.
 
-        Hyperplanes whose numbers differ by at most 1e-12 of themselves are merged too, where no cell is between them:
-        the first one stands for both, and a remark says so.
+        H is (k, n), h (k,), signs (l, k): int, Fraction, `Real`, or float, which means the decimal that it is printed
+        as. Hyperplanes whose numbers differ by at most 1e-12 of themselves are merged too, where no cell is between
+        them: the first one stands for both, and a remark says so.
 
-        Args:
-            H: Normals, (k, n): int, Fraction, `Real`, or float, which means the decimal that it is printed as.
-            h: Offsets, (k,).
-            signs: (l, k).
-            names: l of them.
-
-        Raises:
-            ValueError: If the shapes do not fit, a number is not finite or a hyperplane has a zero normal.
-            InvalidSpec: If an offset is beyond the range of a double.
+        Raises ValueError if the shapes do not fit, a number is not finite or a normal is 0; InvalidSpec for an offset
+        beyond the range of a double.
         """
         cell_names = tuple(names)
         sign_table = np.array(signs, dtype=np.int64).reshape(len(cell_names), -1)
@@ -200,13 +194,7 @@ class Partition:
         return replace(self, signs=_frozen(self.signs[order]), names=names)
 
     def sides(self, *, H: object, h: object) -> IntArray:
-        """Return the side of some hyperplanes that each cell is on, (l, k); they must be among those of the partition.
-
-        Example:
-            >>> halves = Partition.regions(H=[[1]], h=[-1], most=2)
-            >>> (halves.sides(H=[[-2], [3]], h=[2, -3]) * halves.signs).tolist()
-            [[-1, 1], [-1, 1]]
-        """
+        """Return the side of some hyperplanes of the partition that each cell is on, (l, k)."""
         own = [oriented(row) for row in self.rows]
         numbers = {plane: k for k, (plane, _) in enumerate(own)}
         given = [oriented(primitive(plane)) for plane in _exact_planes(H, h, None)[0]]

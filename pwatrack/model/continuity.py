@@ -49,11 +49,7 @@ class Repair:
         return f"at most {self.relative:.1e} of the terms of an equation"
 
     def disturbance(self, x: Array, u: Array) -> Array:
-        """Return by how much ẋ may differ between the data given and the repaired ones, (n,).
-
-        Args:
-            x, u: As large as the states and inputs are at most, (n,) and (m,).
-        """
+        """Return by how much ẋ may differ between both, (n,), for |x| and |u| that are at most these, (n,) and (m,)."""
         return np.asarray(self.A @ np.abs(x) + self.b + self.B @ np.abs(u))
 
 
@@ -68,19 +64,11 @@ class Discontinuous(Exception):
 def repaired(
     partition: Partition, given: Sequence[Rational], inputs: int, tolerance: float
 ) -> tuple[Sequence[Rational], Repair | None]:
-    """Return F_i = [A_i b_i] of an exactly continuous field, which differ from those given by rounding at most.
+    """Return F_i = [A_i b_i], (n, n + 1), of an exactly continuous field: those given but for rounding.
 
-    Where every facet is continuous already nothing is changed. Otherwise F̃_j = F̃_i + g G along a tree of facets; where
-    the others do not close then, the g are projected to the nearest ones with which they do.
-
-    Args:
-        partition: The cells.
-        given: F_i, (n, n + 1) each.
-        inputs: How many there are; their matrix stays as it is.
-        tolerance: How much a row may change, of its own terms at a facet.
-
-    Raises:
-        Discontinuous: With every facet at which it jumps by more.
+    Where every facet is continuous already nothing is changed. Otherwise F̃_j = F̃_i + g G along a tree of facets;
+    where the others do not close then, the g are projected to the nearest ones with which they do. A row may change by
+    the tolerance, of its own terms at a facet. Raises `Discontinuous` with every facet at which it jumps by more.
     """
     lines = ([*H, h] for H, h in zip(partition.exact_H, partition.exact_h, strict=True))
     planes = [rational([line], (1, len(line))) for line in lines]  # [Hᵀ h]

@@ -101,12 +101,6 @@ def difference(one: Row, other: Row) -> Fraction | None:
     """Return by how much of themselves the numbers of two hyperplanes differ at most, or None if it is not rounding.
 
     Independent of the units of the states and of a factor of the equations.
-
-    Example:
-        >>> difference((10**13, 0, 1), (-(10**13) - 1, 0, -1))
-        Fraction(1, 10000000000000)
-        >>> difference((1, 0, 1), (1, 1, 1)) is None
-        True
     """
     if any((a == 0) != (b == 0) for a, b in zip(one, other, strict=True)):
         return None

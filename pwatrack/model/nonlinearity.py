@@ -88,8 +88,7 @@ def piecewise_linear(
 ) -> PiecewiseLinear:
     """Return φ with free breakpoints and slopes; without `value` at the first breakpoint, φ(0) = 0.
 
-    Raises:
-        ValueError: If the breakpoints do not increase or there is not one slope more than breakpoints.
+    Raises ValueError if the breakpoints do not increase or there is not one slope more than breakpoints.
     """
     names = tuple(f"segment {k + 1}" for k in range(len(slopes)))
     function = _function(breakpoints, slopes, 0 if value is None else value, names)
@@ -173,18 +172,8 @@ def drives_away(A: Array, element: Nonlinearity) -> list[int]:
     """Return the states through which an element drives what it looks at away from where it acts.
 
     With s = row · x + constant and row · direction = 0, φ(s) enters s̈ through row A direction, the sum over the states
-    that it drives. Where one of these terms has the sign of φ's slope, the element drives s away through that state.
-
-    Args:
-        A: (n, n), without the elements.
-        element: What is looked at. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
-
-    Example: a spring of stiffness 4 that looks at z1 and pushes v1 on instead of back.
-
-        >>> push = Nonlinearity(name="stop", function=spring(slope=4.0), row=np.array([1.0, 0.0]), constant=0.0,
-        ...                     direction=np.array([0.0, 1.0]))
-        >>> drives_away(np.array([[0.0, 1.0], [0.0, 0.0]]), push)
-        [1]
+    that it drives; A (n, n) is without the elements. Where one of these terms has the sign of φ's slope, the element
+    drives s away through that state. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
     """
     slopes, row, d = (
         np.array([float(v) for v in values]) for values in (element.function.slopes, element.row, element.direction)
@@ -203,10 +192,7 @@ def generate_cells(
     """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
 
     One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
-    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
-
-    Raises:
-        InvalidSpec: If there are more than 100,000 cells.
+    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly. Raises InvalidSpec for too many cells.
     """
     if not nonlinearities:
         return Partition.create(H=np.zeros((0, len(b.floats))), h=[], signs=[[]], names=["everywhere"]), [A], [b]

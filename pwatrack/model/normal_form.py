@@ -135,12 +135,8 @@ def normal_form(
     """Bring a system to the form (11) by a change of state, linear but for the last derivatives.
 
     Refuses fewer inputs than tracked outputs, y, ẏ, … that depend on the cell before inputs appear or in which these
-    never do, and inputs that do not act on the outputs independently, in each cell or in some mean of them.
-
-    Args:
-        plant: The system (1).
-        input_sizes: Of the inputs, (m,); where there are more than tracked outputs, u_ff is the least in them.
-        directions: Z, (m, p), instead.
+    never do, and inputs that do not act on the outputs independently, in each cell or in some mean of them. Where there
+    are more inputs than tracked outputs, u_ff is the least in `input_sizes` (m,), or along the `directions` Z (m, p).
     """
     if len(plant.tracked) > plant.B.shape[1]:
         raise too_few_inputs(plant)

@@ -14,12 +14,7 @@ Point = tuple[int, ...]
 
 
 def primitive(values: Sequence[Fraction | int]) -> Row:
-    """Return the whole numbers without a common factor that are a positive multiple of some fractions.
-
-    Example:
-        >>> primitive([Fraction(1, 2), Fraction(-1, 3), Fraction(0)])
-        (3, -2, 0)
-    """
+    """Return the whole numbers without a common factor that are a positive multiple of some fractions."""
     common = lcm(*(v.denominator for v in values))
     whole = [v.numerator * (common // v.denominator) for v in values]
     return reduced(tuple(whole))

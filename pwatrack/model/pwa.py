@@ -95,19 +95,12 @@ class PWASystem:
     ) -> "PWASystem":
         """Build the system and prove that it belongs to the class of eq. (1).
 
-        Args:
-            partition: The l cells.
-            A, b, B, C: Nested sequences or arrays of `Real`, fractions, or doubles, which count as the decimals that
-                they print as; or `BallMatrix` (b_i as a column).
-            tracked: Likewise, rows of what is to follow a reference; None for all that is measured.
-            states, inputs, outputs, tracked_names: Names.
-            tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
-                repaired: relative to the terms of that row at a point of the facet of typical size.
-            continuous: Whether the field is exactly continuous by construction, which then is not decided again.
+        A, b, B, C and what is tracked (None: all that is measured) are nested sequences or arrays of `Real`, fractions,
+        or doubles, which count as the decimals that they print as; or `BallMatrix`, b_i as a column. A jump of a row of
+        the field across a facet up to the tolerance, of the terms of that row at a point of the facet of typical size,
+        is taken for rounding, and repaired. What is `continuous` by construction is not decided again.
 
-        Raises:
-            ValueError: If the shapes do not fit.
-            OutsideTheory: If cells overlap or leave a hole, or the vector field jumps: one problem per facet.
+        Raises ValueError if the shapes do not fit; OutsideTheory if cells overlap or leave a hole, or the field jumps.
         """
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
@@ -284,12 +277,6 @@ def continuous_offset(A_i: Array, A_j: Array, b_j: Array, H: Array, h: float) ->
     """Return the b_i (n,) with A_i x + b_i = A_j x + b_j wherever H x + h = 0, or None if there is none.
 
     There is one exactly where A_i − A_j = g Hᵀ for some g; it is b_j + g h.
-
-    Example: a spring of stiffness 4 that is met at z = 0.1.
-
-        >>> free, touching = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0, 1.0], [-4.0, 0.0]])
-        >>> continuous_offset(touching, free, np.zeros(2), np.array([1.0, 0.0]), -0.1).tolist()
-        [0.0, 0.4]
     """
     change = A_i - A_j
     pivot = int(np.argmax(np.abs(H)))

@@ -102,15 +102,7 @@ class Exosystem:
         return not self.resets and not self.S.any()
 
     def begins(self) -> float | None:
-        """Return the period (s) with which all signals begin, up to the first reset; 0 if at rest, None if neither.
-
-        Example:
-            >>> from pwatrack.model.signal import ExponentialPolynomial
-            >>> t = ExponentialPolynomial.time()
-            >>> one = Signal((0.0, 3.0), (ExponentialPolynomial.constant(1.0), t))
-            >>> [exosystem([signal]).begins() for signal in (one, Signal.of((np.pi * t).sin()), Signal.of(t))]
-            [0.0, 2.0, None]
-        """
+        """Return the period (s) with which all signals begin, up to the first reset; 0 if at rest, None if neither."""
         frequencies = set[float]()
         for rate, chain in spectral_terms(self.S, self.rates):
             for power, E in enumerate(chain):

@@ -53,10 +53,6 @@ def nearest_to_one(rows: csr_matrix, offset: Array, states: int) -> Array:
 
     Of many such θ it is one whose first entries, those of states, are small.
 
-    Args:
-        rows: What the logarithm of each number adds of each θ, (K, k).
-        offset: That of each number as it is, (K,).
-
     Example: ẋ = 3 u with a speed of 1: u is a third of x.
 
         >>> theta = nearest_to_one(csr_matrix([[-1.0, 1.0]]), np.log([3.0]), 1)

@@ -143,8 +143,7 @@ class Summand:
 class Dependence:
     """The field as a function of some parameters, `free`, the others being as they are.
 
-    Raises:
-        OutsideTheory: If an entry is no sum of products of their powers, or hyperplanes or C depend on them.
+    Raises OutsideTheory if an entry is no sum of products of their powers, or hyperplanes or C depend on them.
 
     Example: the paper's example, in the stiffness of its spring and in a mass.
 
@@ -279,19 +278,8 @@ def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str
 def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[Matrices, ...]:
     """Return the matrices of the plant at all corners of a box that they speak for.
 
-    Raises:
-        InvalidSpec: If a parameter is nowhere in the plant.
-        OutsideTheory: If the corners do not speak for all of the box, or hyperplanes or C are uncertain too.
-        Undecided: If there are too many.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.real import Real
-        >>> from pwatrack.model.box import Uncertain
-        >>> problem = load_spec("specs/two_mass_backlash.yaml").problem
-        >>> mass = Uncertain(name="m1", nominal=Real.of(1), low=Real.of("0.8"), high=Real.of("1.25"))
-        >>> [float(X.B.floats[1, 0]) for X in corners(problem.parametric, problem.plant, (mass,))]
-        [1.25, 0.8]
+    Raises InvalidSpec for a parameter that is nowhere in the plant, OutsideTheory where the corners do not speak for
+    all of the box or hyperplanes or C are uncertain too, Undecided for too many corners.
     """
     if 2 ** len(box) > _MOST_CORNERS:
         message = f"{len(box)} uncertain parameters have 2^{len(box)} corners, at most {_MOST_CORNERS:,} are tried"

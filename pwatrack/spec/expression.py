@@ -68,13 +68,7 @@ Parameters = Mapping[str, Real | float | None]  # None: in error
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression that is parsed, to be evaluated as often as is asked.
-
-    Example:
-        >>> square = parsed("k**2")
-        >>> [float(real(square, {"k": Real.of(k)})) for k in (1, 2, 3)]
-        [1.0, 4.0, 9.0]
-    """
+    """An expression that is parsed, to be evaluated as often as is asked."""
 
     text: str
     tree: ast.expr

@@ -40,8 +40,7 @@ class Folder:
 def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
     """Return the course of a table: a text file with a header, a column of times and others.
 
-    Raises:
-        InvalidSpec: If it cannot be read, its times do not increase, or its filter does not fit them.
+    Raises InvalidSpec if it cannot be read, its times do not increase, or its filter does not fit them.
     """
     path = folder.path / section.file
     try:
