@@ -25,12 +25,7 @@ def readonly(values: Any) -> Array:
 
 
 def symmetric_part(X: Array) -> Array:
-    """Return sym(X) = X + Xᵀ, for one matrix or a stack.
-
-    Example:
-        >>> symmetric_part(np.array([[1.0, 2.0], [0.0, 3.0]])).tolist()
-        [[2.0, 2.0], [2.0, 6.0]]
-    """
+    """Return sym(X) = X + Xᵀ, for one matrix or a stack."""
     result: Array = X + np.swapaxes(X, -1, -2)
     return result
 
@@ -49,12 +44,7 @@ def balancing(A: Array) -> Array:
 
 
 def number_text(value: float, form: str = ".5g") -> str:
-    """Return a number as text, 0 without a sign of minus: whoever reads it need not ask where it is from.
-
-    Example:
-        >>> number_text(-0.0), number_text(-0.0, "+.4g"), number_text(-1e-9, ".3f"), number_text(-1.5)
-        ('0', '+0', '0.000', '-1.5')
-    """
+    """Return a number as text, 0 without a sign of minus: whoever reads it need not ask where it is from."""
     text = format(float(value), form)
     return text if any(c in "123456789in" for c in text.partition("e")[0]) else format(0.0, form)
 
@@ -70,12 +60,7 @@ def amount(count: int, what: str) -> str:
 
 
 def up(value: float) -> str:
-    """Return a number in three digits, not smaller.
-
-    Example:
-        >>> up(0.012341), up(5.0)
-        ('0.0124', '5')
-    """
+    """Return a number in three digits, not smaller."""
     return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 

@@ -180,11 +180,6 @@ def unreachable(A: Rational, B: Rational) -> tuple[Rational, Rational]:
 
     The rows of N span what B never reaches (the left null space of [B, AB, …, Aⁿ⁻¹B]): no
     gain changes A_u. k = 0 if (A, B) is controllable.
-
-    Example:
-        >>> A, B = decimals(np.diag([-1.0, 3.0])), decimals(np.array([[1.0], [0.0]]))
-        >>> [X.tolist() for X in unreachable(A, B)]
-        [[[0, 1]], [[3]]]
     """
     columns = [B.transpose()]
     for _ in range(A.nrows() - 1):

@@ -15,7 +15,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.version import versions
 
 _PATIENCE = 10.0  # seconds in which a scheduler and a worker are to be found
@@ -119,7 +119,7 @@ def _settle(future: Future[Any], sent: Future[Any]) -> None:
 
 def _unusable(message: str, hint: str = "") -> InvalidSpec:
     """Return the refusal of a scheduler or a worker: it is about no line of the spec."""
-    return InvalidSpec(Problem(message=message, subject=None, hint=hint))
+    return InvalidSpec(message, subject=None, hint=hint)
 
 
 _IDLE = defaultdict[Settings, list[Pool]](list)  # on a worker: processes that wait for a task, by how they are limited

@@ -107,12 +107,7 @@ class SpecOutcome:
 
 
 def exit_code(outcomes: Sequence[SpecOutcome]) -> int:
-    """Return the exit code of a batch: that of a crash if there is one, else the largest.
-
-    Example:
-        >>> exit_code([SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=code) for code in (1, 0, 6)])
-        1
-    """
+    """Return the exit code of a batch: that of a crash if there is one, else the largest."""
     return int(ExitCode.BUG) if any(each.crashed for each in outcomes) else max(each.code for each in outcomes)
 
 

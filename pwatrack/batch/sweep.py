@@ -65,11 +65,6 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
     """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
 
     Raises InvalidSpec if they are too many, or a parameter varies twice.
-
-    Example:
-        >>> from pwatrack.spec.axis import axis
-        >>> places([axis("a=0:1:2"), axis("b=0.1:0.3:3")])[1]
-        {'a': 0.0, 'b': 0.2}
     """
     names = [one.name for one in axes]
     if len(set(names)) < len(names):

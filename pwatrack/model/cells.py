@@ -94,17 +94,10 @@ class Partition:
 
     @classmethod
     def regions(cls, *, H: object, h: object, most: int) -> "Partition":
-        """Return all regions that some hyperplanes cut ℝⁿ into, as cells without names.
+        """Return all regions that some hyperplanes cut ℝⁿ into, as cells without names; InvalidSpec for too many.
 
         They cover ℝⁿ and do not overlap, as each is the set of all x with its signs; two of them share a facet if
         and only if they differ in one sign. Hyperplanes are merged only where they are exactly the same.
-
-        Raises InvalidSpec if there are more than `most`.
-
-        Example: three lines through one point.
-
-            >>> len(Partition.regions(H=[[1, 0], [0, 1], [1, 1]], h=[0, 0, 0], most=100).signs)
-            6
         """
         planes, n = _exact_planes(H, h, None)
         kept: dict[Row, list[Fraction]] = {}
@@ -115,9 +108,7 @@ class Partition:
             found = arrangement([primitive(plane) for plane in planes], most)
         except TooMany:
             message = f"{len(planes)} hyperplanes make more than {most:,} cells"
-            raise InvalidSpec(
-                Problem(message=message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities")
-            ) from None
+            raise InvalidSpec(message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities") from None
         bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
         signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
         return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)

@@ -154,15 +154,7 @@ class ScalarForm:
 
     @cached_property
     def corners(self) -> tuple[int, ...]:
-        """The cells at the corners of the box of slopes, where `product` holds: each A_i is a mean of theirs.
-
-        Example:
-            >>> stop = Nonlinearity(name="stop", function=dead_zone(lower=-1, upper=1, upper_slope=3), row=[1, 0],
-            ...                     constant=0, direction=[0, -1])
-            >>> form = ScalarForm(A=BallMatrix.of([[0, 1], [-1, -1]]), b=BallMatrix.of([[0], [0]]), elements=(stop,))
-            >>> form.product, form.corners
-            (True, (1, 2))
-        """
+        """The cells at the corners of the box of slopes, where `product` holds: each A_i is a mean of theirs."""
         counts = [len(element.function.slopes) for element in self.elements]
         cells = itertools.product(*(element.function.ends for element in self.elements))
         return tuple(int(np.ravel_multi_index(cell, counts)) for cell in cells)

@@ -117,12 +117,6 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
     """Return those of some inequalities in ℝⁿ that bound their polyhedron, or None if it has no interior.
 
     The answer depends on the polyhedron alone: two with the same borders are the same.
-
-    Example:
-        >>> borders([(1, 0, 0), (0, 1, 0), (-1, -1, 1), (-1, 0, 2)], 2)
-        ((-1, -1, 1), (0, 1, 0), (1, 0, 0))
-        >>> borders([(1, 0), (-1, 0)], 1) is None
-        True
     """
     kept = tightest(rows)
     if kept is None:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, readonly
 from pwatrack.causes import Remedy, Subject, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.profile import Course, Profile
 from pwatrack.model.signal import Signal
 
@@ -256,12 +256,10 @@ def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
     growing = signal.pieces[-1].unbounded_term() if signal.end is None else ""
     if growing:
         raise OutsideTheory(
-            Problem(
-                message=f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
-                subject=subject,
-                hint="give the interval it is meant for",
-                remedy=Remedy(Way.INTERVAL),
-            )
+            f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
+            subject=subject,
+            hint="give the interval it is meant for",
+            remedy=Remedy(Way.INTERVAL),
         )
 
 
@@ -272,13 +270,11 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
         if jump is not None:
             what = "itself" if order == 0 else f"derivative {order}"
             raise OutsideTheory(
-                Problem(
-                    message=f"{name} is not {r} times differentiable, as relative degree {r} needs: "
-                    f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
-                    subject=subject,
-                    hint="round its corners, or choose a smoother one",
-                    remedy=Remedy(Way.ROUNDED_CORNERS),
-                )
+                f"{name} is not {r} times differentiable, as relative degree {r} needs: "
+                f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
+                subject=subject,
+                hint="round its corners, or choose a smoother one",
+                remedy=Remedy(Way.ROUNDED_CORNERS),
             )
 
 

@@ -37,18 +37,7 @@ class Simplification:
 
 
 def merges(form: ScalarForm, element: int) -> list[Simplification]:
-    """Return all ways to merge cells of one element, those with the least deviation first.
-
-    Example: a gap of ±0.5 before a spring of stiffness 4 deviates from the spring without it by 2 at most.
-
-        >>> from pwatrack.model.nonlinearity import dead_zone
-        >>> gap = Nonlinearity(name="gap", function=dead_zone(lower=-0.5, upper=0.5, lower_slope=4, upper_slope=4),
-        ...                    row=[1], constant=0, direction=[1])
-        >>> nothing = BallMatrix.of([[0]])
-        >>> (merge,) = merges(ScalarForm(A=nothing, b=nothing, elements=(gap,)), 0)
-        >>> float(merge.largest), [float(slope) for slope in merge.function.slopes], merge.function(0.25)
-        (2.0, [4.0, 4.0], 1.0)
-    """
+    """Return all ways to merge cells of one element, those with the least deviation first."""
     count = len(form.elements[element].function.breakpoints)
     found = (_ways(form, element, width) for width in range(1, count))
     return sorted(chain.from_iterable(found), key=lambda merge: (merge.largest, merge.last - merge.first, merge.first))

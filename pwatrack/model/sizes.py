@@ -189,14 +189,7 @@ class Sizes:
         return np.asarray(K * self.state / self.input[:, None])
 
     def norms(self, K: Array, L: Array) -> tuple[float, float]:
-        """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖.
-
-        Example: 1500 N/m and 200 N s/m are 5 times 50 N for 0.1 m and 1 m/s at once.
-
-            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.array([0.01]), speed=1.0)
-            >>> sizes.norms(np.array([[1500.0, 200.0]]), np.array([[-30.0], [-400.0]]))
-            (5.0, 5.0)
-        """
+        """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖."""
         in_sizes = self.gain(K), L * self.output / np.append(self.state, self.load)[:, None]
         k, observer = (float(np.linalg.norm(X, 2)) for X in in_sizes)
         return k, observer

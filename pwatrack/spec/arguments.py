@@ -5,7 +5,7 @@ from typing import Any
 
 from pwatrack.arrays import amount
 from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import read_plant, read_spec
 from pwatrack.spec.spec import Spec
@@ -167,7 +167,7 @@ def problem(
     """
     if not isinstance(plant, Plant):
         message = f"plant: a {type(plant).__name__} is none: what plant(A=…, B=…, C=…) returns is expected"
-        raise InvalidSpec(Problem(message=message, subject=None))
+        raise InvalidSpec(message, subject=None)
     design = {"tracking": tracking, "controller": controller, "observer": observer}
     design |= {"estimate": estimate, "solver": solver, "uncertain": uncertain}
     asked = {"output": reference} if isinstance(reference, str) else reference

@@ -173,7 +173,7 @@ class Dependence:
                     seen[power] = next(p.text for p in pieces if any(power in term for term in p.polynomial.terms))
         except NotRepresentable as error:
             message = f"an entry of the plant as a function of the uncertain parameters {error}"
-            raise OutsideTheory(Problem(message=message, subject=("system",))) from None
+            raise OutsideTheory(message, subject=("system",)) from None
         return seen
 
     def _entries(self) -> Iterator[list[Summand]]:
@@ -196,7 +196,7 @@ class Dependence:
             else:
                 what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
                 message = f"{self._named(path)} depends on an uncertain parameter: {what} to be known"
-                raise OutsideTheory(Problem(message=message, subject=("system", *path)))
+                raise OutsideTheory(message, subject=("system", *path))
         for number in elements:
             for place, first, *others in self._element(number):
                 entries[place] += first
@@ -236,7 +236,7 @@ class Dependence:
             return Summand(self._named(path), LaurentPolynomial.of(real(self._varying[path], self._names)))
         except ExpressionError:
             message = f"{self._named(path)} is no sum of products of whole powers of the uncertain parameters"
-            raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
+            raise OutsideTheory(message, subject=("system", *path)) from None
 
     def _named(self, path: Subject, nominal: Real = _ZERO) -> str:
         expression = self._written.get(path)
@@ -283,7 +283,7 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
     """
     if 2 ** len(box) > _MOST_CORNERS:
         message = f"{len(box)} uncertain parameters have 2^{len(box)} corners, at most {_MOST_CORNERS:,} are tried"
-        raise Undecided(Problem(message=message, subject=SUBJECT, hint="let those that matter least be known"))
+        raise Undecided(message, subject=SUBJECT, hint="let those that matter least be known")
     _check_dependence(parametric, box)
     found = []
     for ends in product(*((interval.low, interval.high) for interval in box)):
@@ -291,7 +291,7 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
         found.append(plant)
     if nominal.repair is not None or any(plant.repair is not None for plant in found):
         message = "the data of the plant jump at facets by rounding: for uncertain parameters they must be continuous"
-        raise OutsideTheory(Problem(message=message, subject=SUBJECT, hint="write b as an expression that closes it"))
+        raise OutsideTheory(message, subject=SUBJECT, hint="write b as an expression that closes it")
     return tuple(plant.exact for plant in found)
 
 

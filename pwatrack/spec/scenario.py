@@ -119,7 +119,7 @@ def _lasting(make: Callable[[], Course], horizon: float, subject: Subject) -> Co
 
 def _refused(text: str, subject: Subject, hint: str = "") -> InvalidSpec:
     """Return a refusal of what stands at a path, which is said first."""
-    return InvalidSpec(Problem(message=path_text(subject) + text, subject=subject, hint=hint))
+    return InvalidSpec(path_text(subject) + text, subject=subject, hint=hint)
 
 
 def _formula(section: ProfileSection, horizon: float, subject: Subject) -> Formula:
