@@ -29,8 +29,6 @@ exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=
 
 
 def _command(to: str) -> Callable[..., None]:
-    """Return the command that writes one language."""
-
     def command(
         target: Exported,
         out: Folder,

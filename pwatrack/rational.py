@@ -14,6 +14,7 @@ import flint
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.real import dyadic as dyadic
 
 Rational = Any  # flint.fmpq_mat, which comes without types
 
@@ -47,11 +48,8 @@ def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rati
     return flint.fmpq_mat(*shape, [number(v) for row in rows for v in row])
 
 
-def _taken_apart(X: Rational) -> tuple[Any, tuple[int, int, list[Any]]]:
-    return flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())
-
-
-copyreg.pickle(flint.fmpq_mat, _taken_apart)  # and with it a plant, and all that is made from one
+# and with it a plant, and all that is made from one
+copyreg.pickle(flint.fmpq_mat, lambda X: (flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())))
 
 
 def number(value: Fraction) -> Any:
@@ -67,12 +65,6 @@ def scalar(value: float) -> Any:
 def fraction_of(value: Any) -> Fraction:
     """Return an entry of a rational matrix as a fraction."""
     return Fraction(int(value.p), int(value.q))
-
-
-def dyadic(value: Any) -> Fraction:
-    """Return a ball without a radius as a fraction."""
-    mantissa, exponent = value.man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 
 
 def middle(X: Any) -> Rational:

@@ -152,13 +152,13 @@ def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
         return Real(Fraction(0), Fraction(0) if value.is_zero() else _TINY)
     if value.abs_upper() > flint.arb(2) ** 1024:
         raise OverflowError("not finite")
-    centre, away = (_dyadic(part) for part in (value.mid(), value.rad()))
+    centre, away = (dyadic(part) for part in (value.mid(), value.rad()))
     nearest = Fraction(float(centre))
     return Real(nearest, abs(centre - nearest) + away)
 
 
-def _dyadic(value: Any) -> Fraction:
-    """Return an exact arb as a fraction."""
+def dyadic(value: Any) -> Fraction:
+    """Return a ball without a radius as a fraction."""
     mantissa, exponent = value.man_exp()
     return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 

@@ -101,7 +101,6 @@ class Cluster(Executor):
 
 
 def _settle(future: Future[Any], sent: Future[Any]) -> None:
-    """Give a future what came back."""
     from distributed import KilledWorker
 
     if sent.cancelled():
@@ -158,7 +157,6 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
 
 
 def _called(content: bytes) -> bytes:
-    """Make the call, in whatever process."""
     function, positional, named = ForkingPickler.loads(content)
     try:
         return _answer(function(*positional, **named), True)

@@ -54,7 +54,6 @@ def run_name(spec: Path) -> str:
 
 
 def _named(folder: Path, pattern: str | None) -> list[Path]:
-    """Return what is named like a spec below a folder."""
     if pattern is None:
         return [path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS]
     return [

@@ -127,5 +127,4 @@ def _part(index: Mapping[str, Any], name: str, kind: type[_T]) -> _T:
 
 
 def _shown(value: object) -> bool:
-    """Whether it is a figure that can be shown."""
     return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST

@@ -67,7 +67,6 @@ def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
 
 
 def _head(name: str) -> str:
-    """Return the head of a column: what sorts by it."""
     numbers = "" if name in _TEXTS else ' class="n"'
     return f'<th{numbers}><button type="button">{_text(name)}</button></th>'
 
@@ -82,7 +81,6 @@ def _number(name: str, value: object, text: str) -> str:
 
 
 def _pictures(folder: Path, here: Path) -> str:
-    """Return small pictures of a run; none where it has none."""
     parts = []
     for name in _PICTURES:
         with suppress(OSError):
@@ -93,7 +91,6 @@ def _pictures(folder: Path, here: Path) -> str:
 
 
 def _small(picture: Path) -> bytes:
-    """Return a picture in few dots and colours."""
     from PIL import Image
 
     with Image.open(picture) as image:
@@ -105,5 +102,4 @@ def _small(picture: Path) -> bytes:
 
 
 def _text(text: str) -> str:
-    """Return a text as it may stand in a page."""
     return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())

@@ -168,7 +168,6 @@ class Pool(Executor):
             return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
     def _assign(self) -> None:
-        """Give tasks to processes that have none, and start those that are missing."""
         while True:
             free = next((w for w in self._workers if not w.task and not w.reason), None)
             if free is None and len(self._workers) >= self._jobs:

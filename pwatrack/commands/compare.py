@@ -71,11 +71,14 @@ def names_of(runs: Sequence[Run]) -> list[str]:
     return [str(run.folder) for run in runs]
 
 
-def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
-    """Print the verdict and every figure of runs beside each other."""
-    table = Table()
+def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
+    """Print runs beside each other, and draw their errors over each other."""
+    if len(folders) > _MOST:
+        raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
+    runs = [read_run(folder) for folder in folders]
+    names, table = names_of(runs), Table()
     table.add_column("figure", overflow="fold")
-    for name in names_of(runs):
+    for name in names:
         table.add_column(name, justify="right", overflow="fold")
     for label, key in (("spec", "name"), ("verdict", "verdict"), ("exit", "exit")):
         table.add_row(label, *(str(run.index.get(key, "")) for run in runs))
@@ -84,15 +87,7 @@ def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
     for name in dict.fromkeys(name for run in runs for name in run.figures):
         table.add_row(name, *(f"{run.figures[name]:.4g}" if name in run.figures else "" for run in runs))
     screen.print(table)
-
-
-def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
-    """Print runs beside each other, and draw their errors over each other."""
-    if len(folders) > _MOST:
-        raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
-    runs = [read_run(folder) for folder in folders]
-    print_comparison(screen, runs)
-    drawn = [(name, run) for name, run in zip(names_of(runs), runs, strict=True) if len(run.t)]
+    drawn = [(name, run) for name, run in zip(names, runs, strict=True) if len(run.t)]
     if picture is None or not drawn:
         return
     from pwatrack.report.plots.canvas import png

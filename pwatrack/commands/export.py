@@ -1,4 +1,4 @@
-"""A spec, a run folder or a controller.json -> exported code and FMUs, with what is proved of it."""
+"""A spec, a run folder or a controller.json -> exported code, with what is proved of it, or its proof for Coq."""
 
 import hashlib
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
@@ -202,6 +202,19 @@ def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
     spec = None if path is None else load(path, file.set)
     return spec if spec is not None and spec.sha256 == file.spec_sha256 else None
+
+
+def certify(path: Path, out: Path) -> list[str]:
+    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files.
+
+    Raises as `verify`, and InvalidSpec if nothing in it is of the kind that the theory speaks of.
+    """
+    from pwatrack.export.coq import development
+    from pwatrack.lmi.audit.reading import parsed as certificate_content
+
+    verify(path)
+    file, text = certificate_text(path)
+    return write_texts(development(certificate_content(text), prefix(file.resolve().parent.name)), out)
 
 
 def unwritable(out: Path, error: OSError) -> InvalidSpec:

@@ -242,8 +242,6 @@ def _check(spec: Spec, result: SimulatedLoop | None, many: EnsembleResult | None
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:
-    """Return what shows the progress of an ensemble, in whole percents."""
-
     def show(done: int) -> None:
         if done * 100 // members > (done - 1) * 100 // members:
             status.update(f"Simulating the ensemble: {done:,} of {members:,} members")

@@ -123,7 +123,6 @@ def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:
 
 
 def _told_gains(content: dict[str, Any]) -> dict[str, Any]:
-    """Return what gains.json holds."""
     return gain_content(doubles(content["K"]), doubles(content["L"]), read_costs(content))
 
 
@@ -181,7 +180,6 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
 
 
 def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield what of a goal is not proved."""
     rates = [number(proof["rate"]) for proof in proofs if "rate" in proof]
     least, most = demands(goal)
     if not rates or max(rates) < Fraction(repr(least)):

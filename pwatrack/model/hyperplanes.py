@@ -113,7 +113,6 @@ def difference(one: Row, other: Row) -> Fraction | None:
 
 
 def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
-    """Return the pairs of hyperplanes that differ by rounding."""
     logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
     found = []
     for k in range(len(rows) - 1):

@@ -218,7 +218,6 @@ def _coordinates(
 
 
 def _stacked(rows: Sequence[BallMatrix]) -> BallMatrix:
-    """Return matrices below each other."""
     return reduce(above, rows)
 
 

@@ -198,7 +198,6 @@ class PWASystem:
         return f"{linear_form_text(H, self.states)} = {-h + 0.0:.6g}"
 
     def _continuous(self, tolerance: float) -> "PWASystem":
-        """Return the system with an exactly continuous field: see `continuity`."""
         n, exact = self.A.shape[1], self.exact
         given = [beside([A_i.centre, b_i.centre]) for A_i, b_i in zip(exact.A, exact.b, strict=True)]
         try:

@@ -289,7 +289,6 @@ def _chains(signal: Signal) -> dict[complex, int]:
 
 
 def _chain(rate: complex, length: int) -> tuple[Array, Array]:
-    """Return S and Q of one chain."""
     shift = np.eye(length, k=1)
     if rate.imag == 0:
         return rate.real * np.eye(length) + shift, np.eye(length)[0]

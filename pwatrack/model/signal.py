@@ -60,14 +60,12 @@ class ExponentialPolynomial:
         return float(np.real(total))
 
     def __add__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the sum."""
         terms = dict(self.terms)
         for rate, c in _lift(other).terms.items():
             _accumulate(terms, rate, c)
         return ExponentialPolynomial(terms)
 
     def __mul__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the product."""
         terms: dict[complex, ComplexArray] = {}
         for one, c in self.terms.items():
             for two, d in _lift(other).terms.items():
@@ -78,19 +76,15 @@ class ExponentialPolynomial:
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> "ExponentialPolynomial":
-        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: float) -> "ExponentialPolynomial":
-        """Return the difference."""
         return -self + other
 
     def __truediv__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the quotient by a number."""
         if isinstance(other, ExponentialPolynomial):
             raise NotRepresentable("divides by a function of t")
         return self * (1.0 / other)
@@ -235,7 +229,6 @@ class Signal:
         return piece(t - self.starts[k])
 
     def __add__(self, other: "Signal") -> "Signal":
-        """Return the sum."""
         end = min((end for end in (self.end, other.end) if end is not None), default=None)
         starts = tuple(t for t in sorted({*self.starts, *other.starts}) if end is None or t < end or t == 0)
         pieces = tuple(self._from(t) + other._from(t) for t in starts)

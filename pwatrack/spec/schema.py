@@ -130,17 +130,14 @@ def _plain(schema: Any) -> Any:
         return [_plain(value) for value in schema]
     if not isinstance(schema, dict):
         return schema
-    kept = {key: value for key, value in schema.items() if not _said_by_model(key, value)}
+    said: dict[str, Any] = {"title": str, "default": dict | list | None}  # where it is of this type
+    kept = {key: value for key, value in schema.items() if not (key in said and isinstance(value, said[key]))}
     if kept.get("additionalProperties") is True:  # parameters
         kept["additionalProperties"] = _VALUE
     choices = [choice for choice in kept.pop("anyOf", []) if choice != {"type": "null"}]
     if len(choices) == 1:
         return _plain(kept | choices[0])
     return {key: _plain(value) for key, value in kept.items()} | ({"anyOf": _plain(choices)} if choices else {})
-
-
-def _said_by_model(key: str, value: object) -> bool:
-    return (key == "title" and isinstance(value, str)) or (key == "default" and isinstance(value, dict | list | None))
 
 
 _SAID = {  # of what pydantic finds, behind the path

@@ -144,7 +144,6 @@ def _numbers(texts: Sequence[str], line: int, *, commas: bool) -> tuple[float, f
 
 
 def _scales(scale: float | dict[str, float], time: str, column: str) -> Array:
-    """Return what times and values are multiplied with."""
     if not isinstance(scale, dict):
         scale = {time: scale}
     for name, value in scale.items():

@@ -188,17 +188,14 @@ class Arguments(dict[Subject, Place]):
         return problem
 
 
-def in_mapping(subject: Subject) -> str:
-    """Return how the value of a path is called where the whole spec is one mapping."""
-    return "spec" + subscripts(subject)
-
-
 def subscripts(subject: Subject) -> str:
     """Return a path as Python's subscripts, counted from 0."""
     return "".join(f"[{part!r}]" for part in subject)
 
 
-def document_of(data: Mapping[str, Any], named: Callable[[Subject], str] = in_mapping) -> Document:
+def document_of(
+    data: Mapping[str, Any], named: Callable[[Subject], str] = lambda subject: "spec" + subscripts(subject)
+) -> Document:
     """Return a mapping from Python as the tree that a file with the same content is read as.
 
     Numbers become the shortest decimals that read as the same doubles, fractions stay exact; arrays and tuples are
