@@ -98,10 +98,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Shar
 
 
 def difference(one: Row, other: Row) -> Fraction | None:
-    """Return by how much of themselves the numbers of two hyperplanes differ at most, or None if it is not rounding.
-
-    Independent of the units of the states and of a factor of the equations.
-    """
+    """Return by how much of themselves the numbers of two hyperplanes differ at most, in any units; None if by more."""
     if any((a == 0) != (b == 0) for a, b in zip(one, other, strict=True)):
         return None
     ratios = [Fraction(a, b) for a, b in zip(one, other, strict=True) if b]

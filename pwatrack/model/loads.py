@@ -76,14 +76,7 @@ class Loads:
         return tuple(tuple(range(k, k + load.order)) for k, load in zip(self.where, self.each, strict=True))
 
     def inputs(self, B: BallMatrix) -> tuple[int, ...] | None:
-        """Return the input of B (n, m) that each load is added to, if all are constants added to inputs, exactly.
-
-        Example:
-            >>> from pwatrack.real import Real
-            >>> loads = Loads.of([Load(name="push", into={1: Real.of(2)})], states=2)
-            >>> loads.inputs(BallMatrix.of([[1, 0], [0, 2]])), loads.inputs(BallMatrix.of([[1, 0], [0, 3]]))
-            ((1,), None)
-        """
+        """Return the input of B (n, m) that each load is added to, if all are constants added to inputs, exactly."""
         (n, m), found = B.shape, []
         if self.E.radius is not None or B.radius is not None or len(self.where) < self.S.shape[0]:
             return None

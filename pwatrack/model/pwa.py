@@ -189,10 +189,7 @@ class PWASystem:
         return result
 
     def hyperplane_text(self, k: int) -> str:
-        """Return hyperplane k as an equation in the names of the states.
-
-        Example: `'z2 - z1 = 0.05'`.
-        """
+        """Return hyperplane k as an equation in the names of the states, such as `z2 - z1 = 0.05`."""
         H, h = self.partition.H[k], self.partition.h[k]
         H, h = (-H, -h) if H.max() <= 0 else (H, h)
         return f"{linear_form_text(H, self.states)} = {-h + 0.0:.6g}"

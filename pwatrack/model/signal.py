@@ -194,13 +194,7 @@ def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArr
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal made of pieces, each an exponential polynomial of the time since its start.
-
-    Example:
-        >>> ramp = Signal((0.0, 2.0), (ExponentialPolynomial.time(), ExponentialPolynomial.constant(2.0)))
-        >>> ramp(1.5), ramp(7.0), ramp(1.5, derivative=1)
-        (1.5, 2.0, 1.0)
-    """
+    """A signal made of pieces, each an exponential polynomial of the time since its start."""
 
     starts: tuple[float, ...]  # increasing, the first is 0, in s
     pieces: tuple[ExponentialPolynomial, ...]  # one per start
@@ -235,10 +229,7 @@ class Signal:
         return Signal(starts, pieces, end)
 
     def jump(self, order: int) -> tuple[float, float] | None:
-        """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
-
-        What is within rounding of the derivative's own size is none.
-        """
+        """Return (time, size) of the largest jump of the derivative of this order that is no rounding, or None."""
         terms = self.stacked()
         for _ in range(order):
             for rate, c in terms.items():

@@ -177,14 +177,7 @@ def problem(
 
 
 def argument(subject: Subject) -> str:
-    """Return how the value of a path in a file is called among the arguments of `plant` and `problem`.
-
-    Example:
-        >>> argument(("system", "cells", 1, "A", 0, 2)), argument(("system", "hyperplanes", 0, "H", 1))
-        ('A[1][0][2]', 'H[0][1]')
-        >>> argument(("design", "controller", "rate")), argument(("simulation", "initial", "plant", 0))
-        ("controller['rate']", "simulation['initial']['plant'][0]")
-    """
+    """Return how the value of a path in a file is called among the arguments of `plant` and `problem`."""
     match subject:
         case ("system", "cells" | "hyperplanes", int(number), str(name), *rest):
             name, steps = "cells" if name == "name" else name, (number, *rest)

@@ -161,10 +161,7 @@ class Dependence:
         self._varying = {p: e for p, e in self._written.items() if not e.names.isdisjoint(varying)}
 
     def powers(self) -> dict[tuple[str, int], str]:
-        """Return each power of a parameter that is in an entry of a matrix, and a place where it is from.
-
-        What cancels in an entry is not in it.
-        """
+        """Return each power of a parameter that is left in an entry of a matrix, and a place where it is from."""
         seen = dict[tuple[str, int], str]()
         try:
             for pieces in self._entries():

@@ -88,10 +88,7 @@ def read_spec(
     outside: bool = False,
     plant: PWASystem | None = None,
 ) -> Spec:
-    """Return the spec that values from Python describe, `plant` being what its sections were read as, if they were.
-
-    The rest, and what is raised, is as for `load_spec`.
-    """
+    """Return the spec of values from Python as `load_spec` does, with the plant that its sections were read as."""
     text = yaml_text(document.data)
     folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
     return _spec_of(document, parameters, folder, Path(WRITTEN), digest, text, plant)

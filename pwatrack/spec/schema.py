@@ -88,12 +88,7 @@ class SpecFile(PlantFile):
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the schema, made from the models that read a file. What only they can check, such as shapes, it leaves.
-
-    Example:
-        >>> sorted(json_schema()["required"])
-        ['name', 'reference', 'simulation', 'system']
-    """
+    """Return the schema, made from the models that read a file. What only they can check, such as shapes, it leaves."""
     schema = SpecFile.model_json_schema()
     figures = {name: {"description": quantity.best, **_LIMIT} for name, quantity in QUANTITIES.items()}
     of_members = {name: figures[name] for name, quantity in QUANTITIES.items() if quantity.of == "member"}
