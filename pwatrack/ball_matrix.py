@@ -104,15 +104,16 @@ class BallMatrix:
         return None if self.radius is None else texts(self.radius)
 
 
-def above(one: BallMatrix, other: BallMatrix) -> BallMatrix:
-    """Return one matrix on top of another."""
-    both = [_or_zero(X) for X in (one, other)] if one.radius is not None or other.radius is not None else None
-    return BallMatrix(stacked([one.centre, other.centre]), None if both is None else stacked(both))
+def above(*matrices: BallMatrix) -> BallMatrix:
+    """Return matrices on top of each other."""
+    exact = all(X.radius is None for X in matrices)
+    radii = None if exact else stacked([X.centre - X.centre if X.radius is None else X.radius for X in matrices])
+    return BallMatrix(stacked([X.centre for X in matrices]), radii)
 
 
-def beside(one: BallMatrix, other: BallMatrix) -> BallMatrix:
-    """Return one matrix beside another."""
-    return above(one.transpose(), other.transpose()).transpose()
+def beside(*matrices: BallMatrix) -> BallMatrix:
+    """Return matrices beside each other."""
+    return above(*(X.transpose() for X in matrices)).transpose()
 
 
 def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
@@ -168,10 +169,6 @@ def text(value: Fraction) -> str:
 def absolute(X: Rational) -> Rational:
     """Return the sizes of all entries."""
     return flint.fmpq_mat(X.nrows(), X.ncols(), [abs(v) for v in X.entries()])
-
-
-def _or_zero(X: BallMatrix) -> Rational:
-    return X.centre - X.centre if X.radius is None else X.radius
 
 
 def _sum(one: Rational | None, other: Rational | None) -> Rational | None:

@@ -14,7 +14,7 @@ matrix; for one output and input that says that all δ_i have one sign.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 
@@ -200,7 +200,7 @@ def _coordinates(
     """Return T and the offset of each cell: the rows c_k of each output, then e_j − (B Z (D Z)⁻¹)_j C for states j."""
     n, last = exact.A[0].shape[0], last_rows(found)
     before, offsets = exact_rows(exact, found)
-    C = _stacked([before[k] for k in last])
+    C = above(*(before[k] for k in last))
     share = exact.B @ Z @ (C @ exact.B @ Z).inverse()
     units = BallMatrix.of(np.eye(n))
     N = [units.part([j], range(n)) - share.part([j], range(len(last))) @ C for j in internal]
@@ -209,16 +209,12 @@ def _coordinates(
 
     def assembled(rows: list[BallMatrix], X: BallMatrix, below: list[BallMatrix]) -> BallMatrix:
         """Put the rows c X of a cell in the place of the last derivatives that differ from cell to cell."""
-        return _stacked([before[k - 1] @ X if k in bent else row for k, row in enumerate(rows)] + below)
+        return above(*(before[k - 1] @ X if k in bent else row for k, row in enumerate(rows)), *below)
 
     if not bent:
-        return [_stacked(before + N)] * len(exact.A), [_stacked(offsets + nothing)] * len(exact.A)
+        return [above(*before, *N)] * len(exact.A), [above(*offsets, *nothing)] * len(exact.A)
     T = each(lambda A_i: assembled(before, A_i, N), exact.A)
     return T, each(lambda b_i: assembled(offsets, b_i, nothing), exact.b)
-
-
-def _stacked(rows: Sequence[BallMatrix]) -> BallMatrix:
-    return reduce(above, rows)
 
 
 def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, internal: Sequence[int]) -> PWASystem:

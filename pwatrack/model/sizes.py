@@ -107,7 +107,7 @@ class Sizes:
     speed: float  # in 1/s: a state moves by about its size in 1 / speed
     origins: Mapping[str, Origin] = field(default_factory=dict)  # by name of the signal, where its size is from
     load: Array = field(default_factory=lambda: np.zeros(0))  # of states of loads, (p,)
-    tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what follows
+    tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what is tracked, (p,)
 
     @classmethod
     def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
