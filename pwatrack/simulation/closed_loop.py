@@ -152,37 +152,31 @@ class ClosedLoop:
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """The signals of a closed loop at K sample times.
+    """The signals of a closed loop at K sample times."""
 
-    Attributes:
-        trace: The trace they are read from.
-        x, x_hat, x_d: States of plant and observer, and desired states, (K, n).
-        eta, eta_hat: What the generator's state is for, and that state, (K, p).
-        y, y_d: Measured outputs without their noise, and what they are at x_d, (K, q).
-        measured: They as the controller has them: with noise, and of a program in steps and held, (K, q).
-        tracked, tracked_d: What follows a reference, and its desired value, (K, p).
-        u, u_ff: Inputs and their feedforward parts, (K, m).
-        estimates, loads: Of each load that is estimated, and what it is, (K, loads).
-        tracking_error: What goes to 0: y − y_d for output tracking, x − x_d for state tracking.
-        state_sizes, error_sizes: What states, and entries of the tracking error, are counted in together, (n,), (q,).
-    """
-
-    trace: Trace
+    trace: Trace  # the trace they are read from
+    # states of plant and observer, and desired states, (K, n)
     x: Array
     x_hat: Array
     x_d: Array
+    # what the generator's state is for, and that state, (K, p)
     eta: Array
     eta_hat: Array
+    # measured outputs without their noise, and what they are at x_d, (K, q)
     y: Array
     y_d: Array
-    measured: Array
+    measured: Array  # they as the controller has them: with noise, and of a program in steps and held, (K, q)
+    # what follows a reference, and its desired value, (K, p)
     tracked: Array
     tracked_d: Array
+    # inputs and their feedforward parts, (K, m)
     u: Array
     u_ff: Array
+    # of each load that is estimated, and what it is, (K, loads)
     estimates: Array
     loads: Array
-    tracking_error: Array
+    tracking_error: Array  # what goes to 0: y − y_d for output tracking, x − x_d for state tracking
+    # what states, and entries of the tracking error, are counted in together, (n,), (q,)
     state_sizes: Array
     error_sizes: Array
 

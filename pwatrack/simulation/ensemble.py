@@ -32,21 +32,13 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Ensemble:
-    """What is kept of M trajectories at K sample times.
+    """What is kept of M trajectories at K sample times."""
 
-    Attributes:
-        t: Sample times in s, (K,).
-        error: ‖e‖ at each sample, (M, K).
-        mode_changes: How many there were, (M,).
-        unresolved: Touches of a guard that rounding could not decide, (M,).
-        verdicts: What each member's `judge` said of it, None without one, (M,).
-    """
-
-    t: Array
-    error: Array
-    mode_changes: IntArray
-    unresolved: IntArray
-    verdicts: tuple[object, ...]
+    t: Array  # sample times in s, (K,)
+    error: Array  # ‖e‖ at each sample, (M, K)
+    mode_changes: IntArray  # how many there were, (M,)
+    unresolved: IntArray  # touches of a guard that rounding could not decide, (M,)
+    verdicts: tuple[object, ...]  # what each member's `judge` said of it, None without one, (M,)
 
     @property
     def largest(self) -> Array:

@@ -9,12 +9,9 @@ from pwatrack.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class BoxRegion:
-    """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is.
+    """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is."""
 
-    Attributes:
-        low, high: In the units of the states, (n,).
-    """
-
+    # in the units of the states, (n,)
     low: Array
     high: Array
 
@@ -34,12 +31,9 @@ class BoxRegion:
 
 @dataclass(frozen=True, kw_only=True)
 class EllipsoidRegion:
-    """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre.
+    """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre."""
 
-    Attributes:
-        center, radii: In the units of the states, (n,).
-    """
-
+    # in the units of the states, (n,)
     center: Array
     radii: Array
 

@@ -24,16 +24,12 @@ _SINGULAR = 1e-10  # relative distance from 1 at which a multiplier of the perio
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyState(Trace):
-    """One period of a periodic solution.
+    """One period of a periodic solution."""
 
-    Attributes:
-        multipliers: Floquet multipliers: what small deviations are multiplied by in one period,
-            the eigenvalues of the derivative of the period map, largest first, (free,).
-        residual: By how much the state misses itself after one period, at most, relative to the largest state.
-    """
-
+    # Floquet multipliers: what small deviations are multiplied by in one period, the eigenvalues of the derivative of
+    # the period map, largest first, (free,)
     multipliers: npt.NDArray[np.complex128]
-    residual: float
+    residual: float  # by how much the state misses itself after one period, at most, relative to the largest state
 
 
 def periodic_state(

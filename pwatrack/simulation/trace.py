@@ -56,23 +56,15 @@ class Breaks:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """A sampled trajectory of a flow of order N with P switched parts.
+    """A sampled trajectory of a flow of order N with P switched parts."""
 
-    Attributes:
-        t: Sample times in s, (K,).
-        z: States, (K, N).
-        modes: Cell of each part at each sample, (K, P).
-        events: All mode changes, in order of time.
-        unresolved: Where rounding leaves open whether or when there was one, in the order in which it was noticed.
-        breaks: What happens between the samples; None where it is not kept.
-    """
-
-    t: Array
-    z: Array
-    modes: IntArray
-    events: tuple[Event, ...]
+    t: Array  # sample times in s, (K,)
+    z: Array  # states, (K, N)
+    modes: IntArray  # cell of each part at each sample, (K, P)
+    events: tuple[Event, ...]  # all mode changes, in order of time
+    # where rounding leaves open whether or when there was one, in the order in which it was noticed
     unresolved: tuple[Unresolved, ...] = ()
-    breaks: Breaks | None = None
+    breaks: Breaks | None = None  # what happens between the samples; None where it is not kept
 
     @staticmethod
     def coarse(blocks: Sequence["Trace"]) -> "Trace":
