@@ -56,49 +56,29 @@ _PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/
 
 @dataclass(frozen=True, kw_only=True)
 class ModelVariable:
-    """A variable of a model; its number is its place in the list, the real ones come first.
+    """A variable of a model; its number is its place in the list, the real ones come first."""
 
-    Attributes:
-        name: Of FMI's structured names.
-        causality: "independent", "input", "output", "local" or "parameter".
-        description: In words.
-        unit: As a text, "" for none.
-        start: Of inputs and parameters.
-        whole: Whether it is a whole number.
-        held: Whether it changes at steps only.
-    """
-
-    name: str
-    causality: str
-    description: str
-    unit: str = ""
-    start: float | None = None
-    whole: bool = False
-    held: bool = False
+    name: str  # of FMI's structured names
+    causality: str  # "independent", "input", "output", "local" or "parameter"
+    description: str  # in words
+    unit: str = ""  # as a text, "" for none
+    start: float | None = None  # of inputs and parameters
+    whole: bool = False  # whether it is a whole number
+    held: bool = False  # whether it changes at steps only
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What an FMU is made of.
+    """What an FMU is made of."""
 
-    Attributes:
-        identifier: Its name in C.
-        title, description: Of it, for people.
-        variables: All of them, in order.
-        step: The only length of a step in s, or whole multiples of it; None for any length.
-        preferred: A length of steps, and how long it may run, in s.
-        sources: C files and headers by name, without those of FMI.
-        resources: Other files by name.
-    """
-
-    identifier: str
-    title: str
+    identifier: str  # its name in C
+    title: str  # for people, as the next one
     description: str
-    variables: Sequence[ModelVariable]
-    step: float | None
-    preferred: tuple[float, float]
-    sources: Mapping[str, str]
-    resources: Mapping[str, bytes]
+    variables: Sequence[ModelVariable]  # all of them, in order
+    step: float | None  # the only length of a step in s, or whole multiples of it; None for any length
+    preferred: tuple[float, float]  # a length of steps, and how long it may run, in s
+    sources: Mapping[str, str]  # C files and headers by name, without those of FMI
+    resources: Mapping[str, bytes]  # other files by name
 
 
 def packed(model: Model, version: Version, compiler: str | None) -> dict[str, bytes]:

@@ -20,38 +20,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Language:
-    """How a language writes it.
+    """How a language writes it."""
 
-    Attributes:
-        assign: From target and value.
-        loop: From index, first and last number, and body; bodies are indented.
-        once: A loop of one pass, from index, number and body, which is not indented; "" where that is a loop, too.
-        branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
-        within: What stands in an `else` that must end an `elif`; "" where none must.
-        truth: A flag as a condition.
-        words: Operators, numbers, True and False, where they are written in another way.
-        remainder: From two whole numbers.
-        name: A variable.
-        element, between: An array and its indices -> an entry; what stands between indices.
-        from_one: Whether indices begin with 1.
-        comment: From its text.
-    """
-
-    assign: str
-    loop: str
+    assign: str  # from target and value
+    loop: str  # from index, first and last number, and body; bodies are indented
+    # `if` and `elif`, from condition and body; `else`, from its body; what ends it
     branch: str
     other: str
     otherwise: str
     end: str
-    within: str = ""
-    truth: str = "{}"
-    words: Mapping[str, str]
-    remainder: str
-    name: Callable[[str], str]
+    within: str = ""  # what stands in an `else` that must end an `elif`; "" where none must
+    truth: str = "{}"  # a flag as a condition
+    words: Mapping[str, str]  # operators, numbers, True and False, where they are written in another way
+    remainder: str  # from two whole numbers
+    name: Callable[[str], str]  # a variable
+    # an array and its indices -> an entry; what stands between indices
     element: str
     between: str = ", "
-    from_one: bool
-    comment: str
+    from_one: bool  # whether indices begin with 1
+    comment: str  # from its text
+    # a loop of one pass, from index, number and body, which is not indented; "" where that is a loop, too
     once: str = ""
 
 
@@ -205,19 +193,12 @@ class _Printer:
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A language that a controller is exported in.
+    """A language that a controller is exported in."""
 
-    Attributes:
-        module: Of this room, where `write` is.
-        help: What is written, in a sentence.
-        example: Arguments of a command that writes it.
-        single: Whether it may be in single floats.
-    """
-
-    module: str
-    help: str
-    example: str
-    single: bool = True
+    module: str  # of this room, where `write` is
+    help: str  # what is written, in a sentence
+    example: str  # arguments of a command that writes it
+    single: bool = True  # whether it may be in single floats
 
     @property
     def write(self) -> Callable[["Source", "Vector", Path], list[str]]:

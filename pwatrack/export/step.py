@@ -62,23 +62,14 @@ class Variable:
 
 @dataclass(frozen=True)
 class Step:
-    """A controller that runs once in a sample time.
+    """A controller that runs once in a sample time."""
 
-    Attributes:
-        constants: Arrays and numbers, by name.
-        kept: What it remembers. From its start all of it is 0 that `begin` does not set.
-        own: What it works with.
-        begin: What makes it start anew, in the notation.
-        body: One step, from `y`, and `given` if the reference is from outside; the input is `u`.
-        hold: What puts the input out that is held: `body` ends with it.
-    """
-
-    constants: dict[str, tuple[Kind, NDArray[Any]]]
-    kept: tuple[Variable, ...]
-    own: tuple[Variable, ...]
-    begin: str
-    body: str
-    hold: str
+    constants: dict[str, tuple[Kind, NDArray[Any]]]  # arrays and numbers, by name
+    kept: tuple[Variable, ...]  # what it remembers. From its start all of it is 0 that `begin` does not set.
+    own: tuple[Variable, ...]  # what it works with
+    begin: str  # what makes it start anew, in the notation
+    body: str  # one step, from `y`, and `given` if the reference is from outside; the input is `u`
+    hold: str  # what puts the input out that is held: `body` ends with it
 
 
 def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:

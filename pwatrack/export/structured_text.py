@@ -67,20 +67,16 @@ class Port:
 
 @dataclass(frozen=True)
 class Names:
-    """What all is called.
+    """What all is called."""
 
-    Attributes:
-        block, program: The function block, and a program with one.
-        inputs, outputs: The signals.
-        own: All other variables of the block, by what they are in the notation.
-        instance, fault: What a program has besides.
-    """
-
+    # the function block, and a program with one
     block: str
     program: str
+    # the signals
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
-    own: dict[str, str]
+    own: dict[str, str]  # all other variables of the block, by what they are in the notation
+    # what a program has besides
     instance: str
     fault: str
 
