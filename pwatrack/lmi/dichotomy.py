@@ -42,14 +42,10 @@ class Dichotomy(Packed):
     """−(M_i P + P M_iᵀ) − margin I ≻ 0 for every i, with a P of any sign, proved exactly; P is invertible then.
 
     Where M_i has irrational entries, for every matrix in its ball.
-
-    Attributes:
-        role: Which inequality it takes the place of.
-        margin: μ > 0, a short decimal.
     """
 
-    role: Role
-    margin: float
+    role: Role  # which inequality it takes the place of
+    margin: float  # μ > 0, a short decimal
 
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
@@ -121,17 +117,13 @@ def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
 
 @dataclass(frozen=True, kw_only=True)
 class NoDichotomy:
-    """Proof that no P = Pᵀ has M_i P + P M_iᵀ ≺ 0 in all cells, for the middles of balls.
+    """Proof that no P = Pᵀ has M_i P + P M_iᵀ ≺ 0 in all cells, for the middles of balls."""
 
-    Attributes:
-        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where numbers differ.
-        P: Of two cells with different numbers of unstable modes a P each; empty where there are multipliers.
-        unstable: How many unstable modes these two have.
-    """
-
+    # whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where numbers differ.
     Z: Mapping[int, tuple[tuple[int, ...], ...]]
+    # of two cells with different numbers of unstable modes a P each; empty where there are multipliers
     P: Mapping[int, Dichotomy]
-    unstable: Mapping[int, int]
+    unstable: Mapping[int, int]  # how many unstable modes these two have
 
 
 def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:

@@ -63,14 +63,10 @@ class InvariantEllipsoid(Packed):
 
     Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls. So
     |c z| ≤ size · sup |d| from z = 0, or at all times from a start.
-
-    Attributes:
-        a: In 1/s, a short decimal.
-        sizes: One for each c, rounded up.
     """
 
-    a: float
-    sizes: tuple[float, ...]
+    a: float  # in 1/s, a short decimal
+    sizes: tuple[float, ...]  # one for each c, rounded up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,14 +269,10 @@ class StartEllipsoid(Packed):
     """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
 
     Where M_p or c have irrational entries, for everything in their balls. So |c z| ≤ size at all times.
-
-    Attributes:
-        weights: w_k, short decimals; one for each column of G.
-        sizes: One for each c, rounded up.
     """
 
-    weights: tuple[float, ...]
-    sizes: tuple[float, ...]
+    weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
+    sizes: tuple[float, ...]  # one for each c, rounded up
 
 
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:

@@ -21,23 +21,20 @@ Solver = Literal["structured", "clarabel", "cvxopt"]
 class Inequality:
     """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell.
 
-    Attributes:
-        L, R: (l, N, n) and (l, n, N), for P (n, n).
-        M, N: (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y.
-        constant: C_i, (l, N, N), symmetric.
-        T: Coefficients T_i of a scalar t, (l, N, N), symmetric, where a term t T_i is added; see `program`.
-
     Example:
         >>> decay = lyapunov(np.array([[[-1.0]]]))
         >>> decay.evaluate(np.array([[3.0]]), np.zeros((0, 1))).tolist()
         [[[-6.0]]]
     """
 
+    # (l, N, n) and (l, n, N), for P (n, n)
     L: Array
     R: Array
+    # (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y
     M: Array
     N: Array
-    constant: Array
+    constant: Array  # C_i, (l, N, N), symmetric
+    # coefficients T_i of a scalar t, (l, N, N), symmetric, where a term t T_i is added; see `program`
     T: Array | None = None
 
     @property

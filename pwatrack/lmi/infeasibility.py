@@ -19,33 +19,23 @@ _HINT = 0.9  # gap at which the least violation is known to be above 0
 
 @dataclass(frozen=True, kw_only=True)
 class Refutation:
-    """Proof that an inequality has no solution.
+    """Proof that an inequality has no solution."""
 
-    Attributes:
-        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where there is another proof:
-        between: a mean of cells whose mode no gain moves.
-        eigenvalues: Of each cell that no gain stabilises by itself, the eigenvalue that stays; empty where
-            only the cells together have no solution.
-    """
-
+    # whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where there is another proof.
     Z: Mapping[int, tuple[tuple[int, ...], ...]]
+    # of each cell that no gain stabilises by itself, the eigenvalue that stays; empty where only the cells together
+    # have no solution
     eigenvalues: Mapping[int, complex]
-    between: Between | None = None
+    between: Between | None = None  # such a one: a mean of cells whose mode no gain moves
 
 
 @dataclass(frozen=True, kw_only=True)
 class Impossibility:
-    """What a refusal proves: the evidence of `Infeasible`.
+    """What a refusal proves: the evidence of `Infeasible`."""
 
-    Attributes:
-        role: Which inequality has no solution.
-        rate: Decay rate that is out of reach, in 1/s.
-        refutation: The proof; that no P of any sign does either, where that was asked.
-    """
-
-    role: Role
-    rate: float
-    refutation: Refutation | NoDichotomy
+    role: Role  # which inequality has no solution
+    rate: float  # decay rate that is out of reach, in 1/s
+    refutation: Refutation | NoDichotomy  # the proof; that no P of any sign does either, where that was asked
 
     @property
     def claim(self) -> str:

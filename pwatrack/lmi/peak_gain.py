@@ -144,17 +144,11 @@ def _complex(X: BallMatrix) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class PeakGain(Packed):
-    """∫ |c e^(Mt) g| dt ≤ size, proved.
+    """∫ |c e^(Mt) g| dt ≤ size, proved."""
 
-    Attributes:
-        unit: The shortest step is 2^unit s.
-        steps: One after the other: k, and how many steps of 2^(unit + k) s.
-        size: Rounded up.
-    """
-
-    unit: int
-    steps: tuple[tuple[int, int], ...]
-    size: float
+    unit: int  # the shortest step is 2^unit s
+    steps: tuple[tuple[int, int], ...]  # one after the other: k, and how many steps of 2^(unit + k) s
+    size: float  # rounded up
 
 
 def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: InvariantEllipsoid) -> PeakGain | None:

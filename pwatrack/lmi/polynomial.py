@@ -173,23 +173,14 @@ def symmetric_of(x: Array, N: int) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class PolynomialLyapunov:
-    """P and N_i in floating point, for the monomials in weights of z = T e.
+    """P and N_i in floating point, for the monomials in weights of z = T e."""
 
-    Attributes:
-        A: The matrices by which errors change, (l, n, n).
-        degree: 2 d.
-        T: (n, n), of short binary numbers.
-        P: (N, N).
-        N: One for each matrix, (l, N, N).
-        rate: α in 1/s that they show, positive.
-    """
-
-    A: Array
-    degree: int
-    T: Array
-    P: Array
-    N: Array
-    rate: float
+    A: Array  # the matrices by which errors change, (l, n, n)
+    degree: int  # 2 d
+    T: Array  # (n, n), of short binary numbers
+    P: Array  # (N, N)
+    N: Array  # one for each matrix, (l, N, N)
+    rate: float  # α in 1/s that they show, positive
 
     @property
     def monomials(self) -> Monomials:
@@ -297,22 +288,14 @@ class PolynomialProof(Packed):
 
     𝒜_i is the lift of T A_i T⁻¹ on the monomials of degree d, A_i the matrix by which errors change. Where it has
     irrational entries, for every matrix in its ball.
-
-    Attributes:
-        role: Which inequality it takes the place of.
-        degree: 2 d.
-        T: (n, n): the decimals that it prints as.
-        N: The integers of N_i, one for each different A_i, with
-        N_exponents: their exponents.
-        rate: Certified decay rate of errors in 1/s, a short decimal.
     """
 
-    role: Role
-    degree: int
-    T: Array
-    N: tuple[Whole, ...]
-    N_exponents: tuple[int, ...]
-    rate: float
+    role: Role  # which inequality it takes the place of
+    degree: int  # 2 d
+    T: Array  # (n, n): the decimals that it prints as
+    N: tuple[Whole, ...]  # the integers of N_i, one for each different A_i
+    N_exponents: tuple[int, ...]  # those of N_i
+    rate: float  # certified decay rate of errors in 1/s, a short decimal
 
     @property
     def order(self) -> int:

@@ -108,11 +108,6 @@ def _ends(points: Array, axis: int) -> IntArray:
 class Coordinates:
     """x = T z, u = E v and t = τ / speed, for the inequality A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + W ⪯ 0.
 
-    Attributes:
-        T, inverse: T (n, n) and T⁻¹.
-        e: Diagonal of E, (m,).
-        speed: In 1/s.
-
     Example: what is asked of the one is asked of the other.
 
         >>> A, B = np.array([[[0.0, 1e6], [-1.0, 0.0]]]), np.array([[0.0], [1e3]])
@@ -124,10 +119,11 @@ class Coordinates:
         True
     """
 
+    # T (n, n) and T⁻¹
     T: Array
     inverse: Array
-    e: Array
-    speed: float
+    e: Array  # diagonal of E, (m,)
+    speed: float  # in 1/s
 
     @classmethod
     def balanced(cls, A: Array, B: Array | None = None) -> "Coordinates":
@@ -246,16 +242,12 @@ def _power_of_two(value: float) -> float:
 
 @dataclass(frozen=True)
 class Precise:
-    """x = T z.
+    """x = T z."""
 
-    Attributes:
-        T, inverse: T (n, n) and T⁻¹, to working precision.
-        P: T Tᵀ, (n, n).
-    """
-
+    # T (n, n) and T⁻¹, to working precision
     T: Rational
     inverse: Rational
-    P: Rational
+    P: Rational  # T Tᵀ, (n, n)
 
     @classmethod
     def of_stable(cls, M: Rational, W: Rational) -> "Precise | None":

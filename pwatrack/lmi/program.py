@@ -16,22 +16,15 @@ _LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 class SemidefiniteProgram:
     """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
-    Attributes:
-        constraints: The inequalities, at least one; all have the same P, Y and t.
-        price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
-        weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
-        cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
-        equalities: E (n, n), symmetric, and value of each tr E P = value.
-
     Raises:
         ValueError: If shapes do not fit, or more than one objective is given.
     """
 
-    constraints: tuple[Inequality, ...]
-    price: float
-    weight: Array | None = None
-    cost: Array | None = None
-    equalities: tuple[tuple[Array, float], ...] = ()
+    constraints: tuple[Inequality, ...]  # the inequalities, at least one; all have the same P, Y and t
+    price: float  # of t: −1 makes it large, 1 small; 0 where t is not what counts
+    weight: Array | None = None  # V (k, n) where tr V P⁻¹ Vᵀ is to be small
+    cost: Array | None = None  # W (n, n), symmetric, where tr W P is to be small and W is not I
+    equalities: tuple[tuple[Array, float], ...] = ()  # E (n, n), symmetric, and value of each tr E P = value
 
     def __post_init__(self) -> None:
         if not self.constraints or any((c.n, c.m) != (self.n, self.m) for c in self.constraints):
@@ -89,14 +82,6 @@ class SemidefiniteProgram:
 class Solution:
     """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says.
 
-    Attributes:
-        program: What was asked.
-        P, Y, t: The unknowns, (n, n), (m, n) and a number.
-        multipliers: Those of each constraint, (l, N, N) each, where the solver gives them.
-        impossible: Whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1
-            for whatever satisfies the equalities, up to rounding, and P, Y and t are the last that were tried.
-        iterations: How many the solver made from where it last began, where it says so.
-
     Example: the least trace of P with −2 P + 1 ⪯ 0 and P ⪰ 0.
 
         >>> from pwatrack.lmi.inequality import weighted
@@ -107,13 +92,17 @@ class Solution:
         (0.75, -0.5, 0.5, 0.25, 0.0)
     """
 
-    program: SemidefiniteProgram
+    program: SemidefiniteProgram  # what was asked
+    # the unknowns, (n, n), (m, n) and a number
     P: Array
     Y: Array
     t: float
+    # those of each constraint, (l, N, N) each, where the solver gives them
     multipliers: tuple[Array, ...] | None = None
+    # whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1 for whatever
+    # satisfies the equalities, up to rounding, and P, Y and t are the last that were tried
     impossible: bool = False
-    iterations: int | None = None
+    iterations: int | None = None  # how many the solver made from where it last began, where it says so
 
     @property
     def objective(self) -> float:

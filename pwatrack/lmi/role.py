@@ -13,21 +13,14 @@ from pwatrack.causes import ProblemPart
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """What is proved to converge.
+    """What is proved to converge."""
 
-    Attributes:
-        name: "controller", "observer", "generator" or "plant", as in the files that a run writes.
-        claim: Its inequality, `"(8)"`.
-        part: What a refusal of it is about.
-        letter: The gain that it has, "K" or "L"; empty where it has none.
-        transposed: Whether M_i is the transpose of the matrix by which errors change: then P itself, and not P⁻¹,
-            is the norm in which they shrink.
-    """
-
-    name: str
-    claim: str
-    part: ProblemPart
-    letter: str = ""
+    name: str  # "controller", "observer", "generator" or "plant", as in the files that a run writes
+    claim: str  # its inequality, `"(8)"`
+    part: ProblemPart  # what a refusal of it is about
+    letter: str = ""  # the gain that it has, "K" or "L"; empty where it has none
+    # whether M_i is the transpose of the matrix by which errors change: then P itself, and not P⁻¹, is the norm in
+    # which they shrink
     transposed: bool = True
 
     def oriented(self, X: Array) -> Array:

@@ -114,23 +114,14 @@ def symmetric_part_of_spectrum(M: Rational) -> Rational:
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Proof that a mean of cells has a mode that no gain moves and that does not decay.
+    """Proof that a mean of cells has a mode that no gain moves and that does not decay."""
 
-    Attributes:
-        weights: w_i by cell, to within (k − 1) times the radius for k cells; they add up to 1.
-        rows: N (k, n), of full rank, N B = 0.
-        mode: z, its entries to within the radius but for one that is 1.
-        eigenvalue: μ, likewise; with the rate that was asked added to A.
-        inverse: C (n, n).
-        radius: r.
-    """
-
-    weights: Mapping[int, Fraction]
-    rows: tuple[tuple[Fraction, ...], ...]
-    mode: tuple[Fraction, ...]
-    eigenvalue: Fraction
-    inverse: Array
-    radius: Fraction
+    weights: Mapping[int, Fraction]  # w_i by cell, to within (k − 1) times the radius for k cells; they add up to 1
+    rows: tuple[tuple[Fraction, ...], ...]  # N (k, n), of full rank, N B = 0
+    mode: tuple[Fraction, ...]  # z, its entries to within the radius but for one that is 1
+    eigenvalue: Fraction  # μ, likewise; with the rate that was asked added to A
+    inverse: Array  # C (n, n)
+    radius: Fraction  # r
 
     def of(self, places: Sequence[int]) -> "Between":
         """Return the same with other numbers of the cells, by the ones they have."""
