@@ -38,40 +38,25 @@ _MOST_WORK = 200_000  # different cells · order³, of all proofs together: some
 
 @dataclass(frozen=True, kw_only=True)
 class Proved:
-    """A value of one parameter, the others as they are, at which the refused inequality is proved.
+    """A value of one parameter, the others as they are, at which the refused inequality is proved."""
 
-    Attributes:
-        parameter: Its name.
-        now: Its present value.
-        value: The one at which there is a proof; of one that is nearer by a few parts in 1e5 none was found.
-        degree: 2 for a common P; that of a polynomial that takes its place.
-    """
-
-    parameter: str
-    now: float
-    value: float
-    degree: int
+    parameter: str  # its name
+    now: float  # its present value
+    value: float  # one at which there is a proof; of one that is nearer by a few parts in 1e5 none was found
+    degree: int  # 2 for a common P; that of a polynomial that takes its place
 
 
 @dataclass(frozen=True, kw_only=True)
 class HowFar:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        claim: The inequality.
-        parameters: The values at which it is proved, the relatively nearest first; then those for polynomials.
-        rate: The largest rate in 1/s that is proved, where one was refused; None where none was found.
-        asked: The rate that was refused; 0 if none was.
-        ended: Whether the number of proofs that may be tried ended the search for some parameter.
-        entering: Whether any parameter of the file enters it.
-    """
-
-    claim: str
+    claim: str  # the inequality
+    # the values at which it is proved, the relatively nearest first; then those for polynomials
     parameters: tuple[Proved, ...]
-    rate: float | None
-    asked: float
-    ended: bool = False
-    entering: bool = True
+    rate: float | None  # the largest rate in 1/s that is proved, where one was refused; None where none was found
+    asked: float  # the rate that was refused; 0 if none was
+    ended: bool = False  # whether the number of proofs that may be tried ended the search for some parameter
+    entering: bool = True  # whether any parameter of the file enters it
 
 
 def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], object] = lambda _: None) -> HowFar | None:

@@ -19,17 +19,11 @@ _TRIALS = 16  # together with these: ten halvings
 
 @dataclass(frozen=True, kw_only=True)
 class LargestBox:
-    """The largest box that was proved.
+    """The largest box that was proved."""
 
-    Attributes:
-        factor: All ends are so many times as far from the values of the design as the spec has them.
-        beyond: The least factor for which no proof was found; None up to 64.
-        box: The box itself.
-    """
-
-    factor: float
-    beyond: float | None
-    box: Box
+    factor: float  # all ends are so many times as far from the values of the design as the spec has them
+    beyond: float | None  # the least factor for which no proof was found; None up to 64
+    box: Box  # the box itself
 
 
 def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:

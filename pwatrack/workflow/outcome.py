@@ -32,19 +32,15 @@ _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a simulation ended.
+    """How a simulation ended."""
 
-    Attributes:
-        kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
-            its reference and start, or of its largest size where these are 0. "within its bound": cells are merged,
-            and the norm of the error then is below what it is proved to end below. "off": neither. "grows": an error
-            does, see `grows`, or the desired trajectory. "above its bound": the loop is the one that the proofs are
-            about, and an error is larger than they allow.
-        text: In words and figures.
-    """
-
+    # in a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of its reference
+    # and start, or of its largest size where these are 0. "within its bound": cells are merged, and the norm of the
+    # error then is below what it is proved to end below. "off": neither. "grows": an error does, see `grows`, or the
+    # desired trajectory. "above its bound": the loop is the one that the proofs are about, and an error is larger than
+    # they allow.
     kind: Kind
-    text: str
+    text: str  # in words and figures
 
     @property
     def code(self) -> ExitCode:

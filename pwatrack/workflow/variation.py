@@ -33,23 +33,14 @@ _SPREAD = 0.05  # of the value of a parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """What differs between the members of an ensemble.
+    """What differs between the members of an ensemble."""
 
-    Attributes:
-        over: The kind of what differs.
-        given: Whether the spec says how much; else it is the default.
-        regions: What the members are drawn from, by part.
-        names: Of the entries of each region.
-        values: What was drawn, by name, one for each member.
-        member: Returns a member by its index.
-    """
-
-    over: Over
-    given: bool
-    regions: Mapping[str, Region]
-    names: Mapping[str, tuple[str, ...]]
-    values: Mapping[str, Array | IntArray]
-    member: Callable[[int], Member]
+    over: Over  # the kind of what differs
+    given: bool  # whether the spec says how much; else it is the default
+    regions: Mapping[str, Region]  # what the members are drawn from, by part
+    names: Mapping[str, tuple[str, ...]]  # of the entries of each region
+    values: Mapping[str, Array | IntArray]  # what was drawn, by name, one for each member
+    member: Callable[[int], Member]  # returns a member by its index
 
     @property
     def text(self) -> str:
@@ -60,23 +51,14 @@ class Variation:
 
 @dataclass(frozen=True, kw_only=True)
 class EnsembleResult:
-    """What became of a closed loop in many variations.
+    """What became of a closed loop in many variations."""
 
-    Attributes:
-        nominal: The run that was varied.
-        variation: What differs.
-        seed: Of the random numbers.
-        ensemble: The members; number k in files and messages is index k − 1.
-        outcomes: How each member ended, judged as a single run is.
-        figures: What was measured of each, as of a single run.
-    """
-
-    nominal: SimulatedLoop
-    variation: Variation
-    seed: int
-    ensemble: Ensemble
-    outcomes: tuple[Outcome, ...]
-    figures: tuple[Figures, ...]
+    nominal: SimulatedLoop  # the run that was varied
+    variation: Variation  # what differs
+    seed: int  # of the random numbers
+    ensemble: Ensemble  # the members; number k in files and messages is index k − 1
+    outcomes: tuple[Outcome, ...]  # how each member ended, judged as a single run is
+    figures: tuple[Figures, ...]  # what was measured of each, as of a single run
 
     @property
     def failed(self) -> tuple[int, ...]:
