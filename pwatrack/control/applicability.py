@@ -26,28 +26,17 @@ _OUTPUT: frozenset[Tracking] = frozenset({"output"})
 
 @dataclass(frozen=True, kw_only=True)
 class Applicability:
-    """Which routes there are for a plant, why not where there are none, and what they are judged by.
+    """Which routes there are for a plant, why not where there are none, and what they are judged by."""
 
-    Attributes:
-        plant: The system (1); that it is one has been proved.
-        form: Its normal form (11), or None.
-        refusal: Why there is no normal form, else None.
-        stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
-        tracking: What was asked for.
-        asked: Whether practical tracking is asked for, after any refusal of the theory.
-        uncertain: Whether only intervals of some parameters are known.
-        known: Whether the reference is known beforehand.
-        merged: The same of the plant with all cells merged that can be; None where none can.
-    """
-
-    plant: PWASystem
-    form: NormalForm | None
-    refusal: OutsideTheory | None
-    stuck: str
-    tracking: Tracking
-    asked: bool = False
-    uncertain: bool = False
-    known: bool = True
+    plant: PWASystem  # the system (1); that it is one has been proved
+    form: NormalForm | None  # its normal form (11), or None
+    refusal: OutsideTheory | None  # why there is no normal form, else None
+    stuck: str  # why (8) or (9) have no solution, where the modes of single cells decide that; else ""
+    tracking: Tracking  # what was asked for
+    asked: bool = False  # whether practical tracking is asked for, after any refusal of the theory
+    uncertain: bool = False  # whether only intervals of some parameters are known
+    known: bool = True  # whether the reference is known beforehand
+    # the same of the plant with all cells merged that can be; None where none can
     merged: "Applicability | None" = None
 
     @cached_property
@@ -116,17 +105,12 @@ class Needs(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """A way to a controller.
+    """A way to a controller."""
 
-    Attributes:
-        name: In a few words.
-        takes: For which kinds of tracking `design` goes it; nothing where it is only of interest.
-        judge: What can be said of it.
-    """
-
-    name: str
+    name: str  # in a few words
+    # for which kinds of tracking `design` goes it; nothing where it is only of interest
     takes: frozenset[Tracking] = frozenset()
-    judge: Callable[[Applicability], Answer]
+    judge: Callable[[Applicability], Answer]  # what can be said of it
 
 
 def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:

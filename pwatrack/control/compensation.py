@@ -34,19 +34,12 @@ from pwatrack.rational import Rational, on_entries
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
-    """What the estimates ŝ of the loads add to the desired trajectory, by the cell of x_d.
+    """What the estimates ŝ of the loads add to the desired trajectory, by the cell of x_d."""
 
-    Attributes:
-        X: x_d + X ŝ, (n, p), exactly.
-        u_ff: u_ff + u_ff[i] ŝ, (l, m, p).
-        rate: η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given.
-        guards: What ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`.
-    """
-
-    X: BallMatrix
-    u_ff: Array
-    rate: Array
-    guards: Array
+    X: BallMatrix  # x_d + X ŝ, (n, p), exactly
+    u_ff: Array  # u_ff + u_ff[i] ŝ, (l, m, p)
+    rate: Array  # η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given
+    guards: Array  # what ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`
 
 
 def compensation(

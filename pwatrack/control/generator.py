@@ -22,21 +22,15 @@ _MISSED = 1e-9  # of the largest entry: an equation of Assumption 2 that is miss
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryGenerator:
-    """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16).
+    """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16)."""
 
-    Attributes:
-        form: The normal form (11) it is made from; its cells are those of the plant at x̂_d.
-        A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + p) for p outputs.
-        shift: M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none.
-        certificate: What shows (17): a common P, or a polynomial that takes its place.
-    """
-
-    form: NormalForm
+    form: NormalForm  # the normal form (11) it is made from; its cells are those of the plant at x̂_d
+    # (l, n − r, n − r), (l, n − r), (l, n − r, r + p) for p outputs
     A_eta: Array
     b_eta: Array
     B_eta: Array
-    shift: Array | None
-    certificate: Found | Dichotomy
+    shift: Array | None  # M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none
+    certificate: Found | Dichotomy  # what shows (17): a common P, or a polynomial that takes its place
 
     @property
     def played_back(self) -> bool:

@@ -33,42 +33,31 @@ from pwatrack.rational import Rational, floats, identity, scalar
 
 @dataclass(frozen=True, kw_only=True)
 class Contraction:
-    """One proof, read as a measure ‖·‖ of an error that shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d.
+    """One proof, read as a measure ‖·‖ of an error that shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d."""
 
-    Attributes:
-        degree: Of the proof: 2, or that of a polynomial that takes the place of a common P.
-        rate: α in 1/s.
-        share: Every entry of the gain may differ from that printed by less than this share of it, and be another at
-            every time: the norm shrinks at this rate still. 0 for (17), which has no gain, and where nothing is proved
-            of it, for a polynomial.
-        gauge: The norms that ‖e‖ and ‖d‖ lie between, exact; of a quadratic form they are one.
-        from_norm: |e| ≤ from_norm ‖e‖, with |e| in sizes; of the generator in the units given.
-    """
-
-    degree: int
-    rate: float
+    degree: int  # of the proof: 2, or that of a polynomial that takes the place of a common P
+    rate: float  # α in 1/s
+    # every entry of the gain may differ from that printed by less than this share of it, and be another at every time:
+    # the norm shrinks at this rate still. 0 for (17), which has no gain, and where nothing is proved of it, for a
+    # polynomial.
     share: float
-    gauge: Gauge
-    from_norm: float
+    gauge: Gauge  # the norms that ‖e‖ and ‖d‖ lie between, exact; of a quadratic form they are one
+    from_norm: float  # |e| ≤ from_norm ‖e‖, with |e| in sizes; of the generator in the units given
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guarantees:
-    """What the proofs of a design promise; where there are several proofs, each promise is that of the best.
+    """What the proofs of a design promise; where there are several proofs, each promise is that of the best."""
 
-    Attributes:
-        controller, observer, generator: The proofs of (8), (9) and (17) as contractions.
-        output: Of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8).
-        loads: How many states of the observer are those of loads; there are none, and it starts with none, in what
-            the bounds over time are about.
-        drive: ‖B K Δ‖_c, or what stands for it with loads, ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9).
-    """
-
+    # the proofs of (8), (9) and (17) as contractions
     controller: tuple[Contraction, ...]
     observer: tuple[Contraction, ...]
     generator: tuple[Contraction, ...]
-    output: tuple[float, ...]
+    output: tuple[float, ...]  # of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8)
+    # ‖B K Δ‖_c, or what stands for it with loads, ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9)
     drive: tuple[tuple[float, ...], ...]
+    # how many states of the observer are those of loads; there are none, and it starts with none, in what the bounds
+    # over time are about
     loads: int = 0
 
     def observer_error(self, t: Array, start: Array) -> Array:

@@ -17,21 +17,13 @@ _BISECTIONS = 4  # between the fastest rate that was reached and the next
 
 @dataclass(frozen=True, kw_only=True)
 class Front:
-    """The trade between decay and gain.
+    """The trade between decay and gain."""
 
-    Attributes:
-        role: CONTROLLER or OBSERVER.
-        rates: Certified rates in 1/s, increasing, (k,).
-        norms: ‖K‖ or ‖L‖ in sizes of the smallest gain found for each, (k,); see `Task.norm`.
-        limit: A rate in 1/s at which no gain was found any more; infinite if none was reached.
-        chosen: Rate and norm of the gain that the design has.
-    """
-
-    role: Role
-    rates: Array
-    norms: Array
-    limit: float
-    chosen: tuple[float, float]
+    role: Role  # CONTROLLER or OBSERVER
+    rates: Array  # certified rates in 1/s, increasing, (k,)
+    norms: Array  # ‖K‖ or ‖L‖ in sizes of the smallest gain found for each, (k,); see `Task.norm`
+    limit: float  # a rate in 1/s at which no gain was found any more; infinite if none was reached
+    chosen: tuple[float, float]  # rate and norm of the gain that the design has
 
 
 def pareto(task: Task, K: Array, rate: float) -> Front:

@@ -35,16 +35,11 @@ class LeftOver:
 
     As e^{St} = Σ_λ e^{λt} Σ_m t^m/m! E_λm, r_i is 0 on a stretch of time, however short, exactly where every
     rows_i E_λm (w, 1) is 0: the same as N Sᵏ w = 0 for k < dim S, but without powers of S.
-
-    Attributes:
-        rows: (l, n, p + 1).
-        terms: Bounds of the terms that each row is the difference of, (l, n, p + 1).
-        trajectory: Of x_d in closed form.
     """
 
-    rows: Array
-    terms: Array
-    trajectory: DesiredTrajectory
+    rows: Array  # (l, n, p + 1)
+    terms: Array  # bounds of the terms that each row is the difference of, (l, n, p + 1)
+    trajectory: DesiredTrajectory  # of x_d in closed form
 
     def sizes(self, starts: Array, lengths: Array) -> tuple[Array, Array]:
         """Return bounds of |r_i| on pieces of x_d and of their terms, both (l, pieces, n), from all coefficients."""

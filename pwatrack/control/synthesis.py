@@ -41,19 +41,12 @@ Proved = tuple[Array, Certificate]  # K and the proof of its best rate
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """The gains of Theorem 2.
+    """The gains of Theorem 2."""
 
-    Attributes:
-        K: Controller gain (m, n): u = K (x̂ − x_d) + u_ff.
-        L: Observer gain (n, q): + L (ŷ − y).
-        controller: P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial.
-        observer: P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise.
-    """
-
-    K: Array
-    L: Array
-    controller: Found
-    observer: Found
+    K: Array  # controller gain (m, n): u = K (x̂ − x_d) + u_ff
+    L: Array  # observer gain (n, q): + L (ŷ − y)
+    controller: Found  # P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial
+    observer: Found  # P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise
 
     @property
     def exact(self) -> tuple[BallMatrix, BallMatrix]:

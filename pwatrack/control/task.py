@@ -20,24 +20,16 @@ _SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed.
+    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed."""
 
-    Attributes:
-        A: (l, n, n).
-        B: (n, m).
-        exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
-        role: Which of the two it is.
-        cells: Names of the l cells.
-        states: Names of the states of the plant, the first of the n.
-        sizes: Those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
-    """
-
-    A: Array
-    B: Array
+    A: Array  # (l, n, n)
+    B: Array  # (n, m)
+    # A_i and B in the numbers that proofs are about; None for the decimals that A and B print as
     exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
-    role: Role = CONTROLLER
-    cells: Sequence[str]
-    states: Sequence[str] = ()
+    role: Role = CONTROLLER  # which of the two it is
+    cells: Sequence[str]  # names of the l cells
+    states: Sequence[str] = ()  # names of the states of the plant, the first of the n
+    # those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
     sizes: Sizes | None = None
 
     @classmethod
