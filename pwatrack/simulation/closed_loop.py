@@ -203,14 +203,6 @@ def closed_loop(
     """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
     Where the controller is sampled, `runs` is the program of it, if it was kept; else it is made.
-
-    Example: a limited input has segments of its own, in each cell of x_d.
-
-        >>> from pwatrack import design, load_spec
-        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> loop = closed_loop(controller, Conditions(limits=np.array([[-1.0, np.inf]])))
-        >>> [part.name for part in loop.flow.parts], loop.flow.parts[-1].cells
-        (['plant', 'observer', 'generator', 'actuator u'], ('low', 'linear', 'low', 'linear', 'low', 'linear'))
     """
     plant, model, trajectory = conditions.plant or controller.running, controller.plant, controller.trajectory
     K, L, sampling = controller.design.K, controller.design.L, conditions.sampling

@@ -164,18 +164,6 @@ def feedforward_peak(
     They are enclosed at all times, between samples, where x_d crosses a facet and where signals have new pieces: no
     u_ff is above what is said, and that is at most 1e-6 of the largest above one that there is. It begins at η̂(0), (p,)
     if that matters. None is returned where x_d takes too long to follow or does not stay within numbers.
-
-    Example: what the paper's example takes in its steady state.
-
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.simulation.startup import steady_start
-        >>> from pwatrack.workflow.tracking import desired_trajectory
-        >>> spec = load_spec("specs/two_mass_backlash.yaml")
-        >>> trajectory, generator = desired_trajectory(spec, False)
-        >>> start = steady_start(trajectory, generator)
-        >>> peak = feedforward_peak(spec.problem.plant, trajectory, start, trajectory.exosystem.period)
-        >>> peak.high.round(3).tolist(), peak.times.round(3).tolist()
-        ([5.886], [[0.253, 0.753]])
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     duration = duration if system.end is None else min(duration, system.end)

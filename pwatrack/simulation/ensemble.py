@@ -93,17 +93,6 @@ def simulate_ensemble(
 
     Raises:
         PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.
-
-    Example: oscillators with a one-sided spring, dropped from ten heights.
-        >>> from pwatrack.simulation.flow import SwitchedPart
-        >>> spring = SwitchedPart(name="spring", cells=("touching", "free"), guards=np.array([[1.0, 0, 0]]),
-        ...     signs=np.array([[-1], [1]]), F=np.array([[[0, 0, 0], [-9.0, 0, 0], [0, 0, 0]], np.zeros((3, 3))]))
-        >>> flow = Flow(F0=np.array([[0, 1.0, 0], [-1.0, -0.5, 0], [0, 0, 0]]), parts=(spring,))
-        >>> height = np.array([[1.0, 0.0, 0.0]])
-        >>> members = [Member(flow=flow, z0=np.array([h, 0.0, 1.0]), error=height) for h in range(1, 11)]
-        >>> ensemble = simulate_ensemble(members.__getitem__, 10, duration=20.0, sample_time=0.1)
-        >>> ensemble.error.shape, ensemble.largest.tolist() == list(range(1, 11)), set(ensemble.mode_changes.tolist())
-        ((10, 201), True, {10})
     """
     samples = sample_count(duration, sample_time)
     error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)

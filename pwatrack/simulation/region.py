@@ -16,14 +16,7 @@ class BoxRegion:
     high: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
-        """Return points drawn uniformly, (count, n); fewer points are the first of more.
-
-        Example:
-            >>> box = BoxRegion(low=np.array([-1.0, 2.0]), high=np.array([1.0, 2.0]))
-            >>> points = box.draw(np.random.default_rng(1), 100)
-            >>> bool((np.abs(points[:, 0]) <= 1).all()), points[:, 1].min(), points[:, 1].max()
-            (True, np.float64(2.0), np.float64(2.0))
-        """
+        """Return points drawn uniformly, (count, n); fewer points are the first of more."""
         share = random.random((count, len(self.low)))
         points: Array = np.clip(self.low + share * (self.high - self.low), self.low, self.high)
         return points
@@ -38,14 +31,7 @@ class EllipsoidRegion:
     radii: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
-        """Return points drawn uniformly, (count, n); fewer points are the first of more.
-
-        Example:
-            >>> disc = EllipsoidRegion(center=np.array([5.0, 0.0]), radii=np.array([1.0, 0.1]))
-            >>> points = disc.draw(np.random.default_rng(1), 100)
-            >>> bool((((points - disc.center) / disc.radii) ** 2).sum(axis=1).max() < 1 + 1e-12)
-            True
-        """
+        """Return points drawn uniformly, (count, n); fewer points are the first of more."""
         varied = np.flatnonzero(self.radii)
         # Archimedes: n coordinates of a uniform point on the sphere in n + 2 dimensions are uniform in the ball.
         sphere = random.standard_normal((count, len(varied) + 2))

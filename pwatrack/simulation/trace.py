@@ -118,12 +118,6 @@ class TraceOnDisk:
 
     They are in a file that has no name, so that none is left behind: it goes with this object, or with its process.
     It is in TMPDIR where that is set.
-
-    Example:
-        >>> blocks = [Trace(t=np.array([t]), z=np.ones((1, 2)), modes=np.zeros((1, 1), dtype=int), events=())
-        ...     for t in (0.0, 1.0)]
-        >>> [float(trace.t[0]) for trace in TraceOnDisk(blocks)]
-        [0.0, 1.0]
     """
 
     def __init__(self, traces: Iterable[Trace] = ()) -> None:
