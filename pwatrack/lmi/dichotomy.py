@@ -49,17 +49,7 @@ class Dichotomy(Packed):
 
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
-    """Find such a P and prove it exactly, or return None.
-
-    Example: two saddles with one P, diag(1, −1).
-
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> M = [BallMatrix.of([[-2, 1], [1, a]]) for a in (1, 3)]
-        >>> prove_dichotomy(GENERATOR, M) is not None
-        True
-        >>> prove_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)]) is None  # no P: their numbers differ
-        True
-    """
+    """Find such a P and prove it exactly, or return None."""
     proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M])))
     return next((proof for proof in proofs if proof is not None), None)
 
@@ -127,15 +117,7 @@ class NoDichotomy:
 
 
 def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
-    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None.
-
-    Example: one cell has a mode that grows, the other has none.
-
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> found = refute_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)])
-        >>> dict(found.unstable)
-        {0: 0, 1: 1}
-    """
+    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None."""
     middles = [BallMatrix(M_i.centre) for M_i in M]
     near = np.array([M_i.floats for M_i in M])
     numbers = _numbers(role, middles, near)

@@ -49,14 +49,7 @@ def of_proof(M: Array, proof: "Proof") -> Certificate:
 
 
 def prove(M: Array, P: Array) -> Certificate | None:
-    """Return a certificate for the largest rate that the symmetric part of P proves, or None if it proves none.
-
-    Example:
-        >>> prove(np.array([[[-1.0]], [[-3.0]]]), np.eye(1)).rate > 0.999
-        True
-        >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
-        True
-    """
+    """Return a certificate for the largest rate that the symmetric part of P proves, or None if it proves none."""
     scaled = _scaled(M, P)
     if scaled is None or not _least(scaled[1], np.abs(scaled[1])) > 0:
         return None

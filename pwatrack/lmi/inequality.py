@@ -19,13 +19,7 @@ Solver = Literal["structured", "clarabel", "cvxopt"]
 
 @dataclass(frozen=True, kw_only=True)
 class Inequality:
-    """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell.
-
-    Example:
-        >>> decay = lyapunov(np.array([[[-1.0]]]))
-        >>> decay.evaluate(np.array([[3.0]]), np.zeros((0, 1))).tolist()
-        [[[-6.0]]]
-    """
+    """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell."""
 
     # (l, N, n) and (l, n, N), for P (n, n)
     L: Array

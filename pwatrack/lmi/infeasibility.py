@@ -51,12 +51,6 @@ def refute(A: Array, B: Array, *, rate: float = 0.0, exact: Exact | None = None)
 
     B (n, m) has m = 0 where the gain is given. The rate (1/s) counts exactly as printed, and so do A and B where the
     exact matrices that the proof is about are not given.
-
-    Example: an integrator cannot be stabilised from nowhere.
-
-        >>> found = refute(np.array([[[0.0]]]), np.zeros((1, 0)))
-        >>> found.Z[0], found.eigenvalues
-        (((1,),), {0: 0j})
     """
     found = refute_by_modes(A, B, range(len(A)), rate=rate, exact=exact)
     if found is not None:

@@ -148,12 +148,6 @@ def conflict(
     Where those cells that bear nearly all of the weight prove it alone, they do. Where multipliers are singular, they
     are looked for once more in the faces that they seem to lie in. B is None where it is to be proved of a P of any
     sign.
-
-    Example: what turns without growing has no P.
-
-        >>> A = np.array([[0.0, 1.0], [-4.0, 0.0]])
-        >>> conflict(A[None], None, [decimals(A)], None)[0].tolist() != [[0, 0], [0, 0]]
-        True
     """
     at = Coordinates.balanced(A, B)
     D = decimals(at.T)

@@ -138,12 +138,6 @@ def largest_share(slack: Sequence[Rational], U: BallMatrix, V: BallMatrix, gain:
         slack: S_i (n, n), positive definite.
         U, V: (n, a) and (n, b); where they have irrational entries, it is proved for everything in their balls.
         gain: (a, b), as printed.
-
-    Example: −2 (−3 + δ) − 2 > 0 for |δ| < 2, two thirds of 3.
-
-        >>> one = BallMatrix.of([[1]])
-        >>> 0.65 < largest_share([4 * one.centre], one, one, np.array([[3.0]])) < 2 / 3
-        True
     """
     S, u, v = np.array([floats(S_i) for S_i in slack]), U.floats, V.floats
     size = np.abs(gain)

@@ -155,14 +155,6 @@ def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: InvariantE
     """Return the peak gain of z' = M z + g d, of c z; None where it takes too many steps or an entry is irrational.
 
     M is stable, and the ellipsoid is that of M, g and c.
-
-    Example: a damped oscillator, ∫ |e^(−t) sin 3t| / 3 dt.
-
-        >>> from pwatrack.lmi.ellipsoid import Inner, ellipsoid
-        >>> M, g, c = (BallMatrix.of(X) for X in ([[0, 1], [-10, -2]], [[0], [1]], [[1, 0]]))
-        >>> around = ellipsoid([M], g, c, [Inner(Q=np.array([[1, -0.9], [-0.9, 10]]), most=0.5)])
-        >>> 1 < peak_gain(M, g, c, around).size / float(0.1 / np.tanh(np.pi / 6)) < 1.01
-        True
     """
     if any(X.radius is not None for X in (M, g, c)) or M.shape[0] > _MOST_ORDER:
         return None

@@ -207,13 +207,6 @@ def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = T
         degree: 2 d.
         near: Coordinates in which the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I.
         trials: So many rates are tried; the first of them is 0.
-
-    Example: a pair that no quadratic form serves, the example's zero dynamics with k2 = 1.
-
-        >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
-        >>> near = Coordinates.balanced(A.swapaxes(1, 2))
-        >>> best_polynomial(A, 2, near) is None, best_polynomial(A, 4, near).rate > 0
-        (True, True)
     """
     T = short(near.T.T)
     with np.errstate(all="ignore"):
@@ -323,14 +316,6 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
     """Round P, N_i and the rate to short numbers and prove the inequality of these M_i for them, or return None.
 
     What was found is of the matrices nearest to these, each different.
-
-    Example:
-        >>> from pwatrack.lmi.role import CONTROLLER
-        >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
-        >>> found = best_polynomial(A, 4, Coordinates.balanced(A.swapaxes(1, 2)))
-        >>> proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
-        >>> proof.degree, 0 < proof.rate <= found.rate
-        (4, True)
     """
     monomials, T = found.monomials, BallMatrix.of(found.T)
     weights = monomials.weights

@@ -39,11 +39,6 @@ def distinct(A: Array) -> tuple[Array, IntArray]:
     """Return the different matrices of a stack (l, n, n) and the place of each original among them.
 
     Equal matrices give equal inequalities: with k2 = k3 two cells of the paper's example are one.
-
-    Example:
-        >>> matrices, place = distinct(np.array([[[1.0]], [[2.0]], [[1.0]]]))
-        >>> matrices.ravel().tolist(), place.tolist()
-        ([1.0, 2.0], [0, 1, 0])
     """
     seen: dict[bytes, int] = {}
     first = [seen.setdefault(row.tobytes(), len(seen)) for row in A + 0.0]  # −0 + 0 = 0
@@ -145,11 +140,6 @@ class Coordinates:
 
         There a problem has the same numbers in all units, so that a solver answers the same. Where A is 0 the tempo
         (1/s) is its speed.
-
-        Example:
-            >>> at = Coordinates.sized(np.array([[[0.0, 1.0], [-1.0, 0.0]]]), np.array([0.1, 2.0]), np.array([5.0]))
-            >>> at.speed, at.gain(np.ones((1, 2))).tolist()
-            (20.0, [[50.0, 2.5]])
         """
         speed = float(np.linalg.norm(A / states[:, None] * states, 2, axis=(1, 2)).max(initial=0.0))
         speed = speed if 0 < speed < np.inf else tempo

@@ -79,14 +79,6 @@ def solve(
     Returns:
         What was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap P, Y
         and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
-
-    Example: the largest t ≤ 1 with −2 P ⪯ −t I, t I ⪯ P ⪯ I.
-
-        >>> from pwatrack.lmi.inequality import lyapunov
-        >>> from pwatrack.lmi.program import largest_margin
-        >>> found = solve(largest_margin(lyapunov(-np.eye(2)[None])))
-        >>> round(found.t, 6), found.violation < 0, found.gap < 1e-6
-        (1.0, True, True)
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)

@@ -80,17 +80,7 @@ class SemidefiniteProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says.
-
-    Example: the least trace of P with −2 P + 1 ⪯ 0 and P ⪰ 0.
-
-        >>> from pwatrack.lmi.inequality import weighted
-        >>> program = least_trace(weighted(-np.eye(1)[None], np.eye(1)))
-        >>> Z = np.array([[[0.5]]]), np.array([[[0.0]]])
-        >>> found = Solution(program=program, P=np.array([[0.75]]), Y=np.zeros((0, 1)), t=0.0, multipliers=Z)
-        >>> found.objective, found.violation, found.bound, found.gap, found.dual_off
-        (0.75, -0.5, 0.5, 0.25, 0.0)
-    """
+    """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says."""
 
     program: SemidefiniteProgram  # what was asked
     # the unknowns, (n, n), (m, n) and a number

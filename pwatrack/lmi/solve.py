@@ -24,15 +24,6 @@ def asking(solver: Solver) -> Iterator[None]:
     Args:
         solver: "structured" is `primal_dual`, and Clarabel for what it gives up. "clarabel" and "cvxopt" are asked
             through PICOS, and nobody else.
-
-    Example:
-        >>> import numpy as np
-        >>> from pwatrack.lmi.inequality import lyapunov
-        >>> from pwatrack.lmi.program import largest_margin
-        >>> with asking("cvxopt"), answers() as answered:
-        ...     found = solve(largest_margin(lyapunov(-np.eye(2)[None])))
-        >>> dict(answered)
-        {'cvxopt': 1}
     """
     token = _asked.set(solver)
     try:

@@ -151,14 +151,6 @@ def uncontrollable_mean(A: Array, B: Array, exact_A: Sequence[Rational], exact_B
 
     It is looked for among cells each of which differs from a first one by a product g hᵀ, as those on both sides of a
     facet do: as many as B has independent columns.
-
-    Example: two unstable modes, which the input pushes by 1 and 1 in one cell and by 3 and −2 in the other.
-
-        >>> A = np.array([[[0.0, 0, 0], [g, 1, 1], [h, 0, 2]] for g, h in ((1.0, 1.0), (3.0, -2.0))])
-        >>> B = np.array([[1.0], [0.0], [0.0]])
-        >>> found = uncontrollable_mean(A, B, [decimals(A_i) for A_i in A], decimals(B))
-        >>> float(found.eigenvalue), {i: round(float(w), 6) for i, w in found.weights.items()}
-        (2.0, {0: 0.666667, 1: 0.333333})
     """
     proofs = (_proved(guess, exact_A, exact_B) for guess in _guesses(A, B))
     return next((found for found in proofs if found is not None), None)
