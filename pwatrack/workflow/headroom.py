@@ -26,15 +26,6 @@ def room_within_limits(
     Raises:
         OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
             only the generator's start makes of it is no reason: it dies out.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.workflow.sizing import spec_sizes
-        >>> from pwatrack.workflow.tracking import desired_trajectory
-        >>> spec = load_spec("specs/two_mass_machine.yaml")
-        >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
-        >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()
-        ([5.926], [2.071])
     """
     limits, plant = spec.scenario.conditions.limits, spec.problem.plant
     if limits is None:

@@ -67,15 +67,6 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
 
     Returns:
         What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
-
-    Example: the springs of the example made stiffer, both at once: (17) ends at k2 = k3 = 0.69 N/m.
-
-        >>> from pwatrack import design, load_spec
-        >>> from pwatrack.claims.practical import Practical
-        >>> spec = load_spec("specs/gallery/stiff_springs.yaml", {"k3": "k2"})
-        >>> found = how_far(spec, design(spec).claim(Practical).evidence)
-        >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
-        ('k2', 0.69)
     """
     inequality, rate = _Inequality(spec, evidence), None
     if inequality.proofs < _LEAST_PROOFS:

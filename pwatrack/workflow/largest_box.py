@@ -35,17 +35,6 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
 
     Raises:
         Undecided: If none was proved.
-
-    Example: the paper's example, for its spring.
-
-        >>> from dataclasses import replace
-        >>> from pwatrack import design, load_spec
-        >>> from pwatrack.model.box import Uncertain
-        >>> spec = load_spec("specs/two_mass_backlash.yaml")
-        >>> k1 = Uncertain(name="k1", nominal=Real.of(1), low=Real.of("0.95"), high=Real.of("1.05"))
-        >>> wide = replace(spec, objectives=replace(spec.objectives, uncertain=(k1,)))
-        >>> largest_box(wide, design(spec)).factor > 1
-        True
     """
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 

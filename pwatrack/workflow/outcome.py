@@ -59,12 +59,6 @@ def grows(high: Array, low: Array, size: float) -> bool:
     Args:
         high, low: Largest and smallest value in each tenth of the time, (10,).
         size: Of what it may be anyway: reference and start, in the unit of the signal.
-
-    Example: eᵗ grows, and 1 − e⁻ᵗ does not, which is above its start at any time.
-
-        >>> t = np.arange(1.0, 11.0)
-        >>> grows(np.exp(t), np.exp(t - 1), 1.0), grows(1 - np.exp(-t), 1 - np.exp(1 - t), 0.0)
-        (True, False)
     """
     if not np.isfinite([high, low]).all():
         return False  # less than ten samples

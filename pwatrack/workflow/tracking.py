@@ -37,11 +37,6 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """Check what can be known of the reference before an inequality is solved, and say it in a few words.
 
     That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> check_reference(load_spec("specs/two_mass_backlash.yaml"))
-        'y_d is bounded and smooth enough for relative degree 2'
     """
     problem = spec.problem
     with spec.located():
