@@ -50,14 +50,7 @@ class Applicability:
         return tuple((route, route.judge(self)) for route in ROUTES)
 
     def routes(self) -> dict[str, str]:
-        """Say of each route whether it can be gone, and under which inequalities.
-
-        Example:
-            >>> from pwatrack import load_spec
-            >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-            >>> applicability(plant).routes()["Theorem 3"]
-            'needs (8), (9) and (17); every cell by itself is minimum phase'
-        """
+        """Say of each route whether it can be gone, and under which inequalities."""
         return {route.name: answer.text for route, answer in self.answers}
 
     @property
@@ -246,14 +239,7 @@ def applicability(
     uncertain: bool = False,
     known: bool = True,
 ) -> Applicability:
-    """Return what the theory can do for a plant.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> found = applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant)
-        >>> found.form.degrees, found.taken
-        ((2,), 'Theorem 3, else practical tracking')
-    """
+    """Return what the theory can do for a plant."""
     sizes = sizes or Sizes.of(plant)
     scalar = scalar_form(plant)
     ways = {} if scalar is None else widest(scalar)

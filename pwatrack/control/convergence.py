@@ -187,11 +187,6 @@ def prove_convergence(
     Raises:
         Infeasible: If it is proved that no P exists, and no polynomial is found.
         Undecided: If neither is proved.
-
-    Example:
-        >>> M = np.array([[[-1.0, 0.0], [1.0, -2.0]], [[-1.0, 0.0], [0.5, -2.0]]])
-        >>> 0.9 < prove_convergence(M, claim="(7)", cells=("a", "b")).rate < 1.0
-        True
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)

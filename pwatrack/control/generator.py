@@ -123,10 +123,6 @@ def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
     With η = η̄ + M ξ_d the input matrices of (14) become A_ηi M + B_ηi^ξ (and
     −M on ξ̇_d), so Assumption 2 holds for η̄; the paper's (21) is the case M = [1 0; 0 0].
     B_xi is the part of B_η that acts on ξ_d, (l, p, r).
-
-    Example:
-        >>> assumption_2_shift(np.array([[[-1.0]], [[-3.0]]]), np.array([[[0.5]], [[2.5]]])).tolist()
-        [[1.0]]
     """
     p, r = B_xi.shape[1:]
     if not p or len(A_eta) == 1:

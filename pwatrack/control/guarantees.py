@@ -113,16 +113,7 @@ class Guarantees:
 
 
 def guarantees(plant: PWASystem, design: Gains, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
-    """Read off the exact proofs what they promise; X is of the `Compensation`. All is rounded to the safe side.
-
-    Example: the paper's example. With every entry of L up to 1.5 % off, the observer still converges as e^(−0.0681 t).
-
-        >>> from pwatrack import design, load_spec
-        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> best, second = controller.guarantees.observer
-        >>> round(best.rate, 3), round(second.rate, 4), 0.015 < second.share < 0.02
-        (0.084, 0.0681, True)
-    """
+    """Read off the exact proofs what they promise; X is of the `Compensation`. All is rounded to the safe side."""
     exact, (K, L) = plant.exact, design.exact
     BK, q, A, seen = exact.B @ K, len(plant.tracked), [exact.A[i] for i in plant.hull], plant.observed
     drives = coupling(plant, K, L, X)

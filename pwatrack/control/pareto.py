@@ -27,15 +27,7 @@ class Front:
 
 
 def pareto(task: Task, K: Array, rate: float) -> Front:
-    """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n).
-
-    Example: for ẋ = x + u the rate α needs |K| = 1 + α.
-
-        >>> task = Task(A=np.array([[[1.0]]]), B=np.eye(1), cells=["all"])
-        >>> front = pareto(task, np.array([[-3.0]]), 2.0)
-        >>> bool(np.allclose(front.norms, 1 + front.rates, rtol=1e-3)), front.limit
-        (True, inf)
-    """
+    """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n)."""
     points: list[tuple[float, float]] = []
     search, limit = Search(task), np.inf
     for factor in _FACTORS:

@@ -34,11 +34,6 @@ def prove_design(
 
     Raises:
         Undecided: If a certificate that holds in floating point could not be proved exactly.
-
-    Example:
-        >>> from pwatrack import design, load_spec
-        >>> [proof.role.name for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
-        ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
     """
     sizes, proofs = sizes or Sizes.of(plant), []
     for role, gain, certificate in ((CONTROLLER, design.K, design.controller), (OBSERVER, design.L, design.observer)):

@@ -68,13 +68,6 @@ def synthesize(
     Raises:
         Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
         Undecided: If neither is proved, or no gain within the bound was found.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-        >>> design = synthesize(plant, controller=Smallest(rate=0.1))
-        >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
-        (True, True)
     """
     sizes = sizes or Sizes.of(plant)
     K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
@@ -101,13 +94,6 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
         Infeasible: If no gain exists, proved.
         InvalidSpec: If the largest rate is asked where every rate can be reached.
         Undecided: If no gain with a proof is found otherwise.
-
-    Example: a double integrator.
-
-        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> K, certificate = gain(Task(A=A, B=B, cells=["all"]))
-        >>> K.round(3).tolist(), certificate.rate > 0.8
-        ([[-1.0, -1.732]], True)
     """
     search = Search(task)
     match goal:
