@@ -134,9 +134,19 @@ class PwatrackError(Exception):
 
     code = ExitCode.BUG
 
-    def __init__(self, *problems: Problem | str, hint: str = "", evidence: object = None) -> None:
+    def __init__(
+        self,
+        *problems: Problem | str,
+        subject: Subject | None = (),
+        hint: str = "",
+        remedy: Remedy | None = None,
+        evidence: object = None,
+    ) -> None:
         self.evidence = evidence
-        self.problems = tuple(p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems)
+        self.problems = tuple(
+            p if isinstance(p, Problem) else Problem(message=p, subject=subject, hint=hint, remedy=remedy)
+            for p in problems
+        )
         super().__init__("\n".join(str(p) for p in self.problems))
 
     def sorted(self) -> "PwatrackError":

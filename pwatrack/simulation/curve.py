@@ -17,7 +17,7 @@ from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from numpy.typing import NDArray
 
 from pwatrack.arrays import EPS, Array, IntArray
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.simulation.enclosure import bernstein
 
 DEGREE = 9  # of the polynomials that are played back
@@ -138,7 +138,7 @@ class InternalDynamics:
             found.append(Looked(**dict(zip(Looked.__annotations__, (v[kept] for v in values), strict=True))))
             total += len(start)
             if total > _MOST:
-                raise Undecided(Problem(message="x_d crosses facets too often to be followed"))
+                raise Undecided("x_d crosses facets too often to be followed")
             half = length[open_] / 2
             start = np.concatenate([start[open_], start[open_] + half])
             length, of, depth = np.tile(half, 2), np.tile(of[open_], 2), depth + 1

@@ -55,12 +55,10 @@ def blocks(
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
     if radians > _LONGEST:
         raise Undecided(
-            Problem(
-                message=f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
-                f"at most {_LONGEST:.0e} are walked",
-                subject=(ProblemPart.REFERENCE,),
-                hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
-            )
+            f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
+            f"at most {_LONGEST:.0e} are walked",
+            subject=(ProblemPart.REFERENCE,),
+            hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
         )
     resets = pieces(system, slice(p, p + len(system.w0)))
     flow, step = desired_flow(plant, trajectory), duration / steps

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
 from pwatrack.simulation.flow import Clock, Flow
@@ -80,13 +80,7 @@ def simulate_flow(
 
 
 def trace_blocks(
-    flow: Flow,
-    z0: Array,
-    *,
-    duration: float,
-    sample_time: float,
-    resets: Sequence[StateResets] = (),
-    most: int,
+    flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateResets] = (), most: int
 ) -> Iterator[Trace]:
     """Do what `simulate_flow` does in blocks of at most so many samples: long runs need no more memory than short ones.
 
@@ -245,12 +239,10 @@ class Walk:
                 at = self.state[0]
                 part, guard = self.propagator.places[at["guard"]]
                 raise CheckFailed(
-                    Problem(
-                        message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
-                        f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
-                        subject=None,
-                        hint="the vector field may be discontinuous there",
-                    )
+                    f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
+                    f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
+                    subject=None,
+                    hint="the vector field may be discontinuous there",
                 )
 
     def _too_much(self, what: str) -> CheckFailed:
@@ -260,18 +252,16 @@ class Walk:
             "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
         )
         message = f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s"
-        return CheckFailed(Problem(message=message, subject=(ProblemPart.DURATION,), hint=hint))
+        return CheckFailed(message, subject=(ProblemPart.DURATION,), hint=hint)
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
         if not size.max() < _UNBOUNDED:
             first = (self.first + int(np.argmin(size < _UNBOUNDED))) * self.propagator.sample_time
             raise CheckFailed(
-                Problem(
-                    message=f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
-                    subject=None,
-                    hint="the proofs are about a bounded x_d, and no limits, sampling, noise or other parameters",
-                )
+                f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
+                subject=None,
+                hint="the proofs are about a bounded x_d, and no limits, sampling, noise or other parameters",
             )
 
     def norms(self, rows: Array, result: Array) -> None:
@@ -399,7 +389,7 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
             f"{end:.6g} s are too long for a closed loop with rates of {rate:.3g} 1/s: these are {rate * end:.3g} time "
             f"constants, and {_MOST_FINEST / 4:.2g} can be told apart"
         )
-        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or slower poles"))
+        raise InvalidSpec(message, subject=subject, hint="a shorter duration, or slower poles")
     poles = np.linalg.eigvals(flow.matrix(tuple(0 for _ in flow.parts)))
     lasting = (-poles.real * end <= _LASTING[0]) | (-poles.real <= _LASTING[1] * np.abs(poles.imag))
     fastest = float(np.abs(poles.imag[lasting]).max(initial=0.0))
@@ -408,4 +398,4 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
             f"{end:.6g} s are too long for an oscillation of {fastest:.4g} rad/s: of {fastest * end:.3g} rad, floating "
             f"point keeps {fastest * end * EPS:.2g}; at most {_MOST_RADIANS:.2g} are taken"
         )
-        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
+        raise InvalidSpec(message, subject=subject, hint="a shorter duration, or a lower frequency")

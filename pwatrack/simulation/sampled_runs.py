@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import Propagator
@@ -49,7 +49,7 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
     else:
         message += f"and at {offer[0]:g} s all of {offer[1]} simulated runs from other starts died out"
     remedy = None if offer is None else Remedy(Way.FASTER_SAMPLES, (offer[0],))
-    raise CheckFailed(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy))
+    raise CheckFailed(message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy)
 
 
 def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:

@@ -23,7 +23,7 @@ import scipy  # whose parts are imported where they are used
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
 from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.model.reference import beside, exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined
@@ -361,9 +361,7 @@ class _Solution:
 
 def _unsettled(reason: str) -> Undecided:
     return Undecided(
-        Problem(
-            message=f"the bounded solution of the internal dynamics was not found: {reason}",
-            subject=(ProblemPart.REFERENCE,),
-            hint="a slower or smoother reference, or state tracking (Theorem 2)",
-        )
+        f"the bounded solution of the internal dynamics was not found: {reason}",
+        subject=(ProblemPart.REFERENCE,),
+        hint="a slower or smoother reference, or state tracking (Theorem 2)",
     )

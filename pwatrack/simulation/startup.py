@@ -6,7 +6,7 @@ from pwatrack.arrays import Array
 from pwatrack.causes import ProblemPart, Subject
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes
@@ -81,4 +81,4 @@ def steady_start(trajectory: DesiredTrajectory, generator: TrajectoryGenerator) 
 
 
 def _refused(message: str) -> InvalidSpec:
-    return InvalidSpec(Problem(message=message, subject=_GENERATOR))
+    return InvalidSpec(message, subject=_GENERATOR)

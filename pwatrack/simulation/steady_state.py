@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
 from pwatrack.causes import ProblemPart, Remedy, Subject, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.simulation.trace import Trace
@@ -72,13 +72,11 @@ def periodic_state(
             break
         z[:free] += np.linalg.solve(gap, miss)
     raise OutsideTheory(
-        Problem(
-            message=f"no periodic solution of period {period:.6g} s was found: the state still moves by "
-            f"{np.abs(miss).max():.2g} in one period",
-            subject=subject,
-            hint="the plant may not converge by itself, or be in resonance",
-            remedy=remedy,
-        )
+        f"no periodic solution of period {period:.6g} s was found: the state still moves by "
+        f"{np.abs(miss).max():.2g} in one period",
+        subject=subject,
+        hint="the plant may not converge by itself, or be in resonance",
+        remedy=remedy,
     )
 
 

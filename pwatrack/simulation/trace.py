@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.simulation.flow import Mode
 
 _LARGE = Path("/var/tmp")  # noqa: S108  on a disk; /tmp is in memory on many machines
@@ -157,7 +157,7 @@ class TraceOnDisk:
     def _full(self, error: OSError) -> InvalidSpec:
         message = f"cannot keep the samples of the run in {self._folder}: {error.strerror or error}"
         hint = "set TMPDIR to a folder with room, or take a longer sample time: it moves no event"
-        return InvalidSpec(Problem(message=message, hint=hint))
+        return InvalidSpec(message, hint=hint)
 
 
 def _close(file: IO[bytes]) -> None:
