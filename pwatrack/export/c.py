@@ -186,12 +186,7 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
     proved = (
         "It is NOT PROVED: " + "; ".join(source.unproved) + "."
         if source.unproved
-        else " ".join(
-            [
-                "K and L of its design are proved in continuous time.",
-                *source.claims,
-            ]
-        )
+        else " ".join(["K and L of its design are proved in continuous time.", *source.claims])
     )
     failed = f"Its run FAILED: {'; '.join(source.file.failed)}. " if source.file.failed else ""
     reference = "The reference is made inside, from the first step on; pass NULL for it."
