@@ -67,11 +67,7 @@ def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
     cells, n = A.shape[:2]
     eye = np.broadcast_to(np.eye(n), (cells, n, n))
     return Inequality(
-        L=A + rate * np.eye(n),
-        R=eye,
-        M=np.broadcast_to(B, (cells, *B.shape)),
-        N=eye,
-        constant=np.zeros((cells, n, n)),
+        L=A + rate * np.eye(n), R=eye, M=np.broadcast_to(B, (cells, *B.shape)), N=eye, constant=np.zeros((cells, n, n))
     )
 
 

@@ -35,17 +35,7 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array, IntArray, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.exact import (
-    BITS,
-    Certificate,
-    Packed,
-    Proof,
-    Whole,
-    left_side,
-    prove_exactly,
-    proved_rate,
-    whole,
-)
+from pwatrack.lmi.exact import BITS, Certificate, Packed, Proof, Whole, left_side, prove_exactly, proved_rate, whole
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import semidefinite

@@ -94,13 +94,7 @@ def solve(
     multipliers = tuple(Z / unit for Z in linear.blocks.parts(at.z)[: len(program.constraints)])
     P, Y, t = linear.parts(at.v)
     return Solution(
-        program=program,
-        P=P,
-        Y=Y.copy(),
-        t=t,
-        multipliers=multipliers,
-        impossible=impossible,
-        iterations=iterations,
+        program=program, P=P, Y=Y.copy(), t=t, multipliers=multipliers, impossible=impossible, iterations=iterations
     )
 
 
