@@ -15,7 +15,7 @@ from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
@@ -236,7 +236,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
         message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
         message += f"fastest; up to {LONGEST_PERIOD:.0e} are followed"
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
-        raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+        raise InvalidSpec(message, subject=("reference", "start"), hint=hint)
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(desired_flow(controller.plant, trajectory), start, free=p, period=period)
 

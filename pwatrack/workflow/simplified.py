@@ -9,7 +9,7 @@ from pwatrack.control.applicability import PRACTICAL, Applicability
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import synthesize
-from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
+from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
@@ -131,7 +131,7 @@ def _solve(spec: Spec) -> None:
     plant = spec.problem.plant if generator is None else generator.form.plant
     if plant.repair is not None and spec.problem.plant.repair is None:
         message = "the merged plant has the form (11) but for rounding"
-        raise OutsideTheory(Problem(message=message))
+        raise OutsideTheory(message)
     goals = spec.objectives
     synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec))
 

@@ -68,9 +68,7 @@ def initial_values(values: Array | None, length: int, part: str) -> Array:
         return np.zeros(length)
     if len(values) != length:
         subject: Subject = ("simulation", "initial", part)
-        raise InvalidSpec(
-            Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
-        )
+        raise InvalidSpec(f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
     return values
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray, amount
 from pwatrack.causes import Subject
-from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
@@ -99,9 +99,7 @@ def ensemble(
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
-        raise InvalidSpec(
-            Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
-        )
+        raise InvalidSpec(message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
     with spec.located():
         variation = _VARIED[over](result, count, seed)
         if executor is None:
@@ -190,7 +188,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
             if drawn.shape[1] != len(etas):
                 message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
                 message += "one for each state of the generator"
-                raise InvalidSpec(Problem(message=message, subject=subject))
+                raise InvalidSpec(message, subject=subject)
         starts[:, where] = drawn
     for start in starts:
         _observe(spec, loop, start)
@@ -241,7 +239,7 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
     if noise is None:
         message = "the spec has no simulation.noise: without it all members are the same"
         hint = f"for example noise: {{std: {{{result.spec.problem.plant.outputs[0]}: 1e-3}}, sample_time: 0.01}}"
-        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+        raise InvalidSpec(message, subject=("simulation",), hint=hint)
     seeds = np.random.default_rng([seed, 4]).integers(2**53, size=count)
     first = _member(result, loop)
 
@@ -304,7 +302,7 @@ def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
     if not intervals:
         message = "the spec has no simulation.ensemble.parameters, and its plant depends on no parameter"
         hint = "declare the numbers that vary under 'parameters' and use their names in 'system'"
-        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+        raise InvalidSpec(message, subject=("simulation",), hint=hint)
     return intervals
 
 
