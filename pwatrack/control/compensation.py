@@ -25,7 +25,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
 from pwatrack.causes import ProblemPart
 from pwatrack.control.realisable import pseudo_inverse
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
@@ -103,13 +103,11 @@ def check_played_back(form: NormalForm) -> None:
         acts = rate[:, list(states)].max(axis=1)
         if acts.any():
             raise OutsideTheory(
-                Problem(
-                    message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
-                    "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
-                    "then, would add to it is not the same in all cells",
-                    subject=(ProblemPart.ESTIMATE,),
-                    hint="a load that acts as an input does, or another output",
-                )
+                f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
+                "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
+                "then, would add to it is not the same in all cells",
+                subject=(ProblemPart.ESTIMATE,),
+                hint="a load that acts as an input does, or another output",
             )
 
 
@@ -158,12 +156,10 @@ def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:
     moved = [name for name in bent if G.floats[last[name]].any()]
     name = (moved or bent)[0]
     return OutsideTheory(
-        Problem(
-            message=f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
-            "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
-            subject=(ProblemPart.ESTIMATE,),
-            hint="estimate loads that enter where inputs do",
-        )
+        f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
+        "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
+        subject=(ProblemPart.ESTIMATE,),
+        hint="estimate loads that enter where inputs do",
     )
 
 

@@ -97,7 +97,7 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
                 "is given"
             )
             hint = "track an output instead: there x_d follows from the reference and the load"
-            raise OutsideTheory(Problem(message=message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint))
+            raise OutsideTheory(message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint)
 
 
 def _too_many(plant: PWASystem, members: list[int]) -> str:

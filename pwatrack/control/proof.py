@@ -12,7 +12,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.task import Task
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
@@ -67,12 +67,10 @@ def prove_inequality(
     best = exactly(role, M, certificate)
     if best is None:
         raise Undecided(
-            Problem(
-                message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
-                subject=(ProblemPart.DESIGN,),
-                hint="the case is marginal: ask for less, or try the other solver",
-                remedy=other_solver(),
-            )
+            f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
+            subject=(ProblemPart.DESIGN,),
+            hint="the case is marginal: ask for less, or try the other solver",
+            remedy=other_solver(),
         )
     if isinstance(certificate, PolynomialLyapunov):
         return [best]

@@ -18,7 +18,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import absolute
 from pwatrack.causes import Subject
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import Exosystem, exosystem, spectral_terms
 from pwatrack.rational import Rational, beside, decimals, floats, left_null_space, on_entries, pivots, stacked
@@ -161,11 +161,9 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
         misses.append(point)
     more = [f"and none in {len(misses) - _MOST_SAID} more cells"] if len(misses) > _MOST_SAID else []
     raise OutsideTheory(
-        Problem(
-            message="no equilibrium has the wanted outputs: " + "; ".join(misses[:_MOST_SAID] + more),
-            subject=subject,
-            hint="choose a set-point that the plant can rest at",
-        )
+        "no equilibrium has the wanted outputs: " + "; ".join(misses[:_MOST_SAID] + more),
+        subject=subject,
+        hint="choose a set-point that the plant can rest at",
     )
 
 

@@ -33,7 +33,7 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
             message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
         hint = "another actuator or measured output may help, or the other solver"
         remedy = other_solver()
-        return Undecided(Problem(message=message, subject=subject, hint=hint, remedy=remedy))
+        return Undecided(message, subject=subject, hint=hint, remedy=remedy)
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
@@ -123,25 +123,20 @@ def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
     """Return the refusal of a bound on the gain that the smallest gain found, of this norm, is above."""
     at_rate = f" at a rate of {rate:g} 1/s" if rate else ""
     return Undecided(
-        Problem(
-            message=f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
-            f"the smallest that was found has {norm:.4g}",
-            subject=(task.role.part, ProblemPart.BOUND),
-            hint="allow a larger gain or a slower rate",
-        )
+        f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
+        f"the smallest that was found has {norm:.4g}",
+        subject=(task.role.part, ProblemPart.BOUND),
+        hint="allow a larger gain or a slower rate",
     )
 
 
 def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
     """Return the refusal to look for a largest rate, where even this one (1/s) is reached."""
     return InvalidSpec(
-        Problem(
-            message=f"{task.role.claim}: no largest rate was found: "
-            f"even {rate:.4g} 1/s can be reached, with ever larger gains",
-            subject=(task.role.part, ProblemPart.RATE),
-            hint="give a bound of the gain beside it, or the rate that is wanted",
-            remedy=Remedy(Way.GAIN_BOUND),
-        )
+        f"{task.role.claim}: no largest rate was found: even {rate:.4g} 1/s can be reached, with ever larger gains",
+        subject=(task.role.part, ProblemPart.RATE),
+        hint="give a bound of the gain beside it, or the rate that is wanted",
+        remedy=Remedy(Way.GAIN_BOUND),
     )
 
 

@@ -154,14 +154,12 @@ def check_timing(
         return
     shortest = None if smooth is None else smooth[0] * (worst / ALLOWED) ** (1 / smooth[1])
     raise InvalidSpec(
-        Problem(
-            message=f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
-            f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
-            f"up to {ALLOWED:g} is taken",
-            subject=subject,
-            hint="round its corners over a longer time",
-            remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
-        )
+        f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
+        f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
+        f"up to {ALLOWED:g} is taken",
+        subject=subject,
+        hint="round its corners over a longer time",
+        remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
     )
 
 
