@@ -99,7 +99,6 @@ def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, hori
 
 
 def _convergent(plant: PWASystem) -> bool:
-    """Whether (7) is proved."""
     if np.linalg.eigvals(plant.A).real.max() >= 0:
         return False
     try:

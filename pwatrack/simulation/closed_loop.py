@@ -360,7 +360,6 @@ def _placed(rates: Array, where: slice) -> Array:
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:
-    """Return rows[cell] z at every sample, (K, m), one cell at a time."""
     values = np.empty((len(z), rows.shape[1]))
     for i in range(len(rows)):
         here = cell == i

@@ -37,7 +37,6 @@ def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
 
 
 def _of_w(trajectory: DesiredTrajectory) -> Array:
-    """Return what w alone does in (η̂, w, 1), (N, N)."""
     p = trajectory.rate.shape[1]
     return np.asarray(block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1))))
 

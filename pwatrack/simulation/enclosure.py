@@ -311,7 +311,6 @@ class Enclosing:
 
 
 def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
-    """Return each piece as two, the first one of a length s 2ᵈ."""
     half, middle = turns.s * 2.0 ** (levels - 1), np.empty_like(zeta)
     for level in np.unique(levels).tolist():
         here = levels == level

@@ -52,7 +52,6 @@ def states_at(system: Exosystem, t: Array) -> Any:
 
 
 def _signal(starts: Array, c: Array) -> Signal:
-    """Return the signal of polynomials, (N, degree + 1), from such times on."""
     return Signal(tuple(starts.tolist()), tuple(ExponentialPolynomial.polynomial(row) for row in c))
 
 
