@@ -189,7 +189,6 @@ def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
 
 
 def _numbers(plant: AuditedPlant, content: Any, shift: Any) -> dict[str, tuple[str, Any]]:
-    """Return what is written of every run, by its name, with what it is."""
     last, loads = -plant.count, plant.loads[1][0] if plant.loads is not None else []
     L = matrix(content["L"])
     return {
@@ -261,7 +260,6 @@ def inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
 
 
 def _definition(symbol: str, value: Any) -> Iterator[str]:
-    """Yield the lines of a definition."""
     text = f"Definition {symbol} : {_TYPES.get(symbol, 'matrix')} := {literal(value)}."
     yield from wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
@@ -277,7 +275,6 @@ def literal(value: Any) -> str:
 
 
 def _scaled(value: Any, D: int) -> Any:
-    """Return numbers times D, which are whole then."""
     return type(value)(_scaled(v, D) for v in value) if isinstance(value, list | tuple) else int(value * D)
 
 

@@ -140,7 +140,6 @@ def c_compiler() -> str | None:
 
 
 def _description(model: Model, version: Version, files: Sequence[str], token: str) -> bytes:
-    """Return modelDescription.xml."""
     root = ET.Element(
         "fmiModelDescription",
         {
@@ -168,7 +167,6 @@ def _description(model: Model, version: Version, files: Sequence[str], token: st
 
 
 def _build_description(model: Model, files: Sequence[str]) -> bytes:
-    """Return sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
     options = "-std=c99 -O2 -ffp-contract=off"

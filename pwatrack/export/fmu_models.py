@@ -64,7 +64,6 @@ def controller_model(c: Source, duration: float, resources: Mapping[str, bytes])
 
 
 def _reals(variables: Sequence[ModelVariable]) -> dict[str, object]:
-    """Return what a template says of the variables that are no whole numbers."""
     reals = [variable for variable in variables if not variable.whole]
     causalities = [variable.causality for variable in reals]
     return {

@@ -171,12 +171,10 @@ def _body(
 
 
 def _loop(index: str, count: int, body: str) -> str:
-    """Return a loop, or nothing where it does not run."""
     return f"for {index} in range(0, {count}):\n{indent(body, '    ')}" if count else ""
 
 
 def _at(first: int, index: str) -> str:
-    """Return an index that begins with a number."""
     return f"{first} + {index}" if first else index
 
 

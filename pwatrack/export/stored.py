@@ -213,7 +213,6 @@ def _follows(inside: Inside, turn: Array) -> Follows:
 
 
 def _check_runs(known: ControllerFile) -> None:
-    """Refuse a file whose program has tables that do not fit each other."""
     inside, _ = (runs(known, given=given) for given in (False, True))
     follows, of = inside.follows, inside.sizes
     assert follows is not None
@@ -347,7 +346,6 @@ def check_same(
 
 
 def _different(one: Any, other: Any, place: str) -> Iterator[str]:
-    """Yield where two trees differ."""
     if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
         for key in one:
             yield from _different(one[key], other[key], f"{place}.{key}")
