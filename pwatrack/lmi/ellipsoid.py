@@ -260,7 +260,6 @@ def enclosure(
 
 
 def _short(value: float) -> float:
-    """Return a number of three digits."""
     return float(f"{value:.2e}")
 
 

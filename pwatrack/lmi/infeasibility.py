@@ -76,7 +76,6 @@ def refute_by_modes(
 
 
 def _shifted(A: Array, B: Array, rate: float, exact: Exact | None) -> tuple[list[Rational], Rational]:
-    """Return A_i + rate I and B in exact numbers."""
     numbers, exact_B = exact or ([decimals(A_i) for A_i in A], decimals(B))
     return [A_i + scalar(rate) * identity(A.shape[1]) for A_i in numbers], exact_B
 

@@ -194,7 +194,6 @@ class LinearMap:
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array]:
-        """Return memory for H and its factor, used by one step after the other."""
         return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
 
     def parts(self, v: Array) -> tuple[Array, Array, float]:
@@ -331,7 +330,6 @@ class FormEquations:
 
 
 def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:
-    """Append the factors of H that a constraint has."""
     if side.L is not None:
         WL = W @ side.L
         RW = _front(side.R, W)
@@ -351,7 +349,6 @@ def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:
 
 
 def _once(X: Array) -> Array:
-    """Return a stack, or its first matrix if all are the same."""
     return np.ascontiguousarray(X[:1] if len(X) > 1 and (X[1:] == X[0]).all() else X)
 
 

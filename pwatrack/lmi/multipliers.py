@@ -248,7 +248,6 @@ def _candidates(A: Sequence[Rational], R: Rational, N: Sequence[Rational]) -> li
 
 
 def _factor(y: Rational, x: Rational) -> Any:
-    """Return c with y = c x, or None."""
     if not any(y.entries()):
         return flint.fmpq(0)
     at = next((k for k, v in enumerate(x.entries()) if v != 0), None)
@@ -333,15 +332,12 @@ def _pivots(G: Array) -> tuple[list[int], list[int]]:
 
 
 def _denominator(matrices: Iterable[Rational]) -> int:
-    """Return the smallest number that makes all entries of some matrices whole."""
     return lcm(*(int(v.q) for X in matrices for v in X.entries()))
 
 
 def _total(terms: Sequence[Rational]) -> Rational:
-    """Return the sum of at least one matrix."""
     return sum(terms[1:], terms[0])
 
 
 def _column(entries: Sequence[Any]) -> Rational:
-    """Return entries as a column."""
     return flint.fmpq_mat(len(entries), 1, list(entries))

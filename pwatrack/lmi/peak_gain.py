@@ -133,7 +133,6 @@ def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Seq
 
 
 def _complex(X: BallMatrix) -> Any:
-    """Return a matrix as FLINT's complex balls."""
     rows, columns = X.shape
     entries = [flint.arb(X.centre[j, k]) for j in range(rows) for k in range(columns)]
     if X.radius is not None:
@@ -222,7 +221,6 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
 def _enclosed(
     M: Rational, g: Rational, c: Rational, P: Rational, Q: Rational, a: Fraction, unit: int, steps: list[int]
 ) -> Fraction:
-    """Return an upper bound of the integral, by balls."""
     with working_bits(_PRECISION):
         flows = [(flint.arb_mat(M) * flint.arb(2) ** unit).exp()]
         while len(flows) <= max(steps, default=0):

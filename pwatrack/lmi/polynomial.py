@@ -327,7 +327,6 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
 
 
 def _numbers(found: PolynomialLyapunov, A: Sequence[Array]) -> Array | None:
-    """Return the N_i of these matrices, (l, N, N); None where one has none."""
     at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
     places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]
     return None if -1 in places else np.asarray(found.N[places])

@@ -216,7 +216,6 @@ def _value(linear: LinearMap, at: _Iterate) -> float:
 
 
 def _start(linear: LinearMap) -> _Iterate:
-    """Return multiples of I that are large beside the data."""
     s, z = np.zeros(linear.blocks.size), np.zeros(linear.blocks.size)
     stacks = (linear.blocks.stacks(x) for x in (linear.constant, s, z))
     for constant, S, Z in zip(*stacks, strict=True):
@@ -253,7 +252,6 @@ def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
-    """Return the scalings; None if a slack or multiplier is not positive definite."""
     with suppress(np.linalg.LinAlgError):
         return [Scaling.of(S, Z) for S, Z in zip(linear.blocks.stacks(at.s), linear.blocks.stacks(at.z), strict=True)]
     return None
@@ -359,5 +357,4 @@ class _Step:
 
 
 def _diagonal(d: Array) -> Array:
-    """Return diagonal matrices, (l, N, N), of their diagonals."""
     return np.asarray(d[:, :, None] * np.eye(d.shape[1]))

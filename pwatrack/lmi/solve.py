@@ -79,7 +79,6 @@ def semidefinite(cost: Array, rows: Array, sides: Array, order: int) -> Array | 
 
 
 def _by(solver: Solver, found: Found | None) -> Found | None:
-    """Return an answer, counted."""
     counted = _answered.get()
     if counted is not None:
         counted[solver if found is not None else "nobody"] += 1

@@ -211,7 +211,6 @@ def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Ar
 
 
 def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
-    """Return the proof that there is a root near a guess, or None."""
     cells, w, mu, v, at = guess
     A, last, inverse_T = [exact_A[i] for i in cells], len(cells) - 1, decimals(at.inverse)
     N = left_null_space(inverse_T * exact_B)
