@@ -50,7 +50,6 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 
 
 def _limited(loop: ClosedLoop, response: Response) -> bool:
-    """Say whether an input was at a limit."""
     visited = response.trace.visited()
     return any(
         isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited)

@@ -231,7 +231,6 @@ class _Inequality:
         return self._of(self._spec.problem.plant)
 
     def _enters(self, name: str, now: float) -> bool:
-        """Say whether a parameter changes the inequality."""
         for value in (now * 1.01, now * 0.99) if now else (1e-3, -1e-3):
             M = self._matrices(name, value)
             if M is not None and self._now is not None:
@@ -245,7 +244,6 @@ def _middle(one: float, other: float) -> float:
 
 
 def _short(value: float) -> float:
-    """Return a number of few digits."""
     return float(np.format_float_scientific(value, precision=_DIGITS - 1))
 
 

@@ -63,5 +63,4 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
 
 
 def _middle(one: float, other: float) -> float:
-    """Return a number of four digits."""
     return float(f"{(one + other) / 2:.4g}")

@@ -188,7 +188,6 @@ class RunMonitor:
         return ""
 
     def _disturbed(self, trace: Trace) -> None:
-        """Take what disturbs into account."""
         conditions, at, z = self._loop.conditions, self._loop.at, trace.z
         signals: list[tuple[Literal["disturbance", "noise"], Array]] = []
         if conditions.disturbance is not None:

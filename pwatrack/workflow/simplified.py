@@ -126,7 +126,6 @@ def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = F
 
 
 def _solve(spec: Spec) -> None:
-    """Solve (17), (8) and (9), or raise."""
     _, generator = desired_trajectory(spec, False)
     plant = spec.problem.plant if generator is None else generator.form.plant
     if plant.repair is not None and spec.problem.plant.repair is None:

@@ -120,7 +120,6 @@ def ensemble(
 def _simulated(
     spec: Spec, variation: Variation, which: range, workers: int | None, progress: Callable[[int], object] | None = None
 ) -> Ensemble:
-    """Return some members of an ensemble."""
     return simulate_ensemble(
         variation.member,
         len(which),
