@@ -297,5 +297,4 @@ def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner
 
 
 def _column(X: BallMatrix, k: int) -> BallMatrix:
-    """Return column k, (n, 1)."""
     return X.part(range(X.shape[0]), [k])

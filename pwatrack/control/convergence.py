@@ -275,7 +275,6 @@ def _undecided(
 def _conflict_text(
     claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], tried: tuple[int, ...], most: int | None
 ) -> str:
-    """Return why a claim is infeasible: cells that are unstable by themselves, or whose conflict is proved."""
     names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
     if names:
         reason = f"{names} not stable"

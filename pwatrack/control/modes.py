@@ -101,7 +101,6 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
 
 
 def _too_many(plant: PWASystem, members: list[int]) -> str:
-    """Say that there are more loads of one frequency than outputs, where it is so."""
     q = len(plant.outputs)
     if len(members) <= q:
         return ""
