@@ -35,16 +35,11 @@ class SignalBounds(Claim):
     """Bounds of each signal, for each disturbance, noise and entry of the start by itself.
 
     They are proved once, for whoever asks first; a controller that is changed in another part has them too.
-
-    Attributes:
-        loops: What they are about.
-        solver: Who is asked for them.
-        known: What was proved of them before.
     """
 
-    loops: Loops
-    solver: Solver = "structured"
-    known: _Pair | None = field(default=None, repr=False)
+    loops: Loops  # what they are about
+    solver: Solver = "structured"  # who is asked for them
+    known: _Pair | None = field(default=None, repr=False)  # what was proved of them before
 
     statement: ClassVar[str] = (
         "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can "

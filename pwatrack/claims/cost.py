@@ -15,7 +15,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
@@ -31,15 +31,10 @@ _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until 
 
 @dataclass(frozen=True, kw_only=True)
 class Costs(Claim):
-    """Bounds of the costs that were asked for.
+    """Bounds of the costs that were asked for."""
 
-    Attributes:
-        goals: What was asked, by the role of the gain.
-        X: The proved bounds, (n, n) each: see `cost_bound`.
-    """
-
-    goals: Mapping[Role, LeastCost]
-    X: Mapping[Role, Array]
+    goals: Mapping[Role, LeastCost]  # what was asked, by the role of the gain
+    X: Mapping[Role, Array]  # the proved bounds, (n, n) each: see `cost_bound`
 
     statement: ClassVar[str] = "X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0."
 
@@ -140,11 +135,9 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
             if np.isfinite(trial).all() and _proved(exact, K, Q, R, trial):
                 return readonly(trial)
     raise Undecided(
-        Problem(
-            message=f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
-            subject=(task.role.part, ProblemPart.COST),
-            hint="weights that differ less in size may help",
-        )
+        f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
+        subject=(task.role.part, ProblemPart.COST),
+        hint="weights that differ less in size may help",
     )
 
 

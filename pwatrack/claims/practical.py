@@ -52,23 +52,16 @@ _TRIES = 6  # values of a for each ellipsoid
 
 @dataclass(frozen=True, kw_only=True)
 class Practical(Claim):
-    """What is proved of the loop with the true plant, where the design is that of one with merged cells.
+    """What is proved of the loop with the true plant, where the design is that of one with merged cells."""
 
-    Attributes:
-        plant: The true plant, f.
-        merges: What is merged in it; f̃ is the plant of the controller.
-        replaced: Why the error cannot be proved to go to 0.
-        evidence: The proof of that, where there is one.
-        bounds: What 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of
-            each input, of states, of the observer's errors.
-        beyond: Of what is tracked: those that are not proved to end below the size of their reference, with that.
-    """
-
-    plant: PWASystem
-    merges: tuple[Simplification, ...]
-    replaced: tuple[Problem, ...]
-    evidence: Any
+    plant: PWASystem  # the true plant, f
+    merges: tuple[Simplification, ...]  # what is merged in it; f̃ is the plant of the controller
+    replaced: tuple[Problem, ...]  # why the error cannot be proved to go to 0
+    evidence: Any  # the proof of that, where there is one
+    # what 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of each
+    # input, of states, of the observer's errors
     bounds: tuple[Bounds, ...]
+    # of what is tracked: those that are not proved to end below the size of their reference, with that
     beyond: Mapping[Form, float] = field(default_factory=dict)
 
     statement: ClassVar[str] = (

@@ -33,7 +33,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, See
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
-from pwatrack.errors import OutsideTheory, Problem, Undecided
+from pwatrack.errors import OutsideTheory, Undecided
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
@@ -44,21 +44,14 @@ _CLAIM = "the proof for the uncertain parameters"
 
 @dataclass(frozen=True, kw_only=True)
 class Robust(Claim):
-    """The proof for a box.
+    """The proof for a box."""
 
-    Attributes:
-        box: The parameters that are uncertain.
-        plant: The plant of the design.
-        corners: The matrices at the corners.
-        count: How many inequalities of order 2 n each ellipsoid satisfies.
-        bounds: What 1 of an entry of w can make of each output or state that is tracked, and of each input, for every
-            plant of the box; one for each entry that is not 0.
-    """
-
-    box: Box
-    plant: PWASystem
-    corners: tuple[Matrices, ...]
-    count: int
+    box: Box  # the parameters that are uncertain
+    plant: PWASystem  # the plant of the design
+    corners: tuple[Matrices, ...]  # the matrices at the corners
+    count: int  # how many inequalities of order 2 n each ellipsoid satisfies
+    # what 1 of an entry of w can make of each output or state that is tracked, and of each input, for every plant of
+    # the box; one for each entry that is not 0
     bounds: tuple[Bounds, ...]
 
     statement: ClassVar[str] = (
@@ -160,18 +153,13 @@ class Robust(Claim):
 
 @dataclass(frozen=True, kw_only=True)
 class Differences:
-    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B.
+    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B."""
 
-    Attributes:
-        A, b: In each cell, (R, l, n) and (R, l).
-        B: (R, m).
-        of: In which state equation each is, (R,).
-    """
-
+    # in each cell, (R, l, n) and (R, l)
     A: Array
     b: Array
-    B: Array
-    of: IntArray
+    B: Array  # (R, m)
+    of: IntArray  # in which state equation each is, (R,)
 
 
 def prove_box(
@@ -197,9 +185,7 @@ def prove_box(
     """
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"
-        raise OutsideTheory(
-            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
-        )
+        raise OutsideTheory(message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
     K, L = design.exact
     M = joint_matrices(plant.exact, corners, K, L)
     order = M[0].shape[0]
@@ -208,9 +194,7 @@ def prove_box(
         message = (
             f"{_CLAIM} is undecided: {len(M)} inequalities of order {order}, at most {most} of that order are tried"
         )
-        raise Undecided(
-            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="let parameters that matter least be known")
-        )
+        raise Undecided(message, subject=(ProblemPart.UNCERTAIN,), hint="let parameters that matter least be known")
     matrices = np.array([X.floats for X in M])
     worst = float(np.linalg.eigvals(matrices).real.max())
     found = best_certificate(matrices) if worst < 0 else None
@@ -269,6 +253,4 @@ def _undecided(count: int, order: int, worst: float) -> Undecided:
     if worst >= 0:
         message += f"; at a corner an eigenvalue of the loop has real part {number_text(worst, '.3g')}"
     hint = "give smaller intervals, or ask for gains with a faster decay"
-    return Undecided(
-        Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX))
-    )
+    return Undecided(message, subject=(ProblemPart.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX))

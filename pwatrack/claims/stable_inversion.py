@@ -25,17 +25,12 @@ class StableInversion(Claim):
 
     With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps by J so
     does e, by −T⁻¹ [0; J], or by a mean of these where x_d changes its cell.
-
-    Attributes:
-        preview: What is known of η.
-        form: The plant in the form (11).
-        error: What is left of ‖y − y_d‖.
-        bounds: Whose ellipsoids say what is left of each signal: those of a box, or of the plant of the design.
     """
 
-    preview: NoncausalTrajectory
-    form: NormalForm
-    error: float
+    preview: NoncausalTrajectory  # what is known of η
+    form: NormalForm  # the plant in the form (11)
+    error: float  # what is left of ‖y − y_d‖
+    # whose ellipsoids say what is left of each signal: those of a box, or of the plant of the design
     bounds: SignalBounds | Robust
 
     beside: ClassVar[str] = "what is played back"
