@@ -27,6 +27,7 @@ _SINGLE = float(np.finfo(np.float32).max)
 _LOOKED = "not proved for switching between cells"
 _CLOSE = 1e-9  # of the largest entry of a table: what two matrix exponentials may differ by
 _SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
+_FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _CHOSEN = ("sample_time", "method", "delay", "substeps", "low", "high", "change", "quantum")
 
 
@@ -82,8 +83,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
     follows = inside.follows
     assert follows is not None
     made = {
-        "turn": follows.turn.tolist(),
-        "w0": follows.w0.tolist(),
+        **_lists(follows, "turn", "w0"),
         "pieces": [{"tick": piece.tick, "start": piece.start, "w": piece.w.tolist()} for piece in follows.pieces],
         "end": follows.end,
         "early": follows.early.tolist(),
@@ -94,15 +94,13 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "proved": next((claim.sentence for claim in controller.claims_of(SampledLoop)), _LOOKED),
         "delay": inside.sampling.delay,
         "substeps": inside.substeps,
-        "K": inside.K.tolist(),
-        "M": inside.M.tolist(),
-        "observer": inside.observer.tolist(),
+        **_lists(inside, "K", "M", "observer"),
         "low": _finite(inside.limits[:, 0]),
         "high": _finite(inside.limits[:, 1]),
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
-        "inside": _followed(inside) | made,
-        "outside": _followed(outside) | {"reference": list(outside.reference)},
+        "inside": _lists(inside, *_FOLLOWED) | made,
+        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)},
     }
 
 
@@ -248,8 +246,7 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
             "E": plant.loads.E.floats.tolist(),
             "S": plant.loads.S.floats.tolist(),
             "x_d": added.X.floats.tolist(),
-            "u_ff": added.u_ff.tolist(),
-            "rate": added.rate.tolist(),
+            **_lists(added, "u_ff", "rate"),
         }
     return {
         "states": list(plant.states),
@@ -258,13 +255,9 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "tracked": list(plant.tracked_names),
         "units": {name: str(unit) for name, unit in spec.problem.units.items()},
         "cells": list(model.cell_names),
-        "H": model.partition.H.tolist(),
-        "h": model.partition.h.tolist(),
-        "signs": model.partition.signs.tolist(),
-        "A": model.A.tolist(),
-        "b": model.b.tolist(),
-        "B": plant.B.tolist(),
-        "C": plant.C.tolist(),
+        **_lists(model.partition, "H", "h", "signs"),
+        **_lists(model, "A", "b"),
+        **_lists(plant, "B", "C"),
         "tracked_rows": plant.tracked.tolist(),
         "loads": loads,
     }
@@ -274,15 +267,9 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     system = trajectory.exosystem
     return {
         "eta": list(trajectory.names),
-        "rate": trajectory.rate.tolist(),
-        "x_d": trajectory.x_d.tolist(),
-        "u_ff": trajectory.u_ff.tolist(),
-        "guards": trajectory.guards.tolist(),
-        "signs": trajectory.signs.tolist(),
+        **_lists(trajectory, "rate", "x_d", "u_ff", "guards", "signs"),
         "reference": {
-            "S": system.S.tolist(),
-            "Q": system.Q.tolist(),
-            "w0": system.w0.tolist(),
+            **_lists(system, "S", "Q", "w0"),
             "pieces": [{"t": float(r.t), "start": r.where.start, "w": r.w.tolist()} for r in system.resets],
             "period": system.period,
             "end": system.end,
@@ -290,9 +277,8 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     }
 
 
-def _followed(found: SampledController) -> dict[str, Any]:
-    names = ("generator", "x_d", "u_ff", "guards", "sides")
-    return {name: getattr(found, name).tolist() for name in names}
+def _lists(of: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(of, name).tolist() for name in names}
 
 
 def _finite(values: Array) -> list[float | None]:
