@@ -20,12 +20,6 @@ def semidefinite(cost: Array, rows: Array, sides: Array, order: int, solver: Sol
         sides: h_k (k, N (N + 1) / 2), likewise.
         order: N.
         solver: "clarabel" or "cvxopt".
-
-    Example: the least t with t I ⪰ diag(1, 2).
-
-        >>> triangle = np.array([[[-1.0], [0.0], [-1.0]]]), np.array([[-1.0, 0.0, -2.0]])
-        >>> [semidefinite(np.ones(1), *triangle, 2, solver).round(6).tolist() for solver in ("clarabel", "cvxopt")]
-        [[2.0], [2.0]]
     """
     try:
         if solver == "cvxopt":
@@ -65,12 +59,6 @@ def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1
 
     Raises:
         ArithmeticError: If a number is not finite, or the library fails.
-
-    Example: the least x with x ≥ 2.
-
-        >>> at_least = sparse.csc_matrix([[-1.0]]), np.array([-2.0]), [clarabel.NonnegativeConeT(1)]
-        >>> round(minimise(np.ones(1), *at_least).x[0], 6)
-        2.0
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False

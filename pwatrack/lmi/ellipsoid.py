@@ -82,13 +82,7 @@ class Inner:
         return cls(Q=Q, most=2 * _KEPT * rate)
 
     def near(self, M: Array) -> tuple[Array, Array] | None:
-        """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular.
-
-        Example:
-            >>> V, seen = Inner(Q=np.diag([4.0, 1.0]), most=1.0).near(np.array([[[0.0, 1.0], [-1.0, 0.0]]]))
-            >>> V.tolist(), seen.tolist()
-            ([[2.0, 0.0], [0.0, 1.0]], [[[0.0, 0.5], [-2.0, 0.0]]])
-        """
+        """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular."""
         try:
             V = np.linalg.cholesky(self.Q)
         except np.linalg.LinAlgError:

@@ -81,13 +81,7 @@ def _shifted(A: Array, B: Array, rate: float, exact: Exact | None) -> tuple[list
 
 
 def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
-    """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one.
-
-    Example:
-        >>> unstable = np.array([[[0.1]]])
-        >>> seems_impossible(unstable, np.zeros((1, 0))), seems_impossible(-unstable, np.zeros((1, 0)))
-        (True, False)
-    """
+    """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one."""
     at = Coordinates.balanced(A, B)
     seen = null_space(at.input(B).T)
     if not seen.shape[1]:

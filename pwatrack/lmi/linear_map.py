@@ -105,13 +105,7 @@ class Corner:
 
 
 class Triangle:
-    """A symmetric matrix X = T + Tᵀ as the vector of a lower triangle T: half of the diagonal, and what is below it.
-
-    Example:
-        >>> two = Triangle(2)
-        >>> two.matrix(np.array([1.0, 2.0, 3.0])).tolist(), two.row(np.array([[1.0, 2.0], [2.0, 3.0]])).tolist()
-        ([[2.0, 2.0], [2.0, 6.0]], [2.0, 4.0, 6.0])
-    """
+    """A symmetric matrix X = T + Tᵀ as the vector of a lower triangle T: half of the diagonal, and what is below it."""
 
     def __init__(self, n: int) -> None:
         self.n, self.size = n, n * (n + 1) // 2
@@ -385,11 +379,6 @@ class Normal:
 
     Raises:
         numpy.linalg.LinAlgError: If H is far from that, or not finite.
-
-    Example: what no equation speaks of is 0.
-
-        >>> Normal(np.diag([4.0, 0.0])).solve(np.array([8.0, 0.0])).round(9).tolist()
-        [2.0, 0.0]
     """
 
     def __init__(self, H: Array, room: Array | None = None) -> None:

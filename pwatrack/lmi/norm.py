@@ -59,12 +59,7 @@ class Norm:
         return cls(P if proof.role.transposed else P.inv())
 
     def __call__(self, vector: Array) -> float:
-        """Return ‖vector‖, rounded up.
-
-        Example:
-            >>> 5.0 <= Norm.euclidean(2)(np.array([3.0, 4.0])) < 5.0 + 1e-14
-            True
-        """
+        """Return ‖vector‖, rounded up."""
         column = doubles(np.asarray(vector)[:, None])
         return root_above((column.transpose() * self.Q * column)[0, 0])
 

@@ -143,12 +143,7 @@ class Monomials:
 
 
 def upper(X: Array) -> Array:
-    """Return the upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2.
-
-    Example:
-        >>> upper(np.array([[[1.0, 0.0], [0.0, 4.0]]])).tolist()
-        [[1.0, 0.0, 4.0]]
-    """
+    """Return upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2."""
     column, row = np.tril_indices(X.shape[-1])
     return np.asarray(X[..., row, column] * np.where(row == column, 1.0, np.sqrt(2.0)))
 
