@@ -78,10 +78,5 @@ DEFAULT = AtLeast()
 
 
 def demands(goal: Goal) -> tuple[float, float]:
-    """Return the rate in 1/s that a goal wants at least, and the norm that its gain may have at most.
-
-    Example:
-        >>> demands(AtLeast(rate=2)), demands(Fastest(bound=5))
-        ((2.0, inf), (0.0, 5.0))
-    """
+    """Return the rate in 1/s that a goal wants at least, and the norm that its gain may have at most."""
     return float(getattr(goal, "rate", 0.0)), float(getattr(goal, "bound", np.inf))

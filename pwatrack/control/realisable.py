@@ -79,12 +79,7 @@ def needed_inputs(plant: PWASystem, Q: Array, Q_rate: Array) -> Array:
 
 
 def pseudo_inverse(B: Array) -> Array:
-    """Return B⁺ (m, n) in units where rows and columns of B have size 1; 0 where an input does nothing.
-
-    Example:
-        >>> pseudo_inverse(np.array([[0.0, 0.0], [2e-9, 0.0]])).round(6).tolist()
-        [[0.0, 500000000.0], [0.0, 0.0]]
-    """
+    """Return B⁺ (m, n) in units where rows and columns of B have size 1; 0 where an input does nothing."""
     rows, columns = _scales(B, 3)
     return np.asarray(columns[:, None] * np.linalg.pinv(rows[:, None] * B * columns) * rows)
 

@@ -249,29 +249,14 @@ def _short(value: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
 def _common_P(role: Role, M: Sequence[BallMatrix]) -> Proof | None:
-    """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found.
-
-    Example:
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> M = BallMatrix.of([[-1.0, 1.0], [0.0, -2.0]])
-        >>> _common_P(GENERATOR, [M]).rate > 0, _common_P(GENERATOR, [M, M - M])
-        (True, None)
-    """
+    """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found."""
     exact = different(M)
     found = first_certificate(stack(exact))
     return None if found is None else prove_exactly(role, exact, found.P, found.rate)
 
 
 def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> PolynomialProof | None:
-    """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found.
-
-    Example: the zero dynamics of the example with k2 = 1.
-
-        >>> from pwatrack.lmi.role import CONTROLLER
-        >>> M = [BallMatrix.of([["0", "1"], [k, "-0.3"]]) for k in ("-1", "-2")]
-        >>> _polynomial(CONTROLLER, M, most_rows=250).degree
-        10
-    """
+    """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found."""
     exact = different(M)
     A = distinct(role.oriented(stack(exact)))[0]
     tried = degrees(A.shape[1], len(A), most_rows)
@@ -283,16 +268,7 @@ def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> Polyn
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _some_gain(task: Task, rate: float) -> Array | None:
-    """Return a gain K, or Lᵀ, that is proved exactly to reach a rate (1/s), of whatever size; None where none is found.
-
-    Example: a double integrator has no largest rate, and one that is not controllable has.
-
-        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> _some_gain(Task(A=A, B=B, cells=["all"]), 3.0).shape
-        (1, 2)
-        >>> _some_gain(Task(A=-np.eye(2)[None], B=B, cells=["all"]), 3.0) is None
-        True
-    """
+    """Return a gain K, or Lᵀ, that is proved to reach a rate (1/s), of whatever size; None where none is found."""
     candidates = Candidates(task)
     if seems_impossible(candidates.A, task.B, rate=rate):
         return None
