@@ -155,30 +155,23 @@ class Response:
     """The signals of a closed loop at K sample times."""
 
     trace: Trace  # the trace they are read from
-    # states of plant and observer, and desired states, (K, n)
-    x: Array
-    x_hat: Array
-    x_d: Array
-    # what the generator's state is for, and that state, (K, p)
-    eta: Array
-    eta_hat: Array
-    # measured outputs without their noise, and what they are at x_d, (K, q)
-    y: Array
-    y_d: Array
+    x: Array  # state of the plant, (K, n)
+    x_hat: Array  # of the observer
+    x_d: Array  # desired
+    eta: Array  # what the generator's state is for, (K, p)
+    eta_hat: Array  # that state
+    y: Array  # measured outputs without their noise, (K, q)
+    y_d: Array  # what they are at x_d
     measured: Array  # they as the controller has them: with noise, and of a program in steps and held, (K, q)
-    # what follows a reference, and its desired value, (K, p)
-    tracked: Array
-    tracked_d: Array
-    # inputs and their feedforward parts, (K, m)
-    u: Array
-    u_ff: Array
-    # of each load that is estimated, and what it is, (K, loads)
-    estimates: Array
-    loads: Array
+    tracked: Array  # what follows a reference, (K, p)
+    tracked_d: Array  # its desired value
+    u: Array  # inputs, (K, m)
+    u_ff: Array  # their feedforward parts
+    estimates: Array  # of each load that is estimated, (K, loads)
+    loads: Array  # what it is
     tracking_error: Array  # what goes to 0: y − y_d for output tracking, x − x_d for state tracking
-    # what states, and entries of the tracking error, are counted in together, (n,), (q,)
-    state_sizes: Array
-    error_sizes: Array
+    state_sizes: Array  # what states are counted in together, (n,)
+    error_sizes: Array  # what entries of the tracking error are
 
     @property
     def t(self) -> Array:

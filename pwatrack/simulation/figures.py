@@ -31,9 +31,7 @@ class Figures:
 
     final_error: float  # largest norm of the tracking error in the last tenth of the time
     largest_error: float  # largest norm of the tracking error
-    # the same of each entry by itself, by name and in its unit: y − y_d of what follows a reference, and x − x_d where
-    # the states do
-    final_errors: Mapping[str, float]
+    final_errors: Mapping[str, float]  # the same by name and unit: y − y_d of what follows a reference, else x − x_d
     largest_errors: Mapping[str, float]
     final_observer_error: float  # ‖x − x̂‖ at the end
     largest_input: Mapping[str, float]  # largest size of each input, by name
@@ -47,8 +45,7 @@ class Figures:
     # the reference comes to rest, and h is not 0.
     rise_time: Mapping[str, float]
     overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
-    # which sizes are at the samples only, by the names above: to enclose them took too long
-    sampled: tuple[str, ...] = ()
+    sampled: tuple[str, ...] = ()  # which sizes are at the samples only, by these names: to enclose them took too long
 
     @staticmethod
     def of(

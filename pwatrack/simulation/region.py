@@ -11,8 +11,7 @@ from pwatrack.arrays import Array
 class BoxRegion:
     """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is."""
 
-    # in the units of the states, (n,)
-    low: Array
+    low: Array  # in the units of the states, (n,)
     high: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
@@ -26,8 +25,7 @@ class BoxRegion:
 class EllipsoidRegion:
     """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre."""
 
-    # in the units of the states, (n,)
-    center: Array
+    center: Array  # in the units of the states, (n,)
     radii: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:

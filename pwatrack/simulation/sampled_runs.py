@@ -55,11 +55,7 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
 def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:
     """Return a sample time (s) at which all runs are seen to die out, and how many; None if none is found.
 
-    They do at a time that is a quarter longer, too.
-
-    Args:
-        maps: Of the loop.
-        longest: Up to which it is stable in each cell by itself, in s.
+    They do at a time that is a quarter longer, too. Up to `longest` (s) it is stable in each cell by itself.
     """
     before, time = False, longest
     for _ in range(_TRIES):

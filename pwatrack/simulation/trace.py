@@ -62,8 +62,7 @@ class Trace:
     z: Array  # states, (K, N)
     modes: IntArray  # cell of each part at each sample, (K, P)
     events: tuple[Event, ...]  # all mode changes, in order of time
-    # where rounding leaves open whether or when there was one, in the order in which it was noticed
-    unresolved: tuple[Unresolved, ...] = ()
+    unresolved: tuple[Unresolved, ...] = ()  # where rounding leaves open whether or when there was one, as noticed
     breaks: Breaks | None = None  # what happens between the samples; None where it is not kept
 
     @staticmethod

@@ -10,7 +10,7 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.desired import feedforward_peak, w_alone
-from pwatrack.simulation.startup import steady_start
+from pwatrack.simulation.steady_state import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.starting import generator_start, plant_start, starts_of
 

@@ -51,8 +51,7 @@ class HowFar:
     """What was found."""
 
     claim: str  # the inequality
-    # the values at which it is proved, the relatively nearest first; then those for polynomials
-    parameters: tuple[Proved, ...]
+    parameters: tuple[Proved, ...]  # where it is proved, the relatively nearest first; then those for polynomials
     rate: float | None  # the largest rate in 1/s that is proved, where one was refused; None where none was found
     asked: float  # the rate that was refused; 0 if none was
     ended: bool = False  # whether the number of proofs that may be tried ended the search for some parameter
@@ -180,7 +179,11 @@ class _Inequality:
     def _bisected(self, proved: Callable[[float], bool], without: float, value: float) -> float:
         """Return the value nearest to one without a proof that has one, by bisection."""
         return bisected(
-            (value, None), without, lambda v: (v, None) if proved(v) else None, near=_CLOSE, middle=_middle
+            (value, None),
+            without,
+            lambda v: (v, None) if proved(v) else None,
+            near=_CLOSE,
+            middle=lambda one, other: _short((one + other) / 2),
         )[0]
 
     def _proved(self, name: str, value: float) -> bool:
@@ -237,10 +240,6 @@ class _Inequality:
                 pairs = zip(M, self._now, strict=False)
                 return len(M) != len(self._now) or not all(bool(X.centre == Y.centre) for X, Y in pairs)
         return False
-
-
-def _middle(one: float, other: float) -> float:
-    return _short((one + other) / 2)
 
 
 def _short(value: float) -> float:

@@ -29,9 +29,7 @@ class LargestBox:
 def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
 
-    Args:
-        spec: With uncertain parameters.
-        controller: A design for it, whether it is proved for the box or not.
+    The controller is a design for the spec, whether it is proved for its box or not.
 
     Raises:
         Undecided: If none was proved.
@@ -54,13 +52,16 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     low, beyond = 0.0, None
     for tried, factor in enumerate(_DOUBLED, 1):
         if at(factor) is None:
-            low, _, beyond = bisected((low, None), factor, at, near=_NEAR, most=_TRIALS - tried, middle=_middle)
+            low, _, beyond = bisected(
+                (low, None),
+                factor,
+                at,
+                near=_NEAR,
+                most=_TRIALS - tried,
+                middle=lambda one, other: float(f"{(one + other) / 2:.4g}"),
+            )
             break
         low = factor
     if not low:
         raise refusals[-1]
     return LargestBox(factor=low, beyond=beyond, box=box(low))
-
-
-def _middle(one: float, other: float) -> float:
-    return float(f"{(one + other) / 2:.4g}")

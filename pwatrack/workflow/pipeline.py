@@ -23,8 +23,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
-from pwatrack.simulation.startup import measured_start
-from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady

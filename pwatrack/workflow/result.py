@@ -28,14 +28,11 @@ class SimulatedLoop:
     spec: Spec  # what was asked
     controller: ProvedController  # gains, desired trajectory and their proofs
     loop: ClosedLoop  # the closed loop
-    # its signals; of a run with more than a few hundred thousand samples only every so many-th, and in events only what
-    # these show
-    response: Response
+    response: Response  # its signals; of a very long run only every so many-th, and in events only what these show
     figures: Figures  # what was measured over all samples
     outcome: Outcome  # how the run ended, said by all samples
     start: Array  # z(0)
-    # one period of the generator's steady state (η̂, w, 1) with its Floquet multipliers, or None if it has none
-    steady_state: SteadyState | None
+    steady_state: SteadyState | None  # one period of the generator's (η̂, w, 1), or None if it has none
     spool: TraceOnDisk | None  # all samples and events of a run of which `response` has not all
     # of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
     # enclosed: see `workflow.bands`, (10, n). None where that took too long.

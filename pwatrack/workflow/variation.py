@@ -17,7 +17,7 @@ from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ense
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.startup import measured_start
+from pwatrack.simulation.steady_state import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.workflow.outcome import Outcome, RunMonitor
@@ -86,14 +86,11 @@ def ensemble(
 ) -> EnsembleResult:
     """Run a simulated closed loop again in many variations: what `pwatrack.api.ensemble` does, which says the rest.
 
-    Args:
-        result, count, seed, workers, progress: As there.
-        over: What differs. "initial": the initial states, drawn uniformly from the regions of the spec; where it
-            says none, each state of the plant starts within the largest size it has in `result` of its nominal start.
-            "parameters": those of the plant, drawn uniformly from the intervals of the spec; where it says none, from
-            5 % around each value that matters to the plant. "noise": the seed of the noise.
-        executor: Who does the work instead of threads here, `workers` parts at a time. The result does not depend on
-            it either.
+    What differs is for "initial" the initial states, drawn uniformly from the regions of the spec; where it says none,
+    each state of the plant starts within the largest size it has in `result` of its nominal start. For "parameters" it
+    is those of the plant, drawn uniformly from the intervals of the spec; where it says none, from 5 % around each
+    value that matters to the plant. For "noise" it is the seed. An executor does the work instead of threads here,
+    `workers` parts at a time; the result does not depend on it either.
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
