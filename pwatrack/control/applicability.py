@@ -36,8 +36,7 @@ class Applicability:
     asked: bool = False  # whether practical tracking is asked for, after any refusal of the theory
     uncertain: bool = False  # whether only intervals of some parameters are known
     known: bool = True  # whether the reference is known beforehand
-    # the same of the plant with all cells merged that can be; None where none can
-    merged: "Applicability | None" = None
+    merged: "Applicability | None" = None  # of the plant with all cells merged that can be; None where none can
 
     @cached_property
     def zero_dynamics(self) -> NDArray[np.complex128] | None:
@@ -101,8 +100,7 @@ class Route:
     """A way to a controller."""
 
     name: str  # in a few words
-    # for which kinds of tracking `design` goes it; nothing where it is only of interest
-    takes: frozenset[Tracking] = frozenset()
+    takes: frozenset[Tracking] = frozenset()  # what `design` goes it for; nothing where it is only of interest
     judge: Callable[[Applicability], Answer]  # what can be said of it
 
 
@@ -118,12 +116,7 @@ def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, 
 
 
 def _sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it.
-
-    Example:
-        >>> _sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
-        [-1, 0, 1]
-    """
+    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it."""
     real = eigenvalues.real
     near = np.abs(real) <= _ROUNDING * np.abs(eigenvalues).max(initial=0.0)
     return np.where(near, 0, np.sign(real)).astype(np.int64)

@@ -40,11 +40,9 @@ class Asked:
     words: Words  # what it is called, and the goals of its gains
     room: Headroom | None  # what the feedforward leaves of the limits of inputs, where there are some
     box: Box  # parameters that are uncertain
-    # the matrices at the corners of their box, for the plant of a design
-    corners: Callable[[PWASystem], Sequence[Matrices]]
+    corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later
-    # the gains of a program that predicts and corrects, where it is to be proved with them
-    sampled: SampledGains | None = None
+    sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +51,9 @@ class Seen:
 
     t: Array  # times of samples in s, (K,)
     start: Array  # (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,)
-    # the largest size so far of what disturbs, and of noise the largest it ever gets, (K,) each
-    acting: Mapping[Channel, Array]
+    acting: Mapping[Channel, Array]  # the largest size so far of what disturbs, and of noise at any time, (K,) each
     designed: bool  # whether the loop is the one that was designed, but for disturbances, noise and limits not come to
-    # of uncertain parameters, how large each entry of w is so far, (K, n), where the plant is one of their box
-    w: Array | None = None
+    w: Array | None = None  # how large each entry of w is so far, (K, n), where the plant is one of a box
 
 
 class Claim(ABC):
@@ -66,10 +62,8 @@ class Claim(ABC):
     Beside each in `lmi.audit` is how it is decided again from its data.
     """
 
-    # the exact mathematical sentence, for the text of a certificate; "" where another claim's says it
-    statement: ClassVar[str] = ""
-    # what a certificate holds where the claim is not made, by key; what `data` gives takes its place
-    nothing: ClassVar[Mapping[str, Any]] = {}
+    statement: ClassVar[str] = ""  # the exact sentence, for the text of a certificate; "" where another's says it
+    nothing: ClassVar[Mapping[str, Any]] = {}  # what a certificate holds by key where it is not made, for `data`
     beside: ClassVar[str] = ""  # what adds to all bounds of signals, in words; "" where it leaves nothing
 
     @classmethod

@@ -285,12 +285,7 @@ def _conflict_text(
 
 
 def _tried_text(degrees: tuple[int, ...]) -> str:
-    """Say which polynomials were looked for in vain.
-
-    Example:
-        >>> _tried_text((4, 6)), _tried_text(())
-        (', and no polynomial of degree 4 or 6 was found to take its place', '')
-    """
+    """Say which polynomials were looked for in vain."""
     if not degrees:
         return ""
     return f", and no polynomial of degree {joined([*map(str, degrees)], 'or')} was found to take its place"

@@ -25,10 +25,9 @@ class TrajectoryGenerator:
     """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16)."""
 
     form: NormalForm  # the normal form (11) it is made from; its cells are those of the plant at x̂_d
-    # (l, n − r, n − r), (l, n − r), (l, n − r, r + p) for p outputs
-    A_eta: Array
-    b_eta: Array
-    B_eta: Array
+    A_eta: Array  # (l, n − r, n − r)
+    b_eta: Array  # (l, n − r)
+    B_eta: Array  # (l, n − r, r + p) for p outputs
     shift: Array | None  # M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none
     certificate: Found | Dichotomy  # what shows (17): a common P, or a polynomial that takes its place
 

@@ -49,16 +49,12 @@ class Contraction:
 class Guarantees:
     """What the proofs of a design promise; where there are several proofs, each promise is that of the best."""
 
-    # the proofs of (8), (9) and (17) as contractions
-    controller: tuple[Contraction, ...]
-    observer: tuple[Contraction, ...]
-    generator: tuple[Contraction, ...]
+    controller: tuple[Contraction, ...]  # the proofs of (8)
+    observer: tuple[Contraction, ...]  # of (9)
+    generator: tuple[Contraction, ...]  # of (17)
     output: tuple[float, ...]  # of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8)
-    # ‖B K Δ‖_c, or what stands for it with loads, ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9)
-    drive: tuple[tuple[float, ...], ...]
-    # how many states of the observer are those of loads; there are none, and it starts with none, in what the bounds
-    # over time are about
-    loads: int = 0
+    drive: tuple[tuple[float, ...], ...]  # ‖B K Δ‖_c, or what stands for it, ≤ drive_co ‖Δ‖_o for c of (8), o of (9)
+    loads: int = 0  # states of the observer that are those of loads, 0 in what is said over time
 
     def observer_error(self, t: Array, start: Array) -> Array:
         """Return a bound of |x̂ − x|, in sizes if there are several states, at times t (K,) from x̂(0) − x(0) (n,)."""

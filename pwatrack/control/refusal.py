@@ -99,12 +99,7 @@ def _reaching(task: Task, mode: Array) -> str:
 
 
 def joined(names: Sequence[str], by: str = "and") -> str:
-    """Return names with commas, and a word before the last one.
-
-    Example:
-        >>> joined(["a", "b", "c"]), joined(["a"])
-        ('a, b and c', 'a')
-    """
+    """Return names with commas, and a word before the last one."""
     *some, last = names
     return f"{', '.join(some)} {by} {last}" if some else last
 
@@ -141,12 +136,7 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
 
 
 def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], most: int | None = None) -> str:
-    """Name the cells in conflict, or at most so many of them.
-
-    Example:
-        >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
-        "cells 'gap' and 'upper' conflict"
-    """
+    """Name the cells in conflict, or at most so many of them."""
     names = [f"'{cells[i]}'" for i in refutation.Z]
     if most is not None and len(names) > most + 1:
         return f"cells {listed(names, most)} conflict"
@@ -154,11 +144,6 @@ def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], mo
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:
-    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many.
-
-    Example:
-        >>> eigenvalue_text(np.array([1.752]), ["gap"])
-        "largest real part of the eigenvalues: +1.752 in cell 'gap'"
-    """
+    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many."""
     parts = [f"{number_text(abscissa[i], '+.4g')} in cell '{cells[i]}'" for i in np.argsort(-abscissa, kind="stable")]
     return "largest real part of the eigenvalues: " + listed(parts, most)

@@ -24,13 +24,11 @@ class Task:
 
     A: Array  # (l, n, n)
     B: Array  # (n, m)
-    # A_i and B in the numbers that proofs are about; None for the decimals that A and B print as
-    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
+    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None  # for proofs; None: A and B as they print
     role: Role = CONTROLLER  # which of the two it is
     cells: Sequence[str]  # names of the l cells
     states: Sequence[str] = ()  # names of the states of the plant, the first of the n
-    # those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
-    sizes: Sizes | None = None
+    sizes: Sizes | None = None  # of states and inputs, for (9) of the transposed plant; None: what balances it
 
     @classmethod
     def of(cls, plant: PWASystem, role: Role, *, sizes: Sizes | None = None) -> "Task":
@@ -58,14 +56,7 @@ class Task:
         return 1.0 if self.role is CONTROLLER else self.scale.speed
 
     def norm(self, K: Array) -> float:
-        """Return how large a gain (m, n) is: ‖E⁻¹ K S‖ with the sizes S and E; of L ‖S⁻¹ L E‖ in 1/s.
-
-        Example:
-            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.ones(1), speed=1.0)
-            >>> task = Task(A=np.zeros((1, 2, 2)), B=np.ones((2, 1)), cells=["all"], sizes=sizes)
-            >>> task.norm(np.array([[1500.0, 200.0]]))
-            5.0
-        """
+        """Return how large a gain (m, n) is: ‖E⁻¹ K S‖ with the sizes S and E; of L ‖S⁻¹ L E‖ in 1/s."""
         return float(np.linalg.norm(self.scale.gain(K), 2)) * self.gain_unit
 
     @cached_property

@@ -28,9 +28,8 @@ class NoncausalTrajectory:
     residual: Array  # above |η' − (15)| of what is played back at all times, for each η, in its unit per second
     left: Exosystem  # η' − (15) itself over time, one signal per η
     terms: Array  # the largest sum of the sizes of the terms of (15) at the starts of polynomials, likewise
-    # when, in s, and by how much each η jumps from one polynomial to the next, (K,) and (K, p)
-    times: Array
-    jumps: Array
+    times: Array  # when, in s, η jumps from one polynomial to the next, (K,)
+    jumps: Array  # by how much each does, (K, p)
     # how long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way; None where the
     # reference does not begin at rest
     lead: float | None
@@ -59,9 +58,8 @@ class DesiredTrajectory:
 
     exosystem: Exosystem  # where w comes from
     names: tuple[str, ...]  # what each η̂ is
-    # η = to_eta x + eta_offset is the plant's part that η̂ is for, (p, n) and (p,)
-    to_eta: Array
-    eta_offset: Array
+    to_eta: Array  # η = to_eta x + eta_offset is the plant's part that η̂ is for, (p, n)
+    eta_offset: Array  # (p,)
     rate: Array  # (l, p, S) where S = p + len(w) + 1
     x_d: Array  # (l, n, S)
     u_ff: Array  # (l, m, S)
@@ -70,12 +68,10 @@ class DesiredTrajectory:
     # s' = turns s that x_d is made for where s turns otherwise, by the residual of what is played back, (l, S, S)
     turns: Array | None = None
     eta0: Array | None = None  # η̂(0) where it is fixed by the trajectory, else None
-    # what is known of the η that x_d is made of, where it was worked out beforehand
-    preview: NoncausalTrajectory | None = None
+    preview: NoncausalTrajectory | None = None  # of the η that x_d is made of, if worked out beforehand
     until: float | None = None  # up to when, in s, (3) was decided for x_d in closed form; None: for all times
     bounded: bool = True  # whether x_d is proved to stay bounded
-    # how x_d is seen to grow without bound, or to leave the periodic solution that it was to be, where it is
-    growth: Problem | None = None
+    growth: Problem | None = None  # how x_d is seen to grow without bound, or to leave its periodic solution
 
     def state(self, s: Array) -> Array:
         """Return x_d (n,) for s = (η̂, w, 1), (S,)."""

@@ -75,12 +75,7 @@ class Words:
 
 
 def all_cells(count: int) -> str:
-    """Return all cells of a plant in words.
-
-    Example:
-        >>> all_cells(1), all_cells(3)
-        ('the one cell', 'all 3 cells')
-    """
+    """Return all cells of a plant in words."""
     return "the one cell" if count == 1 else f"all {count} cells"
 
 

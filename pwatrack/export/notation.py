@@ -24,23 +24,20 @@ class Language:
 
     assign: str  # from target and value
     loop: str  # from index, first and last number, and body; bodies are indented
-    # `if` and `elif`, from condition and body; `else`, from its body; what ends it
-    branch: str
-    other: str
-    otherwise: str
-    end: str
+    branch: str  # `if`, from condition and body
+    other: str  # `elif`, likewise
+    otherwise: str  # `else`, from its body
+    end: str  # what ends it
     within: str = ""  # what stands in an `else` that must end an `elif`; "" where none must
     truth: str = "{}"  # a flag as a condition
     words: Mapping[str, str]  # operators, numbers, True and False, where they are written in another way
     remainder: str  # from two whole numbers
     name: Callable[[str], str]  # a variable
-    # an array and its indices -> an entry; what stands between indices
-    element: str
-    between: str = ", "
+    element: str  # from an array and its indices
+    between: str = ", "  # what stands between indices
     from_one: bool  # whether indices begin with 1
     comment: str  # from its text
-    # a loop of one pass, from index, number and body, which is not indented; "" where that is a loop, too
-    once: str = ""
+    once: str = ""  # a loop of one pass, from index, number and body, not indented; "" where it is a loop, too
 
 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}

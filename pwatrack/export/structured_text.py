@@ -53,15 +53,12 @@ class Port:
 class Names:
     """What all is called."""
 
-    # the function block, and a program with one
-    block: str
-    program: str
-    # the signals
-    inputs: tuple[Port, ...]
+    block: str  # the function block
+    program: str  # a program with one
+    inputs: tuple[Port, ...]  # signals, as the outputs
     outputs: tuple[Port, ...]
     own: dict[str, str]  # all other variables of the block, by what they are in the notation
-    # what a program has besides
-    instance: str
+    instance: str  # what a program has besides
     fault: str
 
 

@@ -14,12 +14,8 @@ from pwatrack.lmi.inequality import Solver
 def semidefinite(cost: Array, rows: Array, sides: Array, order: int, solver: Solver) -> Array | None:
     """Return x that minimises cᵀx where each block h_k − G_k x, a symmetric matrix, is positive semidefinite, or None.
 
-    Args:
-        cost: c (n,).
-        rows: G_k (k, N (N + 1) / 2, n): upper triangles by columns, what is off the diagonal times √2.
-        sides: h_k (k, N (N + 1) / 2), likewise.
-        order: N.
-        solver: "clarabel" or "cvxopt".
+    `rows` are G_k (k, N (N + 1) / 2, n) and `sides` h_k (k, N (N + 1) / 2) for the order N: upper triangles by columns,
+    what is off the diagonal times √2.
     """
     try:
         if solver == "cvxopt":
@@ -54,8 +50,7 @@ def _by_cvxopt(cost: Array, rows: Array, sides: Array, order: int) -> Array | No
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
     """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
-    Args:
-        gap: Share of the objective that may be missed.
+    The gap is the share of the objective that may be missed.
 
     Raises:
         ArithmeticError: If a number is not finite, or the library fails.

@@ -65,7 +65,7 @@ class StackMap(DenseMap):
         self.rows, self.values = np.zeros((0, self.size)), np.zeros(0)
 
 
-class DenseEquations:
+class DenseEquations(Equations):
     """`Equations` with the left-hand sides of all unit vectors."""
 
     def __init__(self, linear: DenseMap, scaling: Scaling) -> None:

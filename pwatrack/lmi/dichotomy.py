@@ -109,10 +109,8 @@ def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
 class NoDichotomy:
     """Proof that no P = Pᵀ has M_i P + P M_iᵀ ≺ 0 in all cells, for the middles of balls."""
 
-    # whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where numbers differ.
-    Z: Mapping[int, tuple[tuple[int, ...], ...]]
-    # of two cells with different numbers of unstable modes a P each; empty where there are multipliers
-    P: Mapping[int, Dichotomy]
+    Z: Mapping[int, tuple[tuple[int, ...], ...]]  # whole-number multipliers by cell, else 0; or empty
+    P: Mapping[int, Dichotomy]  # one for each of two cells with different numbers of unstable modes; or empty
     unstable: Mapping[int, int]  # how many unstable modes these two have
 
 

@@ -97,12 +97,8 @@ def ellipsoid(
 ) -> InvariantEllipsoid | None:
     """Return an ellipsoid, if one is proved, in which all c z are small: the sum of c Q cᵀ, each over its usual size.
 
-    Args:
-        M: The matrices M_p (N, N).
-        g: (N, 1); None is returned where it is 0.
-        forms: The rows c, (s, N).
-        inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
-        tries: Of a.
+    M_p is (N, N), g (N, 1) not 0, and the rows c are `forms`, (s, N). Of the `inners` that will do to start from the
+    last is taken, which should be the better conditioned; so many a are tried.
 
     Example: |z| ≤ |g| / λ · sup |d| for z' = −λ z + g d.
 
@@ -271,11 +267,8 @@ class StartEllipsoid(Packed):
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:
     """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
 
-    Args:
-        M, forms: As for `ellipsoid`.
-        G: (N, k); it counts as the decimals that it prints as. Columns of 0 do nothing.
-        most: What each form is held against, (s,), positive; infinite for what does not count.
-        inner: What to start from.
+    G (N, k) counts as the decimals that it prints as; columns of 0 do nothing. Each form is held against an entry of
+    `most`, (s,), positive; infinite for what does not count.
 
     Example: z' = −z from |z(0)| ≤ 3, seen as 2 z.
 

@@ -114,8 +114,7 @@ def _least(X: Array, size: Array) -> float:
 class Packed:
     """A symmetric matrix in short numbers."""
 
-    # P_jk = integers_jk · 2^(exponents_j + exponents_k)
-    integers: Whole
+    integers: Whole  # P_jk = integers_jk · 2^(exponents_j + exponents_k)
     exponents: tuple[int, ...]
 
     @classmethod

@@ -21,15 +21,12 @@ Solver = Literal["structured", "clarabel", "cvxopt"]
 class Inequality:
     """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell."""
 
-    # (l, N, n) and (l, n, N), for P (n, n)
-    L: Array
-    R: Array
-    # (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y
-    M: Array
-    N: Array
+    L: Array  # (l, N, n), for P (n, n)
+    R: Array  # (l, n, N)
+    M: Array  # (l, N, m), for Y (m, n); m = 0 where there is no Y
+    N: Array  # (l, n, N)
     constant: Array  # C_i, (l, N, N), symmetric
-    # coefficients T_i of a scalar t, (l, N, N), symmetric, where a term t T_i is added; see `program`
-    T: Array | None = None
+    T: Array | None = None  # T_i, (l, N, N), symmetric, where a scalar t adds t T_i; see `program`
 
     @property
     def n(self) -> int:

@@ -21,11 +21,8 @@ _HINT = 0.9  # gap at which the least violation is known to be above 0
 class Refutation:
     """Proof that an inequality has no solution."""
 
-    # whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where there is another proof.
-    Z: Mapping[int, tuple[tuple[int, ...], ...]]
-    # of each cell that no gain stabilises by itself, the eigenvalue that stays; empty where only the cells together
-    # have no solution
-    eigenvalues: Mapping[int, complex]
+    Z: Mapping[int, tuple[tuple[int, ...], ...]]  # whole-number multipliers by cell, else 0; or empty
+    eigenvalues: Mapping[int, complex]  # what stays in each cell that no gain stabilises by itself, if any
     between: Between | None = None  # such a one: a mean of cells whose mode no gain moves
 
 

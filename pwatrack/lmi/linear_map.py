@@ -12,7 +12,6 @@ tr W is to be small. It stands in that inequality alone, so it is eliminated by 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_solve, lapack, solve_triangular
@@ -137,19 +136,6 @@ class Triangle:
         return np.asarray(np.take(X.reshape(len(X), -1), places, axis=1))
 
 
-class Equations(Protocol):
-    """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
-
-    def apply(self, v: Array) -> list[Array]:
-        """Return the scaled left-hand sides without their constants, stack by stack."""
-
-    def adjoint(self, changes: Sequence[Array]) -> Array:
-        """Return A*(Z) for scaled stacks of Z."""
-
-    def solve(self, right: Array) -> Array:
-        """Return v whose scaled left-hand sides have this adjoint."""
-
-
 class LinearMap:
     """A vector holds the lower triangle of P, then Y, t and, where there is one, the lower triangle of W.
 
@@ -226,9 +212,9 @@ class LinearMap:
             result[self.main :] = -self.W.row(corner[: self.W.n, : self.W.n])
         return result
 
-    def step(self, scalings: Sequence[Scaling]) -> Equations:
+    def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
-        return FormEquations(self, scalings, self._rooms)
+        return Equations(self, scalings, self._rooms)
 
     def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
         if side.L is not None:
@@ -287,8 +273,8 @@ class LinearMap:
             H[k + r * n : k + (r + 1) * n, :k] = self.P.inside(both, k)
 
 
-class FormEquations:
-    """`Equations` by the form of the inequalities."""
+class Equations:
+    """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
 
     def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rooms: tuple[Array, Array]) -> None:
         self._linear, self._scalings = linear, scalings

@@ -186,10 +186,7 @@ def sought(A: Array, bases: Sequence[Array], blind: Array, *, gap: float) -> lis
     none, or nothing was found. With a large gap of t they are well inside, and can be rounded; with a small one as
     singular as at the least t.
 
-    Args:
-        A: (l, n, n).
-        bases: Q_i (n, k_i), orthonormal.
-        blind: R (n, ρ).
+    A is (l, n, n), the bases Q_i (n, k_i) are orthonormal, and `blind` is R (n, ρ).
     """
     n, rank = A.shape[1], blind.shape[1]
     T = np.roll(np.linalg.qr(np.hstack([blind, np.eye(n)]))[0], -rank, axis=1)  # the complement of R, then R

@@ -51,14 +51,7 @@ _DIGITS = 12  # binary, of the coordinates
 
 @dataclass(frozen=True)
 class Monomials:
-    """Those of degree d in n variables, e_1^d first, in falling order of their exponents.
-
-    Example: along e' = −e every product of two entries falls as e^(−2t).
-
-        >>> two = Monomials.of(2, 2)
-        >>> two.exponents, two.lift(-np.eye(2)[None]).tolist()
-        (((2, 0), (1, 1), (0, 2)), [[[-2.0, 0.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, -2.0]]])
-    """
+    """Those of degree d in n variables, e_1^d first, in falling order of their exponents."""
 
     n: int
     d: int
@@ -174,12 +167,7 @@ class PolynomialLyapunov:
 
 
 def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
-    """Return the degrees that are tried for so many different matrices of order n: those of programs small enough.
-
-    Example:
-        >>> degrees(2, 2), degrees(4, 3), degrees(12, 3)
-        ((4, 6, 8, 10), (4, 6), ())
-    """
+    """Return the degrees that are tried for so many different matrices of order n: those of programs small enough."""
     orders = {degree: len(Monomials.of(n, degree // 2)) for degree in DEGREES if n > 1}
     return tuple(degree for degree, N in orders.items() if (cells + 2) * N * (N + 1) // 2 <= most_rows)
 
@@ -187,11 +175,8 @@ def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
 def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> PolynomialLyapunov | None:
     """Look for a polynomial of one degree with the largest rate.
 
-    Args:
-        A: The matrices by which errors change, (l, n, n), each different and each stable by itself.
-        degree: 2 d.
-        near: Coordinates in which the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I.
-        trials: So many rates are tried; the first of them is 0.
+    The matrices A (l, n, n), by which errors change, are each different and each stable by itself. In the coordinates
+    `near` the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I. So many rates are tried; the first of them is 0.
     """
     T = short(near.T.T)
     with np.errstate(all="ignore"):

@@ -101,22 +101,10 @@ def _ends(points: Array, axis: int) -> IntArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """x = T z, u = E v and t = τ / speed, for the inequality A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + W ⪯ 0.
+    """x = T z, u = E v and t = τ / speed, for the inequality A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + W ⪯ 0."""
 
-    Example: what is asked of the one is asked of the other.
-
-        >>> A, B = np.array([[[0.0, 1e6], [-1.0, 0.0]]]), np.array([[0.0], [1e3]])
-        >>> at = Coordinates.balanced(A, B)
-        >>> float(np.abs(at.system(A)).max()), float(np.abs(at.input(B)).max())
-        (1.0, 0.9765625)
-        >>> K = np.array([[3.0, 4.0]])
-        >>> bool(np.allclose(at.system(A + B @ at.gain(K)), at.system(A) + at.input(B) @ K))
-        True
-    """
-
-    # T (n, n) and T⁻¹
-    T: Array
-    inverse: Array
+    T: Array  # (n, n)
+    inverse: Array  # T⁻¹
     e: Array  # diagonal of E, (m,)
     speed: float  # in 1/s
 
@@ -234,8 +222,7 @@ def _power_of_two(value: float) -> float:
 class Precise:
     """x = T z."""
 
-    # T (n, n) and T⁻¹, to working precision
-    T: Rational
+    T: Rational  # (n, n), to working precision, as T⁻¹
     inverse: Rational
     P: Rational  # T Tᵀ, (n, n)
 

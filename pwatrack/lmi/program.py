@@ -83,12 +83,10 @@ class Solution:
     """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says."""
 
     program: SemidefiniteProgram  # what was asked
-    # the unknowns, (n, n), (m, n) and a number
-    P: Array
-    Y: Array
+    P: Array  # (n, n)
+    Y: Array  # (m, n)
     t: float
-    # those of each constraint, (l, N, N) each, where the solver gives them
-    multipliers: tuple[Array, ...] | None = None
+    multipliers: tuple[Array, ...] | None = None  # of each constraint, (l, N, N) each, where the solver gives them
     # whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1 for whatever
     # satisfies the equalities, up to rounding, and P, Y and t are the last that were tried
     impossible: bool = False
@@ -266,10 +264,8 @@ def smaller_gain(
     multiplied by P₁⁻¹ H and E is divided by the norm there, for the P₁ that a sequence begins with: so that at P₁ the
     last block is I and κ is 1, and all programs of the sequence are in the same numbers.
 
-    Args:
-        inequality, metric_root, input_root: As for `smallest_gain`; H is not scaled.
-        last: P₀ ≻ 0 and a Y that satisfy the inequality strictly.
-        first: P₁ and its Y, where P₀ is an answer to an earlier program of the sequence.
+    H is not scaled here. `last` is P₀ ≻ 0 and a Y that satisfy the inequality strictly; `first` is P₁ and its Y, where
+    P₀ is an answer to an earlier program of the sequence.
     """
     P, Y = last if first is None else first
     scale = 1 / float(np.linalg.eigvalsh(P)[0])
