@@ -54,7 +54,6 @@ class SignalBounds(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
-        """Yield what was proved; a channel that nothing was proved of has no bounds."""
         loops = loops_of(controller)
         found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
         acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
@@ -99,11 +98,9 @@ class SignalBounds(Claim):
         return self.both[1]
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return those of all channels that something is proved of."""
         return {"bounds": [bounds_content(bounds) for part in self.both for bounds in part if bounds.sizes]}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what acts and what it does to what is tracked, the inputs and what has a size; declared ones first."""
         found = sorted(self.acting, key=lambda bounds: not words.declared(bounds.channel))
         yield (
             "bounds",
@@ -133,7 +130,6 @@ class SignalBounds(Claim):
         return controller.with_left(total)
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
-        """Return how large each signal may be from its start and for what has acted so far."""
         if not seen.designed:
             return {}
         most = from_start(self.acting, self.starts, seen.start, seen.t, states=self.loops.n)

@@ -40,7 +40,6 @@ class Costs(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        """Yield the bounds where a gain was asked for by its cost."""
         goals, X = _least(asked), dict[Role, Array]()
         for role, goal in goals.items():
             task = Task.of(asked.words.plant, role, sizes=controller.sizes)
@@ -51,13 +50,11 @@ class Costs(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        """Yield what was proved."""
         goals, proofs = _least(asked), read_costs(content)
         if proofs:
             yield cls(goals=goals, X={role: proofs[role.name] for role in goals if role.name in proofs})
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return X, beside the weights that it is for."""
         matrices = {role: {"X": X, "Q": self.goals[role].Q, "R": self.goals[role].R} for role, X in self.X.items()}
         texts = {role: {name: decimal_texts(Y) for name, Y in found.items()} for role, found in matrices.items()}
         return {"proofs": [{"of": role.name, **found} for role, found in texts.items()]}

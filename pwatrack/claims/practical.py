@@ -61,8 +61,7 @@ class Practical(Claim):
     # what 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of each
     # input, of states, of the observer's errors
     bounds: tuple[Bounds, ...]
-    # of what is tracked: those that are not proved to end below the size of their reference, with that
-    beyond: Mapping[Form, float] = field(default_factory=dict)
+    beyond: Mapping[Form, float] = field(default_factory=dict)  # size of what need not end below its reference
 
     statement: ClassVar[str] = (
         "Under practical: the field of the true plant there is that of this plant and the sum of direction (function - "
@@ -79,7 +78,6 @@ class Practical(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        """Yield what was proved, for what is merged of the true plant."""
         told = content["practical"]
         if told is not None:
             bounds, plant = tuple(read_bounds(entry) for entry in told["bounds"]), controller.running
@@ -97,16 +95,13 @@ class Practical(Claim):
         return {signal: float(np.nextafter(float(size), np.inf)) if size else 0.0 for signal, size in total.items()}
 
     def leaves(self, form: Form) -> float | None:
-        """Return below what the size of a signal ends, from every start."""
         return self.final.get(form)
 
     def leaves_norm(self, of: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
-        """Return below what the norm of all signals of a kind ends, each counted in its size."""
         each = [self.final[of, k] / size for k, size in enumerate(sizes)]
         return float(np.linalg.norm(each)) * OVER_SUMS
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the true plant, what is merged in it, and the bounds of what that leaves."""
         ends = ((form, size) for form, size in self.final.items() if size or form[0] == controller.tracking)
         return {
             "practical": {
@@ -119,7 +114,6 @@ class Practical(Claim):
         }
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return a verdict of its own, what is merged, why, and below what each signal ends."""
         found = {
             "exact_tracking": [problem.message for problem in self.replaced],
             "merged": [
@@ -146,7 +140,6 @@ class Practical(Claim):
         return {"verdict": "practical", "practical": found}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved of a loop with merged cells, the bound of what is tracked first."""
         tracked, final = controller.tracking, self.final
         ends = list[str]()
         for form in (form for form in final if form[0] == tracked):

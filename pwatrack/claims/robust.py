@@ -63,7 +63,6 @@ class Robust(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        """Yield the proof where parameters are uncertain; see `prove_box`."""
         if asked.box:
             plant, output = controller.plant, controller.tracking == "output"
             corners = asked.corners(plant)
@@ -71,7 +70,6 @@ class Robust(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        """Yield what was proved, for the corners that the box has."""
         told = content["uncertain"]
         if told is not None and asked.box:
             plant, corners = controller.plant, tuple(asked.corners(controller.plant))
@@ -80,19 +78,16 @@ class Robust(Claim):
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the corners, and the bounds of entries of w."""
         intervals = [[one.name, *(text(end.centre) for end in (one.low, one.high))] for one in self.box]
         bounds = [bounds_content(bounds) for bounds in self.bounds]
         corners = [corner_content(corner) for corner in self.corners]
         return {"uncertain": {"parameters": intervals, "corners": corners, "bounds": bounds}}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return the intervals; bounds.json has what is proved of signals."""
         box = {interval.name: [float(interval.low), float(interval.high)] for interval in self.box}
         return {"uncertain": {"parameters": box, "inequalities": self.count, "rate": self.rate}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved for all of the box."""
         box, order = ", ".join(interval.text for interval in self.box), 2 * len(self.plant.B)
         yield (
             "uncertain",
@@ -111,7 +106,6 @@ class Robust(Claim):
             yield "", f"{', '.join(words.limits(bounds.sizes.items()))} per {unit or '1'} of {on}"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
-        """Return how large each signal may be for a plant of the box, from its start and for w as large as it is."""
         if seen.w is None or seen.designed:
             return {}
         most = from_start(self.bounds, (), seen.start, seen.t, states=len(self.plant.B))
@@ -155,9 +149,8 @@ class Robust(Claim):
 class Differences:
     """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B."""
 
-    # in each cell, (R, l, n) and (R, l)
-    A: Array
-    b: Array
+    A: Array  # in each cell, (R, l, n)
+    b: Array  # (R, l)
     B: Array  # (R, m)
     of: IntArray  # in which state equation each is, (R,)
 
