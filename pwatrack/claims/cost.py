@@ -149,8 +149,7 @@ def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
     exact = decimals(L)
     W = decimals(Q) + exact * decimals(R) * exact.transpose()
     level = decimals(X).inv() * W
-    total = sum((level[k, k] for k in range(len(X))), scalar(0.0))
-    value = fraction_of(total)
+    value = fraction_of(sum((level[k, k] for k in range(len(X))), scalar(0.0)))
     near = float(value)
     return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
 

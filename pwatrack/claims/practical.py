@@ -327,8 +327,7 @@ def _deviations(merge: Simplification) -> dict[int, float]:
 
 
 def _form_text(words: Words, merge: Simplification) -> str:
-    row = np.array([float(v) for v in merge.nonlinearity.row])
-    return linear_form_text(row, words.plant.states)
+    return linear_form_text(np.array([float(v) for v in merge.nonlinearity.row]), words.plant.states)
 
 
 def _unit(words: Words, merge: Simplification) -> str:

@@ -194,8 +194,7 @@ def prove_box(
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
     n = len(plant.B)
-    no_loads = BallMatrix.of(np.zeros((n, 0)), (n, 0))
-    loops = Loops(plant, K, L, proofs, no_loads, output=output)
+    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((n, 0)), (n, 0)), output=output)
     loops.M["joint"], loops.inners["joint"] = M, [Inner.proved(found.P, found.rate)]
     bounds = []
     for k in varying_rows(plant.exact, corners):

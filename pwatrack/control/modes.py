@@ -113,8 +113,7 @@ def _hidden(plant: PWASystem, loads: Loads, members: list[int], frequency: Fract
     n, q, p = len(plant.states), len(plant.outputs), len(members)
     E, C = loads.E.part(range(n), [loads.where[k] for k in members]).centre, plant.exact.C.centre
     for name, A_i in zip(plant.cell_names, plant.exact.A, strict=True):
-        pencil = _pencil(A_i.centre, E, C, frequency)
-        kernel = left_null_space(pencil.transpose())
+        kernel = left_null_space(_pencil(A_i.centre, E, C, frequency).transpose())
         if not kernel.nrows():
             continue
         blind = left_null_space(_pencil(A_i.centre, E, C, frequency, loads=False).transpose())

@@ -262,8 +262,7 @@ class _Worked:
             found += lines
             return result
         left = parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
-        branches = [self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]
-        found.append(ast.If(left, *branches))
+        found.append(ast.If(left, *[self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]))
         return None
 
     def assign(self, target: ast.expr, value: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> None:

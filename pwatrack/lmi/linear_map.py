@@ -305,8 +305,7 @@ class Equations:
         F, main = linear.W.of_row(right[linear.main :]), right[: linear.main].copy()
         main[: linear.P.size] -= linear.P.row(corner.Q.T @ F @ corner.Q)
         found = self._normal.solve(main)
-        P = linear.parts(found)[0]
-        return np.append(found, linear.W.of(corner.between(F) - corner.Q @ P @ corner.Q.T))
+        return np.append(found, linear.W.of(corner.between(F) - corner.Q @ linear.parts(found)[0] @ corner.Q.T))
 
 
 def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:

@@ -240,8 +240,7 @@ def _candidates(A: Sequence[Rational], R: Rational, N: Sequence[Rational]) -> li
         return []
     differences = [N[0] * (A_i - A[0]) * R for A_i in A[1:] if N[0].nrows()]
     alike = left_null_space(stacked(differences).transpose()) if differences else identity(R.ncols())
-    rows = stacked([alike * R.transpose(), R.transpose()]).tolist()
-    return [_column(row) for row in rows]
+    return [_column(row) for row in stacked([alike * R.transpose(), R.transpose()]).tolist()]
 
 
 def _factor(y: Rational, x: Rational) -> Any:
@@ -324,8 +323,7 @@ def _pivots(G: Array) -> tuple[list[int], list[int]]:
     diagonal = np.abs(np.diag(triangle))
     rank = int((diagonal > _INDEPENDENT * diagonal.max(initial=0.0)).sum())
     rows = order[:rank]
-    columns = qr(G[rows], pivoting=True, mode="economic")[2][:rank]
-    return rows.tolist(), columns.tolist()
+    return rows.tolist(), qr(G[rows], pivoting=True, mode="economic")[2][:rank].tolist()
 
 
 def _denominator(matrices: Iterable[Rational]) -> int:

@@ -58,8 +58,7 @@ def corners(A: Array) -> IntArray:
         >>> corners(box).tolist()
         [0, 2, 3, 5]
     """
-    place = distinct(A)[1]
-    kept = np.sort(np.unique(place, return_index=True)[1])
+    kept = np.sort(np.unique(distinct(A)[1], return_index=True)[1])
     points = _coordinates(A[kept].reshape(len(kept), -1))
     for axis in range(points.shape[1]):  # who is between two others on a line along an axis is no corner
         chosen = _ends(points, axis)

@@ -105,8 +105,7 @@ def _convergent(plant: PWASystem) -> bool:
         found = prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names)
     except (Infeasible, Undecided):
         return False
-    exact = [A_i.transpose() for A_i in different(plant.exact.A)]
-    return exactly(PLANT, exact, found) is not None
+    return exactly(PLANT, [A_i.transpose() for A_i in different(plant.exact.A)], found) is not None
 
 
 def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:

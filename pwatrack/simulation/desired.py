@@ -95,8 +95,7 @@ def realised(
         Undecided: If the walk would take too long.
     """
     system = trajectory.exosystem
-    reset = np.array([r.t for r in system.resets if r.t < horizon])
-    starts = np.unique(np.append(0.0, reset))
+    starts = np.unique(np.append(0.0, np.array([r.t for r in system.resets if r.t < horizon])))
     ends = np.append(starts[1:], horizon)
     rest = left_over(plant, trajectory)
     left, size = rest.sizes(starts, ends - starts)

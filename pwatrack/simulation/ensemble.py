@@ -59,8 +59,7 @@ class Ensemble:
     def small_from(self) -> Array:
         """When ‖e‖ falls to `small` or less for good, in s; infinity where it does not, (M,)."""
         above = self.error > self.small
-        samples = self.error.shape[1]
-        first = np.where(above.any(axis=1), samples - np.argmax(above[:, ::-1], axis=1), 0)
+        first = np.where(above.any(axis=1), self.error.shape[1] - np.argmax(above[:, ::-1], axis=1), 0)
         return np.asarray(np.append(self.t, np.inf)[first])
 
 

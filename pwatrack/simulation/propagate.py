@@ -377,8 +377,7 @@ def _controller(flow: Flow, z: Array) -> dict[str, Any]:
         started[clock.source] = z[clock.place] / clock.scale
         x_hat = started[program.places["x_hat"].start : program.places["s_hat"].stop]
         eta_hat = z[clock.eta] / clock.eta_scale if program.sampling.corrects else started[program.places["eta_hat"]]
-    found = memory(program, x_hat, eta_hat)
-    return {**found, "y": np.zeros(program.sizes["q"])}
+    return {**memory(program, x_hat, eta_hat), "y": np.zeros(program.sizes["q"])}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:

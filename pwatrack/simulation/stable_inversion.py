@@ -245,8 +245,7 @@ class _Problem:
 
     def w(self, piece: int, t: Array) -> Array:
         """Return (w, 1) of a piece at times in s, (K, s + 1)."""
-        states = self.pieces[piece].states(t - self.breaks[piece])
-        return np.column_stack([states, np.ones(len(t))])
+        return np.column_stack([self.pieces[piece].states(t - self.breaks[piece]), np.ones(len(t))])
 
 
 class _Solution:
@@ -330,8 +329,7 @@ class _Solution:
         w = np.zeros((len(piece), len(problem.turns.S) - 1))
         for k in range(len(problem.pieces)):
             w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
-        field = replace(problem.field, rate=self.rate)
-        looked = field.look(cut, w, 4 * EPS * np.abs(w), sharp=False)
+        looked = replace(problem.field, rate=self.rate).look(cut, w, 4 * EPS * np.abs(w), sharp=False)
         return cut, replace(looked, of=pieces.of[cut.of[looked.of]])
 
     @property

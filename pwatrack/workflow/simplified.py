@@ -92,8 +92,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     made = merged_spec(spec, ways)
     found = [_bounded(made, plant, ways, refusal, designed)]
     if plant.loads is None:
-        watching = merged_spec(spec, ways, watched=True)
-        found.append(_bounded(watching, plant, ways, refusal, designed))
+        found.append(_bounded(merged_spec(spec, ways, watched=True), plant, ways, refusal, designed))
 
     def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
         return made.claim(Practical).leaves_norm(made.tracking, made.error_sizes.tolist())
