@@ -107,10 +107,8 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
 
     the average over a long time, and in a stationary state the expectation itself, is at most tr(X⁻¹W). That the
     covariance is at most X follows only where all M_i are the same: else switching rectifies noise into a bias, and a
-    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds.
-
-    Raises:
-        Undecided: If no X could be proved.
+    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds. Raises
+    Undecided if no X could be proved.
 
     Example:
         >>> task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"])

@@ -172,9 +172,8 @@ def prove_box(
         output: Whether outputs are tracked, else states.
         box: The parameters that they are the corners of.
 
-    Raises:
-        OutsideTheory: If loads are estimated too.
-        Undecided: If there are too many inequalities, or no common P is found.
+    Raises OutsideTheory if loads are estimated too; Undecided if there are too many inequalities, or no common P is
+    found.
     """
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"

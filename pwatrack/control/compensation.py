@@ -47,8 +47,7 @@ def compensation(
 ) -> Compensation:
     """Return what makes up for the loads, for output tracking with the normal form and so many η̂.
 
-    Raises:
-        OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
+    Raises OutsideTheory if a load moves a derivative of the output that is another form of the state in other cells.
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]

@@ -184,9 +184,7 @@ def prove_convergence(
         exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
         hint, remedy: What to do where a cell is unstable by itself.
 
-    Raises:
-        Infeasible: If it is proved that no P exists, and no polynomial is found.
-        Undecided: If neither is proved.
+    Raises Infeasible if it is proved that no P exists, and no polynomial is found; Undecided if neither is proved.
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)

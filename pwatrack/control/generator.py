@@ -46,12 +46,9 @@ class TrajectoryGenerator:
 def trajectory_generator(form: NormalForm, *, preview: bool = True) -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17); or (17±), for a reference known beforehand.
 
-    As u does not enter η̇ in this form, (14) reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i.
-
-    Raises:
-        Infeasible: If (17) is proved to have no solution, the zero dynamics do not converge; and, for a reference
-            known beforehand, (17±) too.
-        Undecided: If one of them is neither proved nor proved impossible.
+    As u does not enter η̇ in this form, (14) reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i. Raises Infeasible if (17) is
+    proved to have no solution, the zero dynamics do not converge; and, for a reference known beforehand, (17±) too;
+    Undecided if one of them is neither proved nor proved impossible.
     """
     unused = np.zeros((*form.chi.shape[:2], len(form.degrees)))
     return TrajectoryGenerator(

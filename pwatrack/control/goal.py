@@ -30,8 +30,7 @@ class Given:
 class AtLeast:
     """The LQR, or Kalman, gain with unit weights in sizes, of the plant with the rate added to A.
 
-    Raises:
-        InvalidSpec: If a number is not a positive one (a rate may be 0, a bound infinite).
+    Raises InvalidSpec if a number is not a positive one (a rate may be 0, a bound infinite).
     """
 
     rate: float = 0.0  # decay rate in 1/s that is to be reached; 0 where any will do

@@ -63,12 +63,11 @@ def _looked_at(task: Task, rate: float) -> list[int]:
 def check_loads(plant: PWASystem, *, output: bool) -> None:
     """Refuse loads that the outputs do not show, or that nothing makes up for; all exactly, at the middle of balls.
 
-    Raises:
-        OutsideTheory: If states are tracked and a load enters where no input does.
-        Infeasible: If (9) has no solution for the plant with its loads: [jω I − A_i, −E; C, 0] has not full column rank
-            in some cell, E the columns of the loads of frequency ω; or there are as many constants as outputs and
-            det [A_i, E; C, 0] has not the same sign in all cells: (9) is affine in A_i, so it speaks of all matrices
-            between two cells too, and in one of them the determinant is 0.
+    Raises OutsideTheory if states are tracked and a load enters where no input does; Infeasible if (9) has no solution
+    for the plant with its loads: [jω I − A_i, −E; C, 0] has not full column rank in some cell, E the columns of the
+    loads of frequency ω; or there are as many constants as outputs and det [A_i, E; C, 0] has not the same sign in all
+    cells: (9) is affine in A_i, so it speaks of all matrices between two cells too, and in one of them the determinant
+    is 0.
     """
     loads = plant.loads
     if loads is None:

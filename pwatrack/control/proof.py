@@ -28,12 +28,10 @@ def prove_design(
 ) -> tuple[AnyProof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
-    The P of the best rate is ill-conditioned, so it promises little for short times and for changed
-    matrices. A second P gives up a tenth of the rate for the least condition number in sizes, and another tenth
-    for a margin. Where no such proof is found the first stands alone.
-
-    Raises:
-        Undecided: If a certificate that holds in floating point could not be proved exactly.
+    The P of the best rate is ill-conditioned, so it promises little for short times and for changed matrices. A second
+    P gives up a tenth of the rate for the least condition number in sizes, and another tenth for a margin. Where no
+    such proof is found the first stands alone. Raises Undecided if a certificate that holds in floating point could not
+    be proved exactly.
     """
     sizes, proofs = sizes or Sizes.of(plant), []
     for role, gain, certificate in ((CONTROLLER, design.K, design.controller), (OBSERVER, design.L, design.observer)):

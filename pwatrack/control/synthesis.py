@@ -65,9 +65,8 @@ def synthesize(
 ) -> Gains:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
-    Raises:
-        Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
-        Undecided: If neither is proved, or no gain within the bound was found.
+    Raises Infeasible if (8) or (9) is proved to have no solution, or a given gain to be none; Undecided if neither is
+    proved, or no gain within the bound was found.
     """
     sizes = sizes or Sizes.of(plant)
     K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
@@ -88,12 +87,8 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
     Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
     from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
     one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
-    gain is to be.
-
-    Raises:
-        Infeasible: If no gain exists, proved.
-        InvalidSpec: If the largest rate is asked where every rate can be reached.
-        Undecided: If no gain with a proof is found otherwise.
+    gain is to be. Raises Infeasible if no gain exists, proved; InvalidSpec if the largest rate is asked where every
+    rate can be reached; Undecided if no gain with a proof is found otherwise.
     """
     search = Search(task)
     match goal:

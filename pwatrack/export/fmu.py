@@ -54,7 +54,7 @@ _CELSIUS = ("degC", "°C")  # alone, else only differences are meant
 _PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/ ]|$)")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ModelVariable:
     """A variable of a model; its number is its place in the list, the real ones come first."""
 
@@ -84,8 +84,7 @@ class Model:
 def packed(model: Model, version: Version, compiler: str | None) -> dict[str, bytes]:
     """Return all files of an FMU by their paths; without a compiler these are its sources only.
 
-    Raises:
-        RuntimeError: If the compiler refuses the sources.
+    Raises RuntimeError if the compiler refuses the sources.
     """
     main = f"fmi{version}.c"
     sources = {main: template(main), "instance.h": template("instance.h"), **model.sources}
@@ -117,8 +116,7 @@ def write_fmu(found: Mapping[str, bytes], path: Path) -> None:
 def compiled(sources: Mapping[str, str], compiler: str, options: Sequence[str] = ()) -> bytes:
     """Return a shared library of C files and headers.
 
-    Raises:
-        RuntimeError: With the first line of what the compiler says, if it refuses them.
+    Raises RuntimeError with the first line of what the compiler says, if it refuses them.
     """
     with TemporaryDirectory() as folder:
         for name, text in sources.items():

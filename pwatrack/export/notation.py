@@ -47,8 +47,7 @@ _COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: 
 def printed(text: str, language: Language) -> str:
     r"""Return lines of the notation in a language.
 
-    Raises:
-        ValueError: If something is no part of the notation.
+    Raises ValueError if something is no part of the notation.
 
     Example:
         >>> from pwatrack.export.structured_text import ST

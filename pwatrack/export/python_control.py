@@ -26,8 +26,7 @@ def plant_system(controller: ProvedController, name: str, units: Mapping[str, st
         name, units: Of the system, of its signals.
         start: x(0), (n,).
 
-    Raises:
-        InvalidSpec: If python-control is not installed.
+    Raises InvalidSpec if python-control is not installed.
     """
     plant, loads = controller.running, controller.plant.loads
     m, A, b, B, H, h = plant.B.shape[1], plant.A, plant.b, plant.B, plant.partition.H, plant.partition.h
@@ -127,8 +126,7 @@ def sampled_system(
         real: Type of its floats.
         labels: Its `name`, `inputs` and `outputs`, and the `units` of these.
 
-    Raises:
-        InvalidSpec: If python-control is not installed.
+    Raises InvalidSpec if python-control is not installed.
     """
     table, q, at = routine(program, real), program.sizes["q"], program.places
     first = memory(program, x_hat, eta_hat, real)

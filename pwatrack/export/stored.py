@@ -118,8 +118,7 @@ def read(path: Path) -> ControllerFile:
 def parsed(found: Any, path: Path) -> ControllerFile:
     """Return a controller from what its file holds.
 
-    Raises:
-        InvalidSpec: If it is of another version, has been changed, or is not as its schema says.
+    Raises InvalidSpec if it is of another version, has been changed, or is not as its schema says.
     """
     version = found.get("format") if isinstance(found, dict) else None
     if version != FORMAT:
@@ -144,9 +143,8 @@ def parsed(found: Any, path: Path) -> ControllerFile:
 def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> SampledController:
     """Return the program of a file that has one, with its reference from outside where it is given.
 
-    Raises:
-        InvalidSpec: If single floats do not hold its numbers.
-        ValueError: If its tables do not fit each other, which those of a file that was read do.
+    Raises InvalidSpec if single floats do not hold its numbers; ValueError if its tables do not fit each other, which
+    those of a file that was read do.
     """
     part, plant = known.program, known.plant
     assert part is not None
@@ -288,8 +286,7 @@ def _finite(values: Array) -> list[float | None]:
 def with_gains(spec: Spec, known: ControllerFile) -> Spec:
     """Return a spec that asks for the gains of a stored controller and its sampling, and no others.
 
-    Raises:
-        InvalidSpec: If they have other sizes.
+    Raises InvalidSpec if they have other sizes.
     """
     K, L = np.array(known.K), np.array(known.L)
     plant = spec.problem.plant
@@ -308,8 +305,7 @@ def check_same(
 ) -> tuple[Spec, SampledController | None]:
     """Return a spec that has the gains of a stored controller, with its sample time, and its program.
 
-    Raises:
-        InvalidSpec: If plant, reference or the limits of the program are not those of the spec.
+    Raises InvalidSpec if plant, reference or the limits of the program are not those of the spec.
     """
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
     here = ControllerFile.model_validate(again).model_dump()

@@ -75,8 +75,7 @@ class Scaling:
     def of(cls, S: Array, Z: Array) -> "Scaling":
         """Return the scaling of S and Z.
 
-        Raises:
-            numpy.linalg.LinAlgError: If one of the matrices is not positive definite to working precision.
+        Raises LinAlgError if one of the matrices is not positive definite to working precision.
         """
         L = np.linalg.cholesky(S)
         values, Q = np.linalg.eigh(L.transpose(0, 2, 1) @ Z @ L)

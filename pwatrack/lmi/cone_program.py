@@ -50,10 +50,8 @@ def _by_cvxopt(cost: Array, rows: Array, sides: Array, order: int) -> Array | No
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
     """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
-    The gap is the share of the objective that may be missed.
-
-    Raises:
-        ArithmeticError: If a number is not finite, or the library fails.
+    The gap is the share of the objective that may be missed. Raises ArithmeticError if a number is not finite, or the
+    library fails.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False

@@ -362,8 +362,7 @@ def _paired(first: Array, second: Array) -> Array:
 class Normal:
     """H x = r for a positive semidefinite H, of which the lower triangle is read.
 
-    Raises:
-        numpy.linalg.LinAlgError: If H is far from that, or not finite.
+    Raises LinAlgError if H is far from that, or not finite.
     """
 
     def __init__(self, H: Array, room: Array | None = None) -> None:

@@ -16,8 +16,7 @@ _LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 class SemidefiniteProgram:
     """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
-    Raises:
-        ValueError: If shapes do not fit, or more than one objective is given.
+    Raises ValueError if shapes do not fit, or more than one objective is given.
     """
 
     constraints: tuple[Inequality, ...]  # the inequalities, at least one; all have the same P, Y and t
@@ -203,10 +202,8 @@ def least_condition(inequality: Inequality, unit: Array) -> SemidefiniteProgram:
     """Minimise κ subject to F_i(P) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
 
     κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1.
-    U (n, n), positive definite, is the P that would be the identity in the units that count.
-
-    Raises:
-        numpy.linalg.LinAlgError: If U is not positive definite.
+    U (n, n), positive definite, is the P that would be the identity in the units that count. Raises LinAlgError if U is
+    not positive definite.
     """
     values, vectors = np.linalg.eigh(unit)
     if not values[0] > 0:

@@ -45,12 +45,9 @@ def bounded_response(
     It is bounded if (7) holds (Theorem 1); or if from the end of the run on it never leaves a cell that is stable by
     itself, where it is a sum of exponentials. Of a periodic solution that is still to be found, a trajectory without a
     start, only (7) is asked. The horizon is the duration of the run in s, `subject` what in the description the start
-    is.
-
-    Raises:
-        CheckFailed: If neither is proved, |x_d| in the last tenth of the run is above that of every tenth before it
-            and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs
-            end, and there is no longer run, the cell at the end must be unstable instead.
+    is. Raises CheckFailed if neither is proved, |x_d| in the last tenth of the run is above that of every tenth before
+    it and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs end,
+    and there is no longer run, the cell at the end must be unstable instead.
     """
     if _convergent(plant):
         return trajectory

@@ -46,9 +46,7 @@ def blocks(
 ) -> Iterator[Trace]:
     """Walk (η̂, w, 1) from z0 for a time in s, with the cells of x_d.
 
-    Raises:
-        Undecided: If that would take too long.
-        CheckFailed: As `simulate_flow`.
+    Raises Undecided if that would take too long; CheckFailed as `simulate_flow`.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
@@ -86,13 +84,10 @@ def realised(
 ) -> DesiredTrajectory:
     """Prove (3) for x_d in closed form, in every cell that it visits, and return the trajectory with what is proved.
 
-    On each piece of x_d it is known of every cell whether (3) holds there, whenever x_d is in it: see `LeftOver`.
-    Where that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic. (3) is
-    asked for up to the horizon, in s; `subject` is what in the description x_d is, the state follows.
-
-    Raises:
-        OutsideTheory: If no u_ff satisfies (3): first time and cell, state equations and sizes.
-        Undecided: If the walk would take too long.
+    On each piece of x_d it is known of every cell whether (3) holds there, whenever x_d is in it: see `LeftOver`. Where
+    that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic. (3) is asked
+    for up to the horizon, in s; `subject` is what in the description x_d is, the state follows. Raises OutsideTheory if
+    no u_ff satisfies (3): first time and cell, state equations and sizes; Undecided if the walk would take too long.
     """
     system = trajectory.exosystem
     starts = np.unique(np.append(0.0, np.array([r.t for r in system.resets if r.t < horizon])))

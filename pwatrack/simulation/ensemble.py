@@ -65,13 +65,9 @@ class Ensemble:
 
 def joined(parts: Sequence[Ensemble]) -> Ensemble:
     """Return the ensemble whose members are those of its parts, in order."""
-    return Ensemble(
-        t=parts[0].t,
-        error=np.concatenate([part.error for part in parts]),
-        mode_changes=np.concatenate([part.mode_changes for part in parts]),
-        unresolved=np.concatenate([part.unresolved for part in parts]),
-        verdicts=tuple(verdict for part in parts for verdict in part.verdicts),
-    )
+    names = ("error", "mode_changes", "unresolved")
+    each = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **each, verdicts=tuple(verdict for part in parts for verdict in part.verdicts))
 
 
 def simulate_ensemble(
@@ -88,10 +84,8 @@ def simulate_ensemble(
 
     `member` returns one by its index, from any thread, when its turn comes; `first` is the index of the first of them,
     and their flows may differ. `workers` are threads, None for one on each core; the result does not depend on it.
-    `progress` is called with the number of members done, now and then.
-
-    Raises:
-        PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.
+    `progress` is called with the number of members done, now and then. Raises PwatrackError: what `member` raises, and
+    CheckFailed as `simulate_flow`; the first such member is named.
     """
     samples = sample_count(duration, sample_time)
     error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)

@@ -16,7 +16,7 @@ from pwatrack.causes import ProblemPart
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
-from pwatrack.simulation.flow import Clock, Flow
+from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
@@ -57,14 +57,11 @@ def simulate_flow(
     against 50 digits. Where rounding hides on which side of a guard the state is, the trace says so.
 
     The initial state is (N,); the last sample is at the last multiple of `sample_time` up to the duration, both in s.
-    Where some resets happen at the same time, the later ones in the list come last.
-
-    Raises:
-        InvalidSpec: If an entry of the flow is not finite, or floating point cannot resolve the run: it has more than
-            2⁵² finest steps, or more than 2³² radians of an oscillation that lasts.
-        CheckFailed: If more than 1,000 events happen without progress in time, z grows beyond all bounds, or the
-            run takes more than 20 million steps and 10 for each sample, has more than a million events, or enters
-            more modes than there is room for.
+    Where some resets happen at the same time, the later ones in the list come last. Raises InvalidSpec if an entry of
+    the flow is not finite, or floating point cannot resolve the run: it has more than 2⁵² finest steps, or more than
+    2³² radians of an oscillation that lasts; CheckFailed if more than 1,000 events happen without progress in time, z
+    grows beyond all bounds, or the run takes more than 20 million steps and 10 for each sample, has more than a million
+    events, or enters more modes than there is room for.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -346,17 +343,9 @@ def _ticks(flow: Flow) -> Any:
     """Return how the program of a clock sits in the loop; one that never runs where there is none."""
     from pwatrack.simulation.kernel import ControllerClock
 
-    none, nowhere = np.zeros(0), np.zeros(0, dtype=np.int64)
-    clock = flow.clock or Clock(
-        program=NONE,
-        measured=np.zeros((0, len(flow.F0))),
-        quantum=none,
-        source=nowhere,
-        place=nowhere,
-        scale=none,
-        eta=nowhere,
-        eta_scale=none,
-    )
+    clock, none, nowhere = flow.clock, np.zeros(0), np.zeros(0, dtype=np.int64)
+    if clock is None:
+        return ControllerClock(routine(NONE), np.zeros((len(flow.F0), 0)), none, nowhere, nowhere, none)
     return ControllerClock(
         routine=routine(clock.program),
         measured=np.ascontiguousarray(clock.measured.T),

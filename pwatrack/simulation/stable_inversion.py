@@ -48,10 +48,7 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
-    s, and what is known of them.
-
-    Raises:
-        Undecided: If Newton's method does not settle.
+    s, and what is known of them. Raises Undecided if Newton's method does not settle.
     """
     system = trajectory.exosystem
     poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])

@@ -58,10 +58,7 @@ def periodic_state(
 
     Of the first guess z0, (N,), the leading `free` coordinates are solved for; the others (the exosystem and the
     constant) are kept, and repeat after one period by themselves. `subject` and `remedy` are what a refusal is about,
-    and what may help.
-
-    Raises:
-        OutsideTheory: If Newton's method does not settle, or 1 is a multiplier of the period map.
+    and what may help. Raises OutsideTheory if Newton's method does not settle, or 1 is a multiplier of the period map.
     """
     z = z0.copy()
     for _ in range(_MOST_STEPS):
@@ -139,11 +136,8 @@ def steady_start(trajectory: DesiredTrajectory, generator: TrajectoryGenerator) 
     """Return η̂(0) on the steady state of the generator (15) for the reference as it begins, (p,).
 
     That is its equilibrium where the reference begins at rest, and its periodic orbit where it begins with sinusoids
-    that have a common period. (17) makes either unique.
-
-    Raises:
-        InvalidSpec: If the reference begins in another way.
-        OutsideTheory: If none is found.
+    that have a common period. (17) makes either unique. Raises InvalidSpec if the reference begins in another way;
+    OutsideTheory if none is found.
     """
     period, exosystem = trajectory.exosystem.begins(), trajectory.exosystem
     if period is None:

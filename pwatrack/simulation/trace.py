@@ -132,11 +132,7 @@ class TraceOnDisk:
             self.add(trace)
 
     def add(self, trace: Trace) -> None:
-        """Keep one more trace.
-
-        Raises:
-            InvalidSpec: If there is no room for it.
-        """
+        """Keep one more trace; raises InvalidSpec if there is no room for it."""
         try:
             self._starts.append(self._file.seek(0, os.SEEK_END))
             pickle.dump(trace, self._file, protocol=pickle.HIGHEST_PROTOCOL)

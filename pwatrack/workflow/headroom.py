@@ -23,9 +23,8 @@ def room_within_limits(
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
-    Raises:
-        OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
-            only the generator's start makes of it is no reason: it dies out.
+    Raises OutsideTheory if following the reference takes more than the limits: input, time, figure and limit. What only
+    the generator's start makes of it is no reason: it dies out.
     """
     limits, plant = spec.scenario.conditions.limits, spec.problem.plant
     if limits is None:

@@ -174,8 +174,7 @@ def simulate(
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
 
-    Raises:
-        PwatrackError: If the spec says it twice, or with wrong lengths.
+    Raises PwatrackError if the spec says it twice, or with wrong lengths.
     """
     controller, initial = loop.controller, spec.scenario.initial
     n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]

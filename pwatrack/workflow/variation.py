@@ -103,14 +103,14 @@ def ensemble(
             kept = _simulated(spec, variation, range(count), workers, progress)
         else:
             kept = _handed_on(executor, result, (over, count, seed), workers or 1, progress)
-        judged = cast("tuple[tuple[Outcome, Figures], ...]", kept.verdicts)
+        outcomes, figures = zip(*cast("tuple[tuple[Outcome, Figures], ...]", kept.verdicts), strict=True)
         return EnsembleResult(
             nominal=result,
             variation=variation,
             seed=seed,
             ensemble=kept,
-            outcomes=tuple(outcome for outcome, _ in judged),
-            figures=tuple(figures for _, figures in judged),
+            outcomes=outcomes,
+            figures=figures,
         )
 
 
