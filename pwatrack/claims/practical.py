@@ -209,13 +209,9 @@ def deviation_bounds(
 ) -> tuple[Bounds, ...] | None:
     """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it; None if one cannot.
 
-    Args:
-        plant: f̃; if the observer runs another plant, that one has no deviation.
-        design, proofs: Its gains, and what `prove_design` returned for them.
-        X: Of the `Compensation` of loads.
-        columns: E_k (n, 1).
-        output: Whether outputs are tracked, else states.
-        states: Which states are to be bounded beside.
+    The plant is f̃; if the observer runs another one, that has no deviation. The proofs are what `prove_design`
+    returned for the gains, X is of the `Compensation` of loads, and the columns are E_k (n, 1). `output` says whether
+    outputs are tracked, else states; some `states` are to be bounded beside.
     """
     K, L = design.exact
     loops = _Loops(plant, K, L, proofs, X, output=output)

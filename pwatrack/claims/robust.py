@@ -166,14 +166,9 @@ def prove_box(
 ) -> Robust:
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
-    Args:
-        plant, design, proofs: What was designed, with what `prove_design` returned for it.
-        corners: The matrices at the corners, with the same cells.
-        output: Whether outputs are tracked, else states.
-        box: The parameters that they are the corners of.
-
-    Raises OutsideTheory if loads are estimated too; Undecided if there are too many inequalities, or no common P is
-    found.
+    The proofs are what `prove_design` returned for the design, and `corners` the matrices at the corners of the box,
+    with the same cells; `output` says whether outputs are tracked, else states. Raises OutsideTheory if loads are
+    estimated too; Undecided if there are too many inequalities, or no common P is found.
     """
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"

@@ -111,13 +111,9 @@ Sized = tuple[dict[Form, float], tuple[SignalEllipsoid, ...]]  # of signals, and
 class Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals.
 
-    Args:
-        K, L: The gains.
-        X: Of the `Compensation` of loads.
-
-    Attributes:
-        acting: A disturbance of each state equation, then the noise of each measured output.
-        starts: The entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a sinusoidal load.
+    X is of the `Compensation` of loads. `acting` are a disturbance of each state equation, then the noise of each
+    measured output; `starts` the entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a
+    sinusoidal load.
     """
 
     def __init__(

@@ -41,10 +41,8 @@ def best_certificate(
     its values at two rates meets 0 below the largest rate: the secant method gets there from below. Where a
     rate is too fast, the interval between it and the best one is halved.
 
-    Args:
-        M: (l, n, n), with all eigenvalues in the open left half plane.
-        start: A P (n, n) that may prove something.
-        sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
+    M (l, n, n) has all eigenvalues in the open left half plane; `start` is a P (n, n) that may prove something. Numbers
+    are counted in sizes of the states, (n,), by default those that balance M.
     """
     search, points = _Rates(M, start, sizes), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
@@ -178,13 +176,9 @@ def prove_convergence(
 
     Where there is no such P, a polynomial that decays may take its place: see `lmi.polynomial`.
 
-    Args:
-        M: (l, n, n).
-        claim: What is to be proved, for messages: `"(17)"`.
-        exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
-        hint, remedy: What to do where a cell is unstable by itself.
-
-    Raises Infeasible if it is proved that no P exists, and no polynomial is found; Undecided if neither is proved.
+    M is (l, n, n), and the claim is what messages say, `"(17)"`. A proof is about the exact matrices M_i, or about the
+    decimals that M prints as. Hint and remedy are what to do where a cell is unstable by itself. Raises Infeasible if
+    it is proved that no P exists, and no polynomial is found; Undecided if neither is proved.
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)

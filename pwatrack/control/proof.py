@@ -55,11 +55,8 @@ def prove_inequality(
 ) -> list[AnyProof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof.
 
-    Args:
-        certificate: What shows it in floating point.
-        hull: Places of some that have all in their hull: what is affine in M_i is proved for these. A polynomial has an
-            N_i of its own for each.
-        sizes: Of the states, (n,).
+    The certificate shows it in floating point. Those at the places `hull` have all M_i in their hull: what is affine in
+    M_i is proved for these, but a polynomial has an N_i of its own for each. Sizes are of the states, (n,).
     """
     M = different(M if hull is None or isinstance(certificate, PolynomialLyapunov) else [M[i] for i in hull])
     best = exactly(role, M, certificate)

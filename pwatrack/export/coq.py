@@ -44,12 +44,8 @@ Cell = list[tuple[list[Fraction], Fraction]]  # row x + constant >= 0, for each
 def development(content: Any, name: str) -> dict[str, str]:
     """Return the files of a development that proves what a certificate says of its gains.
 
-    Args:
-        content: A certificate, as `parsed` reads it; that its proofs hold is for Coq to find out.
-        name: What the theorem is called.
-
-    Raises:
-        InvalidSpec: If there is nothing that the theory speaks of: a refusal, a proof by a polynomial, too many cells.
+    The content is a certificate, as `parsed` reads it; that its proofs hold is for Coq to find out. The theorem has the
+    name. Raises InvalidSpec where the theory speaks of nothing: a refusal, a proof by a polynomial, too many cells.
     """
     theory = {f"{part}.v": files("pwatrack.export").joinpath(f"theory/{part}.v").read_text() for part in THEORY}
     order = " ".join(f"{part}.v" for part in (*THEORY, RUN))

@@ -71,9 +71,7 @@ def _names(tree: ast.AST) -> set[str]:
 def most(text: str, reals: Set[str]) -> Counter[str]:
     r"""Return how often lines of the notation do each of + - * / with floats at most, and compare them, as "<".
 
-    Args:
-        text: The lines.
-        reals: The names of floats.
+    `reals` are the names of floats.
 
     Example:
         >>> text = "for k in range(0, 3):\n    if u[k] > 0.0:\n        u[k] = 2.0 * u[k - 1]"

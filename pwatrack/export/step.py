@@ -75,9 +75,7 @@ class Step:
 def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:
     """Return the step of a controller.
 
-    Args:
-        routine: Its program.
-        starts: What x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
+    `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
     """
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
     arrays: tuple[Variable, ...] = (

@@ -42,11 +42,8 @@ def content(
 ) -> dict[str, Any]:
     """Return what controller.json holds of `design(spec)`.
 
-    Args:
-        proof: The digest of certificate.json.
-        generator: What generator.json holds.
-        start: `x_hat` (with what it has of loads) and `eta_hat`, where they are known.
-        failed: What its run did not achieve, in sentences.
+    `proof` is the digest of certificate.json, `generator` what generator.json holds; `start` has `x_hat` (with what it
+    has of loads) and `eta_hat`, where they are known; `failed` says what its run did not achieve, in sentences.
     """
     trajectory, conditions = controller.trajectory, spec.scenario.conditions
     found: dict[str, Any] = {

@@ -181,9 +181,7 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 def legal(name: str, taken: set[str]) -> str:
     """Return a name as an identifier that is not taken, and take it: cases are alike, `_` is between other signs.
 
-    Args:
-        name: Any text.
-        taken: What is taken, in capitals; it grows.
+    What is taken, in capitals, grows.
 
     Example:
         >>> taken = set(KEYWORDS)

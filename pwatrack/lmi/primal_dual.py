@@ -69,16 +69,13 @@ def solve(
 ) -> Solution | None:
     """Minimise from an infeasible start.
 
-    Args:
-        gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
-        against: A number; ends where the objective is less, and where it cannot be, of which P and Y need not be exact:
-            `gap` is a share of the distance.
-        after: The answer to a program with constraints of the same shapes and nearly the same entries. It is begun
-            there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
+    It ends at a gap between the objective and its dual bound, a share of the objective. With a number `against` it ends
+    where the objective is less, and where it cannot be, of which P and Y need not be exact: the gap is a share of the
+    distance. `after` is the answer to a program with constraints of the same shapes and nearly the same entries: it is
+    begun there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
 
-    Returns:
-        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap P, Y
-        and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
+    Returned is what was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap
+    P, Y and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)

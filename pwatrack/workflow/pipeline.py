@@ -141,9 +141,8 @@ def simulate(
 
     Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
 
-    Args:
-        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound.
-        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
+    The controller is what `design(spec)` returned; designed first if not given, also where x_d grows without bound.
+    Where it is sampled, `runs` is the program of it, if it was kept; else it is made.
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
