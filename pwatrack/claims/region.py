@@ -29,6 +29,7 @@ from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
 
+_TRIES = 3  # of how the room of several inputs is shared with their loads
 _NOT_FOUND = "no ellipsoid was found that proves it"
 
 
@@ -71,13 +72,10 @@ class LimitedRegion(Claim):
         if room is None:
             return
         missing, found = _beyond(controller, room), list[StartGuarantee]()
-        every = _every(controller) if not missing else None
-        starts = [nearby(one, entries) for one in room.starts] if room.starts else []
-        for one in (every, *starts) if every is not None else ():
-            if one is not None and one.kind in entries:
-                entry = entries[one.kind]
-                shape = len(entry["H"]), len(entry["Q"]["integers"])
-                held = Region(H=np.asarray(doubles(entry["H"])).reshape(shape), **read_ellipsoid(entry))
+        starts = () if missing else (_every(controller), *(nearby(one, entries) for one in room.starts))
+        for one in starts:
+            if (entry := entries.get(one.kind)) is not None:
+                held = Region(H=np.asarray(doubles(entry["H"])), **read_ellipsoid(entry))
                 found.append(_of(loops_of(controller), one, room, held))
         yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
@@ -110,8 +108,7 @@ class LimitedRegion(Claim):
             label = ""
         cheaper = controller.design.cheaper
         if cheaper is not None:
-            ratio = _smaller(controller, cheaper)
-            much = f"{ratio:.2g} times smaller" if ratio >= 1 else f"{1 / ratio:.2g} times larger"
+            much = f"{_smaller(controller, cheaper):.2g} times smaller"
             yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
 
     def _with_loads(self, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
@@ -150,14 +147,11 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
 
 def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarantee, ...]:
     """Prove from which starts errors go to 0 with limits active: from every one, or from multiples of those given."""
-    loops, left = loops_of(controller), room.spare
-    assert left is not None
-    inputs = _inputs(room)
-    every = _every(controller)
+    loops, inputs = loops_of(controller), _inputs(room)
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
-        return (_of(loops, every, room, held),)
+        return (_of(loops, _every(controller), room, held),)
     found, acts = list[StartGuarantee](), taken_off(controller.compensation, loops.at_inputs)
     for one in room.starts:
         name: Loop = "controller" if one.delta is None else "joint"
@@ -172,21 +166,16 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
 
 def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion."""
-    left, best, share = room.spare, None, 0.0
+    left, inputs = room.spare, list(_inputs(room))
     assert left is not None
-    loads = np.array(loads_at(loops, starts, _inputs(room)))
-    room_of, most = left[list(_inputs(room))], np.inf
-    for _ in range(3):
-        held = loop.around(starts.G, np.maximum(room_of - share * loads, 0.0))
+    loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
+    for _ in range(_TRIES if loads.any() else 1):
+        held = loop.around(starts.G, np.maximum(left[inputs] - share * loads, 0.0))
         if held is None:
             break
         found = _of(loops, starts, room, held)
-        most = found.scale(left)
-        if most > (0.0 if best is None else best.scale(left)):
-            best = found
-        if not loads.any():
-            break
-        share = most
+        share = found.scale(left)
+        best = found if best is None or share > best.scale(left) else best
     return best
 
 

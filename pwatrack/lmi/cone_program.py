@@ -16,11 +16,6 @@ Block = tuple[Array, Array]  # G (N (N + 1) / 2, n) and h (N (N + 1) / 2,), as `
 def semidefinite(cost: Array, blocks: Sequence[Block], solver: Solver) -> Array | None:
     """Return x that minimises cᵀx where each block h − G x, a symmetric matrix, is positive semidefinite, or None.
 
-    Args:
-        cost: c (n,).
-        blocks: G and h of each, of any order.
-        solver: "clarabel" or "cvxopt".
-
     Example: the least t with t I ⪰ diag(1, 2).
 
         >>> block = np.array([[-1.0], [0.0], [-1.0]]), np.array([-1.0, 0.0, -2.0])
@@ -42,12 +37,7 @@ def _order(h: Array) -> int:
 
 
 def upper(X: Array) -> Array:
-    """Return the upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2.
-
-    Example:
-        >>> upper(np.array([[[1.0, 0.0], [0.0, 4.0]]])).tolist()
-        [[1.0, 0.0, 4.0]]
-    """
+    """Return upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2."""
     column, row = np.tril_indices(X.shape[-1])
     return np.asarray(X[..., row, column] * np.where(row == column, 1.0, np.sqrt(2.0)))
 
@@ -80,17 +70,8 @@ def _by_cvxopt(cost: Array, blocks: Sequence[Block]) -> Array | None:
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
     """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
-    Args:
-        gap: Share of the objective that may be missed.
-
-    Raises:
-        ArithmeticError: If a number is not finite, or the library fails.
-
-    Example: the least x with x ≥ 2.
-
-        >>> at_least = sparse.csc_matrix([[-1.0]]), np.array([-2.0]), [clarabel.NonnegativeConeT(1)]
-        >>> round(minimise(np.ones(1), *at_least).x[0], 6)
-        2.0
+    The gap is the share of the objective that may be missed. Raises ArithmeticError if a number is not finite, or the
+    library fails.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
