@@ -225,3 +225,40 @@ def test_a_given_gain_is_left_as_it_is(tmp_path: Path) -> None:
     made = design(load_spec(written(tmp_path, MOVED.replace("reference:", given), SPEED="2", **WAVE)))
     assert made.design.cheaper is None
     assert made.K.tolist() == [[-900, -80]]
+
+
+def test_where_nothing_is_left_on_one_side_of_an_unstable_plant_nothing_is_proved_and_it_is_said(
+    tmp_path: Path,
+) -> None:
+    """T' = 0.1 T + Q/2 with Q in [0, 8] and u_ff = 0: from below 0 nothing brings it back."""
+    path = tmp_path / "tank.yaml"
+    text = TANK.replace("-0.1", "0.1").replace("MORE", "observer: {rate: 1}").replace("LEVEL", "0")
+    path.write_text(text, encoding="utf-8")
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "limits active not proved: no ellipsoid was found that proves it" in said
+    assert design(load_spec(path)).design.cheaper is None
+
+
+def test_of_two_inputs_the_one_with_nothing_left_helps_where_it_can(tmp_path: Path) -> None:
+    """The first state is unstable and held by f; the second is stable and heated by g, which is at its limit of 0."""
+    path = tmp_path / "pair.yaml"
+    path.write_text(
+        """
+name: Two states
+system:
+  states: [x, T]
+  inputs: [f, g]
+  outputs: [y, z]
+  sizes: {x: 0.1, T: 1}
+  A: [[0.5, 0], [0, -0.1]]
+  B: [[1, 0], [0, 1]]
+  C: [[1, 0], [0, 1]]
+design: {tracking: state}
+reference: {setpoint: {y: 0, z: 0}}
+simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {f: [-1, 1], g: [0, 5]}}}
+""",
+        encoding="utf-8",
+    )
+    found = scaled(region(path))
+    assert 10 < found["exact"] < 1 / 0.5 / 0.1  # |x| < 2, whatever T is, within the proportions of the box
+    assert found["sizes"] > 1

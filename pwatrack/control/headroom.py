@@ -137,7 +137,8 @@ class InputConstraint:
         if self.over > 1 and (loop.work > MOST_WORK or loop.everywhere() is not None):
             return np.inf
         found = [loop.around(G, left) if self.over > 1 else held(closed, G, rows, left, inner) for G in self.starts]
-        shares = [0.0 if one is None else float(1 / (np.array(one.sizes) / left).max()) for one in found]
+        some = left > 0  # where nothing is left H is 0
+        shares = [0.0 if one is None else float(1 / (np.array(one.sizes)[some] / left[some]).max()) for one in found]
         return min(shares)
 
 

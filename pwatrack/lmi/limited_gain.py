@@ -67,7 +67,9 @@ class LimitedGain:
 
     def farthest(self) -> tuple[LimitedFound, float] | None:
         """Return a gain for the largest multiple of the starts, and that multiple."""
-        found = minimised("t", {**self._shapes, "t": ()}, lambda x: self._common(x, x["t"]))
+        bounded = (self.room > 0) & np.isfinite(self.room)
+        shapes = {**self._shapes, "t": ()}
+        found = minimised("t", shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
         if found is None or not found["t"] > 0:
             return None
         return LimitedFound(found["Q"], found["Y"]), float(1 / np.sqrt(found["t"]))

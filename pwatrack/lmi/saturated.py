@@ -117,7 +117,8 @@ class SaturatedLoop:
             True
         """
         acts = np.flatnonzero(G.any(axis=0))
-        near = self.inners[-1].near(np.array([X.floats for X in self.M])) if self.inners and len(acts) else None
+        asked = self.inners and len(acts) and room.any()
+        near = self.inners[-1].near(np.array([X.floats for X in self.M])) if asked else None
         if near is None:
             return None
         for decay in _DECAYS:
