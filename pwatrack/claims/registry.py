@@ -44,8 +44,7 @@ STATEMENT = " ".join(
 def proved(controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with all claims that can be made of it, beside those that it has.
 
-    Raises:
-        PwatrackError: If one was asked for and is not so, or not proved.
+    Raises PwatrackError if one was asked for and is not so, or not proved.
     """
     for kind in CLAIMS:
         controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
@@ -55,8 +54,7 @@ def proved(controller: ProvedController, asked: Asked) -> ProvedController:
 def read(content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with the claims that a certificate holds, without a solver.
 
-    Raises:
-        ValueError: If one does not fit to the controller.
+    Raises ValueError if one does not fit to the controller.
     """
     for kind in CLAIMS:
         controller = replace(controller, claims=(*controller.claims, *kind.read(content, controller, asked)))

@@ -31,7 +31,6 @@ class DenseMap(LinearMap):
             stack[self.main :, -1, :k, :k] = -_units(self.W)
 
     def _write(self, out: Array, side: Side, N: int) -> None:
-        """Write the left-hand sides of one constraint."""
         k, eye = self.P.size, np.eye(N)[None]
         if side.L is not None:
             whole = _outer(side.L, eye if side.R is None else side.R)
@@ -66,7 +65,7 @@ class StackMap(DenseMap):
         self.rows, self.values = np.zeros((0, self.size)), np.zeros(0)
 
 
-class DenseEquations:
+class DenseEquations(Equations):
     """`Equations` with the left-hand sides of all unit vectors."""
 
     def __init__(self, linear: DenseMap, scaling: Scaling) -> None:
@@ -93,7 +92,6 @@ def _outer(front: Array, back: Array) -> Array:
 
 
 def _units(of: Triangle) -> Array:
-    """Return the symmetric matrices of the unit vectors."""
     units, k = np.zeros((of.size, of.n, of.n)), np.arange(of.size)
     units[k, of.rows, of.columns] = 1.0
     return symmetric_part(units)

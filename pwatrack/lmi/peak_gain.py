@@ -71,12 +71,6 @@ def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[fl
     """Return the peak gain from d to each form, a row c, between a lower and an upper bound.
 
     None where eigenvalues cannot be told apart, or one does not decay.
-
-    Example: |z| ≤ 3 / 2 sup |d| for z' = −2 z + 3 d.
-
-        >>> found = peak_gains(*(BallMatrix.of([[v]]) for v in (-2, 3, 1)))
-        >>> found[0][0] <= 1.5 <= found[0][1] < 1.5 * 1.003
-        True
     """
     with working_bits(_BITS):
         matrix = _complex(M)
@@ -133,7 +127,6 @@ def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Seq
 
 
 def _complex(X: BallMatrix) -> Any:
-    """Return a matrix as FLINT's complex balls."""
     rows, columns = X.shape
     entries = [flint.arb(X.centre[j, k]) for j in range(rows) for k in range(columns)]
     if X.radius is not None:
@@ -144,31 +137,17 @@ def _complex(X: BallMatrix) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class PeakGain(Packed):
-    """∫ |c e^(Mt) g| dt ≤ size, proved.
+    """∫ |c e^(Mt) g| dt ≤ size, proved."""
 
-    Attributes:
-        unit: The shortest step is 2^unit s.
-        steps: One after the other: k, and how many steps of 2^(unit + k) s.
-        size: Rounded up.
-    """
-
-    unit: int
-    steps: tuple[tuple[int, int], ...]
-    size: float
+    unit: int  # the shortest step is 2^unit s
+    steps: tuple[tuple[int, int], ...]  # one after the other: k, and how many steps of 2^(unit + k) s
+    size: float  # rounded up
 
 
 def peak_gain(M: BallMatrix, g: BallMatrix, c: BallMatrix, ellipsoid: InvariantEllipsoid) -> PeakGain | None:
     """Return the peak gain of z' = M z + g d, of c z; None where it takes too many steps or an entry is irrational.
 
     M is stable, and the ellipsoid is that of M, g and c.
-
-    Example: a damped oscillator, ∫ |e^(−t) sin 3t| / 3 dt.
-
-        >>> from pwatrack.lmi.ellipsoid import Inner, ellipsoid
-        >>> M, g, c = (BallMatrix.of(X) for X in ([[0, 1], [-10, -2]], [[0], [1]], [[1, 0]]))
-        >>> around = ellipsoid([M], g, c, [Inner(Q=np.array([[1, -0.9], [-0.9, 10]]), most=0.5)])
-        >>> 1 < peak_gain(M, g, c, around).size / float(0.1 / np.tanh(np.pi / 6)) < 1.01
-        True
     """
     if any(X.radius is not None for X in (M, g, c)) or M.shape[0] > _MOST_ORDER:
         return None
@@ -236,7 +215,6 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
 def _enclosed(
     M: Rational, g: Rational, c: Rational, P: Rational, Q: Rational, a: Fraction, unit: int, steps: list[int]
 ) -> Fraction:
-    """Return an upper bound of the integral, by balls."""
     with working_bits(_PRECISION):
         flows = [(flint.arb_mat(M) * flint.arb(2) ** unit).exp()]
         while len(flows) <= max(steps, default=0):

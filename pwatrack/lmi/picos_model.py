@@ -115,9 +115,7 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
     """Linear objectives over linear and semidefinite constraints, min cᵀx s.t. Gx + s = h, s ∈ cones."""
 
     SUPPORTED = Specification(
-        objectives=[AffineExpression],
-        variables=CONTINUOUS_VARTYPES,
-        constraints=[AffineConstraint, LMIConstraint],
+        objectives=[AffineExpression], variables=CONTINUOUS_VARTYPES, constraints=[AffineConstraint, LMIConstraint]
     )
 
     @classmethod

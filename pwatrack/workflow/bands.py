@@ -50,7 +50,6 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 
 
 def _limited(loop: ClosedLoop, response: Response) -> bool:
-    """Say whether an input was at a limit."""
     visited = response.trace.visited()
     return any(
         isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited)
@@ -92,9 +91,6 @@ class Along:
     That is w = f_p(x_d) − f(x_d) + (B_p − B) u_ff. In each cell of x_d, for each plant, w is rows of the flow of the
     loop; it is affine in the matrices, so of all plants of the box one at a corner has the largest. What is said is of
     all times: between samples, and on both sides of where x_d goes from cell to cell or a signal jumps.
-
-    Args:
-        samples: How many the run has.
     """
 
     def __init__(self, loop: ClosedLoop, robust: Robust, samples: int) -> None:
@@ -137,10 +133,7 @@ def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[
 def so_far(w: Array, t: Array, samples: int, step: float) -> Array:
     """Return the largest size of each entry of w up to the end of the tenth of the run that a time is in, (K, n).
 
-    Args:
-        w: In each tenth, (10, n).
-        t: Times in s, (K,).
-        samples, step: How many samples the run has, and how far they are apart in s.
+    w (10, n) is that in each tenth, and t (K,) are times in s; a run has so many samples, so far apart.
     """
     starts = np.array(tenths(samples)[:-1]) * step
     k = np.searchsorted(starts, t + step / 2, side="right") - 1  # never an earlier one than that of t

@@ -15,7 +15,7 @@ from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.synthesis import synthesize
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
@@ -23,8 +23,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
-from pwatrack.simulation.startup import measured_start
-from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
@@ -142,9 +141,8 @@ def simulate(
 
     Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
 
-    Args:
-        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound.
-        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
+    The controller is what `design(spec)` returned; designed first if not given, also where x_d grows without bound.
+    Where it is sampled, `runs` is the program of it, if it was kept; else it is made.
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
@@ -175,8 +173,7 @@ def simulate(
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
 
-    Raises:
-        PwatrackError: If the spec says it twice, or with wrong lengths.
+    Raises PwatrackError if the spec says it twice, or with wrong lengths.
     """
     controller, initial = loop.controller, spec.scenario.initial
     n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
@@ -236,7 +233,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
         message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
         message += f"fastest; up to {LONGEST_PERIOD:.0e} are followed"
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
-        raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+        raise InvalidSpec(message, subject=("reference", "start"), hint=hint)
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(desired_flow(controller.plant, trajectory), start, free=p, period=period)
 
