@@ -325,7 +325,7 @@ def certify(
 ) -> None:
     """Write a certificate as a development for Coq, whose kernel proves the theorem for these gains."""
     with refusals():
-        from pwatrack.commands.certify import certify
+        from pwatrack.commands.export import certify
 
         files = certify(path, out)
         typer.echo(f"Development in {out}/: {', '.join(files)}")

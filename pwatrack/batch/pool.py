@@ -71,14 +71,10 @@ class _Worker:
 class Pool(Executor):
     """An executor that loses one task at most with each process.
 
-    Args:
-        jobs: How many processes.
-        timeout: Seconds that a task may take, once it has begun; None for any time.
-        memory: Megabytes that a task may take beyond the program itself; None for any size. Kept by Linux only.
-        preload: Modules that are imported once, before the first process.
-
-    A future's `result()` raises `Lost` where the process died, ran out of time or out of memory, and what the task
-    raised otherwise.
+    A task may take `timeout` seconds once it has begun, None for any time, and `memory` megabytes beyond the program
+    itself, None for any size, which Linux alone keeps. The modules of `preload` are imported once, before the first
+    process. A future's `result()` raises `Lost` where the process died, ran out of time or out of memory, and what the
+    task raised otherwise.
 
     Example:
         >>> with Pool(1) as pool:
@@ -172,7 +168,6 @@ class Pool(Executor):
             return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
     def _assign(self) -> None:
-        """Give tasks to processes that have none, and start those that are missing."""
         while True:
             free = next((w for w in self._workers if not w.task and not w.reason), None)
             if free is None and len(self._workers) >= self._jobs:
