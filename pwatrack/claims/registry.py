@@ -12,6 +12,7 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
@@ -19,6 +20,7 @@ from pwatrack.control.words import Words
 CLAIMS: tuple[type[Claim], ...] = (
     Practical,
     SampledLoop,
+    SampledBounds,
     Decay,
     Costs,
     NoSaturation,
