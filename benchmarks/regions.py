@@ -42,7 +42,7 @@ def plant(random: np.random.Generator) -> tuple[list[Array], Array, Array, Array
         X = solve_continuous_are(A0, B, np.eye(2), np.eye(1))
         A = [A0, A0 + 0.05 * random.normal(size=(2, 1)) @ random.normal(size=(1, 2))]
         if max(np.linalg.eigvalsh(X @ (M - B @ B.T @ X) + (M - B @ B.T @ X).T @ X).max() for M in A) < -0.05:
-            return A, B, -B.T @ X, np.linalg.inv(X)
+            return A, B, np.asarray(-B.T @ X), np.asarray(np.linalg.inv(X), dtype=np.float64)
 
 
 def survives(A: list[Array], B: Array, K: Array, forms: list[Array], z: Array, random: np.random.Generator) -> Array:
@@ -91,7 +91,8 @@ def largest_ellipse(reach: Array) -> float:
 
     best = 0.0
     for first in (0.0, 1.0, -1.0):
-        found = minimize(lambda e: -np.log(area(e)), [0, first, 0], method="Nelder-Mead", options={"maxiter": 4000})
+        start, most = np.array([0.0, first, 0.0]), {"maxiter": 4000}
+        found = minimize(lambda e: -np.log(area(e)), start, method="Nelder-Mead", options=most)  # type: ignore[call-overload]
         best = max(best, float(np.exp(-found.fun)))
     return best
 
@@ -118,8 +119,9 @@ def areas(seed: int) -> tuple[float, float]:
 
     shapes = [np.array([angle, long]) for angle in np.arange(4) * np.pi / 4 for long in (0.0, 1.0, 2.0)]
     first = max(shapes, key=area)  # of a box of starts: the program makes the box large, not the area
-    minimize(lambda shape: -area(shape), first, method="Nelder-Mead", options={"maxfev": 60})
-    reach = simulated(A, B, K, P, [np.linalg.inv(P), form], random)
+    minimize(lambda shape: -area(shape), first, method="Nelder-Mead", options={"maxfev": 60})  # type: ignore[call-overload]
+    forms = [np.asarray(X, dtype=np.float64) for X in (np.linalg.inv(P), form)]
+    reach = simulated(A, B, K, P, forms, random)
     return best / largest_ellipse(reach), best / float((reach**2).sum() * np.pi / _RAYS)
 
 

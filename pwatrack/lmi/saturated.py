@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from pwatrack.arrays import Array, IntArray, symmetric_part
+from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Inner, StartEllipsoid, around_starts, enclosure
 from pwatrack.lmi.inequality import lyapunov
@@ -139,14 +139,15 @@ class SaturatedLoop:
         """Return Q, H and the weights of the starts, in floating point."""
         V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
-        seen = _Scaled.of(inside, B * np.where(room > 0, room, 1.0), D / np.where(room > 0, room, 1.0)[:, None], decay)
+        units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
+        seen = _Scaled.of(inside, B * units, D / units[:, None], decay)
         G = solve_triangular(V, G, lower=True)
         size = float(np.linalg.norm(G, 2))
-        found = seen.largest(G / size, np.flatnonzero(room > 0))
+        found = seen.largest(G / size, room / units / float((room / units).max()))
         if found is None:
             return None
         Q, Z, weights = found
-        H = np.linalg.solve(V.T, np.linalg.solve(Q, Z.T)).T * room[:, None]
+        H = np.linalg.solve(V.T, np.linalg.solve(Q, Z.T)).T * units[:, None]
         return size**2 * V @ Q @ V.T, _short(H), weights
 
 
@@ -172,10 +173,10 @@ class _Scaled:
             for M_p in self.M:
                 yield -symmetric_part(M_p @ Q + added) - self.decay * Q
 
-    def largest(self, G: Array, inside: IntArray) -> tuple[Array, Array, Array] | None:
-        """Return Q, Z and weights w with Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1 and the least of the largest H_j Q H_jᵀ."""
+    def largest(self, G: Array, room: Array) -> tuple[Array, Array, Array] | None:
+        """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²."""
         (N, k), m = G.shape, len(self.D)
-        mask = np.isin(np.arange(m), inside).astype(float)
+        mask = (room > 0).astype(float)
 
         def blocks(x: Unknowns) -> Iterator[Array]:
             x = {**x, "Z": x["Z"] * mask[:, None]}
@@ -186,8 +187,8 @@ class _Scaled:
             yield Q - _LEAST * one * eye
             yield np.block([[Q, one * G], [one * G.T, w[:, :, None] * np.eye(k)]])
             yield one - w.sum(axis=1)[:, None, None]
-            for j in inside.tolist():
-                Z_j = x["Z"][:, j : j + 1]
+            for j in np.flatnonzero(room > 0).tolist():
+                Z_j = x["Z"][:, j : j + 1] / room[j]
                 yield np.block([[x["t"][:, None, None], Z_j], [Z_j.transpose(0, 2, 1), Q]])
 
         found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
