@@ -11,6 +11,7 @@ from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
@@ -18,6 +19,7 @@ from pwatrack.control.words import Words
 CLAIMS: tuple[type[Claim], ...] = (
     Practical,
     SampledLoop,
+    SampledBounds,
     Decay,
     Costs,
     NoSaturation,

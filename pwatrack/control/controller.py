@@ -18,6 +18,7 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom
+from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -43,6 +44,7 @@ class Asked:
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later
     sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
+    acting: "Callable[[ProvedController, SampledErrors], Mapping[Channel, float] | None] | None" = None  # in the run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,7 @@ class Seen:
     acting: Mapping[Channel, Array]  # the largest size so far of what disturbs, and of noise at any time, (K,) each
     designed: bool  # whether the loop is the one that was designed, but for disturbances, noise and limits not come to
     w: Array | None = None  # how large each entry of w is so far, (K, n), where the plant is one of a box
+    sampled: bool = False  # whether it is the loop of the program, with the plant of the design, limits not come to
 
 
 class Claim(ABC):

@@ -8,7 +8,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
-from pwatrack.model.conditions import NOMINAL, Conditions
+from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
@@ -61,10 +61,8 @@ class ClosedLoop:
             found += pieces(trajectory.preview.left, at.rho)
         if conditions.disturbance is not None:
             found += pieces(conditions.disturbance, at.d)
-        if (noise := conditions.noise) is not None:
-            t = noise.sample_time * np.arange(sample_count(duration, noise.sample_time), dtype=np.float64)
-            values = np.random.default_rng(noise.seed).normal(size=(len(t), len(noise.std))) * noise.std
-            found.append(StateResets(t=t, where=at.v, values=values))
+        if conditions.noise is not None:
+            found.append(StateResets(**drawn(conditions.noise, duration), where=at.v))
         return found
 
     def response(self, trace: Trace) -> "Response":
@@ -148,6 +146,12 @@ class ClosedLoop:
                 rows[part.input] = 0.0
                 rows[part.input, -1] = level
         return rows
+
+
+def drawn(noise: Noise, duration: float) -> dict[str, Array]:
+    """Return the noise of a run up to a time (s): from when on it has which `values`, (K,) and (K, q)."""
+    t = noise.sample_time * np.arange(sample_count(duration, noise.sample_time), dtype=np.float64)
+    return {"t": t, "values": np.random.default_rng(noise.seed).normal(size=(len(t), len(noise.std))) * noise.std}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, OutsideTheory, Problem, Undecided
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.enclosure import Segments, enclosed
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import pieces, trace_blocks
@@ -158,7 +159,7 @@ def feedforward_peak(
     duration = duration if system.end is None else min(duration, system.end)
     segments: Iterable[Segments]
     if w_alone(trajectory):
-        segments = [_along_w(trajectory, duration)]
+        segments = [along(system, duration, before=p)]
     elif start is None and p:
         return None
     else:
@@ -178,11 +179,11 @@ def w_alone(trajectory: DesiredTrajectory) -> bool:
     return not gains[:, :, : trajectory.rate.shape[1]].any() and not (gains - gains[0]).any()
 
 
-def _along_w(trajectory: DesiredTrajectory, duration: float) -> Segments:
-    """Return (η̂, w, 1) with η̂ = 0, from piece to piece of the reference."""
-    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+def along(system: Exosystem, duration: float, *, before: int = 0) -> Segments:
+    """Return (0, w, 1), with so many 0 before w, from piece to piece of an exosystem."""
     breaks = [reset.t for reset in system.resets if reset.t < duration]
     t = np.unique([*np.linspace(0.0, duration, STEPS + 1), *breaks])
-    zeta = np.hstack([np.zeros((len(t), p)), system.states(t), np.ones((len(t), 1))])
+    zeta = np.hstack([np.zeros((len(t), before)), system.states(t), np.ones((len(t), 1))])
+    F = block_diag(np.zeros((before, before)), system.S, np.zeros((1, 1)))
     number, length = np.zeros(len(t), dtype=np.int64), np.diff(t, append=t[-1])
-    return Segments(modes=((0,),), F=_of_w(trajectory)[None], number=number, t=t, zeta=zeta, length=length)
+    return Segments(modes=((0,),), F=F[None], number=number, t=t, zeta=zeta, length=length)

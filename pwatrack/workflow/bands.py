@@ -11,7 +11,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Seen
 from pwatrack.model.box import Box, inside
 from pwatrack.model.conditions import Conditions
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments
 from pwatrack.simulation.flow import Mode
@@ -34,11 +34,10 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     been at the samples so far, noise as it ever gets. The response is from the start on.
     """
     conditions, controller, first = loop.conditions, loop.controller, response
-    free = replace(conditions, limits=None) if not _limited(loop, response) else conditions
-    start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], _estimates_off(loop, response)])
+    free = replace(conditions, limits=None) if not limited(loop, response) else conditions
     seen = Seen(
         t=response.t,
-        start=start,
+        start=start_of_errors(loop, first),
         acting=_acting(loop, response),
         designed=replace(free, disturbance=None, noise=None).nominal,
         w=w if covered(box, free) else None,
@@ -49,12 +48,20 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     return controller.with_left(found)
 
 
-def _limited(loop: ClosedLoop, response: Response) -> bool:
+def limited(loop: ClosedLoop, response: Response) -> bool:
+    """Say whether an input was at a limit, or changed as fast as it may."""
     visited = response.trace.visited()
     return any(
-        isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited)
+        (isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited))
+        or (isinstance(part, RateLimit) and any(part.cells[mode[k]] != "free" for mode in visited))
         for k, part in enumerate(loop.flow.parts)
     )
+
+
+def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
+    """Return (x − x_d, x̂ − x, ŝ − s) at the first sample."""
+    off = first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]
+    return np.concatenate([*off, _estimates_off(loop, first)])
 
 
 def _estimates_off(loop: ClosedLoop, response: Response) -> Array:

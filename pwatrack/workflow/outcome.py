@@ -12,6 +12,7 @@ from pwatrack.arrays import EPS, Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Seen
 from pwatrack.errors import ExitCode
@@ -19,7 +20,7 @@ from pwatrack.model.box import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.workflow.bands import Along, covered
+from pwatrack.workflow.bands import Along, covered, limited, start_of_errors
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 
@@ -88,6 +89,8 @@ class RunMonitor:
         self._broken = ""
         robust = next(iter(loop.controller.claims_of(Robust)), None)
         self._robust = robust if covered(box, loop.conditions) else None
+        conditions = loop.conditions  # what else may be in them is counted in what acts
+        self._sampled = conditions.plant is None and conditions.sampling is not None and conditions.sampling.corrects
         self._along = None if robust is None else Along(loop, robust, samples)
 
     def see(self, block: Response) -> None:
@@ -144,14 +147,19 @@ class RunMonitor:
             of_e, of_x = (float(np.linalg.norm(each)) for each in off)
             yield self._norm_name, block.error_norm, controller.tracking_bound(t, e, delta), of_e
             yield "‖x̂ − x‖", block.observer_error, controller.observer_bound(t, delta), of_x
-        elif self._robust is not None and self.w is not None:
-            w, start = np.broadcast_to(self.w.max(axis=0), block.x.shape), np.concatenate([e, delta])
-            seen = Seen(t=t, start=start, acting={}, designed=False, w=w)
-            allowed = controller.with_left(self._robust.allows(controller, seen))
-            for k, name in enumerate(self._names):
-                if (self._tracked, k) in allowed:
-                    error = np.abs(block.tracking_error[:, k])
-                    yield f"|{name} − {name}_d|", error, allowed[self._tracked, k], float(rounding[k])
+            return
+        start, allowed = start_of_errors(self._loop, first), dict[Form, Array]()
+        if self._robust is not None and self.w is not None:
+            w = np.broadcast_to(self.w.max(axis=0), block.x.shape)
+            seen = Seen(t=t, start=start[: 2 * len(e)], acting={}, designed=False, w=w)
+            allowed = self._robust.allows(controller, seen)
+        self._sampled = self._sampled and not limited(self._loop, block)
+        for claim in controller.claims_of(SampledBounds) if self._sampled else ():
+            allowed |= claim.allows(controller, Seen(t=t, start=start, acting={}, designed=False, sampled=True))
+        for form, bound in controller.with_left(allowed).items():
+            if form[0] == self._tracked:
+                k, name = form[1], self._names[form[1]]
+                yield f"|{name} − {name}_d|", np.abs(block.tracking_error[:, k]), bound, float(rounding[k])
 
     def _disturbed(self, trace: Trace) -> None:
         conditions, at, z = self._loop.conditions, self._loop.at, trace.z
