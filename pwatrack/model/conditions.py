@@ -38,11 +38,13 @@ class Sampling:
             this sample time. The others step the observer (18) on under the held y, in the cell it is in: "emulated"
             is exact for what the controller knows, "euler" is one explicit Euler step.
         delay: How many sample times an input is put out after what it is computed from was measured.
+        jitter: By how much the time between two ticks may differ from the sample time, in s.
     """
 
     sample_time: float
     method: Method = "corrected"
     delay: int = 0
+    jitter: float = 0.0
 
     @property
     def corrects(self) -> bool:
@@ -118,8 +120,9 @@ class Conditions:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
             said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
         if self.sampling is not None:
-            late = self.sampling.delay
+            late, jitter = self.sampling.delay, self.sampling.jitter
             text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
+            text += f", give or take {jitter:g} s" if jitter else ""
             said.append(text + (f", its output {amount(late, 'sample')} late" if late else ""))
         if self.quanta is not None:
             both = ((plant.outputs, self.quanta.outputs), (plant.inputs, self.quanta.inputs))

@@ -84,7 +84,7 @@ def _all_die_out(maps: SampleMaps, h: float) -> int:
     controller, end = maps.controller, maps.controller.trajectory.exosystem.end
     if ticks > _MOST or (end is not None and ticks * h > end):
         return 0
-    sampling = replace(maps.sampling, sample_time=h)
+    sampling = replace(maps.sampling, sample_time=h, jitter=0.0)
     other = None if maps.plant is controller.plant else maps.plant
     loop = closed_loop(controller, Conditions(plant=other, sampling=sampling))
     at_rest = np.zeros(2 * len(controller.sizes.state))
