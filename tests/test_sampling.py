@@ -17,7 +17,7 @@ from pwatrack.errors import CheckFailed
 from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
-from pwatrack.simulation.propagate import _tick_times, simulate_flow
+from pwatrack.simulation.propagate import tick_times, simulate_flow
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.simulation.sampled_runs import check_sample_time, dying_out
 from tests.plants import random_plant
@@ -210,7 +210,7 @@ def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_pat
 
 def test_ticks_with_jitter_are_as_far_apart_as_it_says_and_do_not_get_away() -> None:
     h, jitter, end = 0.01, 0.002, 5.0
-    times = _tick_times(Sampling(sample_time=h, jitter=jitter), end)
+    times = tick_times(Sampling(sample_time=h, jitter=jitter), end)
     apart = np.diff(times)
     assert times[0] == 0
     assert h - jitter < apart.min() < h - 0.8 * jitter

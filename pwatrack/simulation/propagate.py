@@ -335,7 +335,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
         values[last - len(r.t) : last, r.where] = r.values
     if flow.clock is not None:
-        times.append(_tick_times(flow.clock.program.sampling, end))
+        times.append(tick_times(flow.clock.program.sampling, end))
         edges.append(np.zeros((len(times[-1]), 2), dtype=np.int64))
         row = np.append(row, np.full(len(times[-1]), -1))
     step = np.concatenate([np.empty(0), *times]) / h
@@ -353,7 +353,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     )
 
 
-def _tick_times(sampling: Sampling, end: float) -> Array:
+def tick_times(sampling: Sampling, end: float) -> Array:
     """Return when a clock ticks: with jitter somewhere about its times, the first at 0, so that none gets away."""
     count = sample_count(end, sampling.sample_time)
     away = np.random.default_rng(_SEED).uniform(-0.5, 0.5, size=count) * sampling.jitter
