@@ -17,7 +17,7 @@ from pwatrack.errors import CheckFailed
 from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
-from pwatrack.simulation.propagate import tick_times, simulate_flow
+from pwatrack.simulation.propagate import simulate_flow, tick_times
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.simulation.sampled_runs import check_sample_time, dying_out
 from tests.plants import random_plant

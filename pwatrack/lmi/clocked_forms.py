@@ -195,16 +195,16 @@ class ClockedForms:
     def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
         """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
         program = MarginProgram(F.shape[1], self.parts * (self.knots + 1))
+        less, more, eye = program.less, program.more, np.eye(program.n)
         for k in range(program.count):
-            program.add({k: -program.eye}, _OF_P * weight)
-        program.add({0: program.trace}, 0 * weight, np.eye(program.n))
+            program.add({k: less}, _OF_P * weight)
         for before, after, X, share in self.jumps(J, R):
-            program.add({before: -program.eye, after: program.congruence(X)}, share * weight)
+            program.add({before: less, after: (X.T / 2, X)}, share * weight)
         for segment, vertices in self._asked.items():
             k, after, e = segment
             for i in vertices:
-                terms = {k: -program.eye, after: program.eye}
-                terms[e] = terms[e] + self.step * program.lyapunov(F[i])
+                terms = {k: less, after: more}
+                terms[e] = terms[e][0] + self.step * F[i].T, eye
                 program.add(terms, self.share * weight)
         return program.solved()
 
