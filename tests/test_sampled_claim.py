@@ -18,14 +18,18 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_gains import SampledGains, sampled_gains
+from pwatrack.control.sampled_search import with_forms
 from pwatrack.control.vertices import held_rows, outermost
 from pwatrack.lmi.audit.bounds import Loop
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.ticks import AuditedErrors
 from pwatrack.lmi.clocked import ClockedProof, fastest
+from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.simulation.sampled_runs import sampling_remarks
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
 
 LOADED = """
@@ -273,14 +277,31 @@ def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> N
     assert the_claim(found).proof is None
     assert the_claim(found).data(found) == {}
     rows = list(the_claim(found).rows(spec.words, found))
-    assert rows[0] == (
-        "sampled loop",
-        "not proved: no forms were found that prove it; every 1 s it is proved",
-    )
+    assert rows[0] == ("sampled loop", "not proved: no forms were found that prove it")
     (told,) = SampledLoop.read({"sampled": None}, controller, asking(spec, controller, slow))
     assert list(told.rows(spec.words, found))[1:] == rows[1:]
     assert told.sentence == the_claim(found).sentence
     assert list(SampledLoop.prove(controller, replace(asking(spec, controller, slow), sampled=None))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("h", "delay"), [(0.1, 0), (1.5, 1)])
+def test_the_longest_sample_time_is_proved_and_below_one_that_is_unstable(
+    h: float, delay: int, loaded: tuple[Spec, ProvedController]
+) -> None:
+    _, controller = loaded
+    sampling, design = Sampling(sample_time=h, delay=delay), (controller.plant, controller.K, controller.L)
+    claim = SampledLoop(gains=sampled_gains(*design, sampling), proof=None, design=design)
+    longest = claim.longest
+    assert longest is not None
+    assert with_forms(controller.plant, sampled_gains(*design, replace(sampling, sample_time=longest))) is not None
+    unstable = SampleMaps(controller, controller.plant, sampling).longest(100.0)
+    assert unstable is not None
+    assert 0.2 * unstable < longest < unstable
+    found = replace(controller, claims=(claim,))
+    (remark,) = sampling_remarks(found, Conditions(sampling=replace(sampling, sample_time=longest)))
+    assert remark.endswith(f"with gains made for it, is {longest:g} s")
+    assert remark.startswith("1.5 s are too long for a proof: ") == (h > longest)
 
 
 def test_loads_elsewhere_than_at_inputs_are_not_tried(tmp_path: Path) -> None:

@@ -1,26 +1,26 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import amount, number_text
+from pwatrack.arrays import Array, amount, number_text
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.sampled_gains import SampledGains, sampled_gains
-from pwatrack.control.sampled_search import too_much, with_forms
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.exact import Packed, rounded_down
-from pwatrack.model.conditions import Sampling
+from pwatrack.model.pwa import PWASystem
 
 _LAST_DIGIT = 1e-7  # of an entry of a gain, as a share
 _NOT_FOUND = "no forms were found that prove it"
-_SHORTER = 0.5, 5  # of a sample time at which it is not proved: what is tried next, and how often
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,13 +31,13 @@ class SampledLoop(Claim):
         gains: Of the program.
         proof: Forms that prove it; None where it is not proved.
         missing: Why it is not; "" where it is.
-        shorter: A sample time (s) at which it would be; None where it is, or none was found.
+        design: Plant, K and L that gains for other sample times can be made of; None where it is from a file.
     """
 
     gains: SampledGains
     proof: ClockedProof | None
     missing: str = ""
-    shorter: float | None = None
+    design: tuple[PWASystem, Array, Array] | None = field(default=None, compare=False, repr=False)
 
     statement: ClassVar[str] = (
         "Under sampled: P of z = (x - x_d, nu, x_hat_i - x, s_hat_i - s, rho_i), with x_hat_i as it is predicted for "
@@ -99,8 +99,7 @@ class SampledLoop(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is proved of it, and what it runs with."""
-        at = "" if self.shorter is None else f"; every {number_text(self.shorter)} s it is proved"
-        yield "sampled loop", self.sentence + at
+        yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}, made of K and L for it"
 
     @property
@@ -130,6 +129,11 @@ class SampledLoop(Claim):
         h, late = self.gains.sample_time, self.gains.jitter
         return rounded_down(self.proof.rate * h / (h + late), 6) if late else self.proof.rate
 
+    @cached_property
+    def longest(self) -> float | None:
+        """The longest sample time (s) found at which gains that are made for it are proved; None without one."""
+        return None if self.design is None else longest(*self.design, self.gains)
+
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return the rate, none where it is not proved."""
         gains, rate = self.gains, None if self.proof is None else self.rate
@@ -153,16 +157,10 @@ def _beyond(controller: ProvedController, gains: SampledGains) -> str:
 
 def _proved(controller: ProvedController, gains: SampledGains) -> SampledLoop:
     """Return a proof with as many substeps as it needs; of the gains as they are where none is found."""
-    found = with_forms(controller.plant, gains)
-    if found is not None:
-        return SampledLoop(gains=found[0], proof=found[1])
-    (share, times), h = _SHORTER, gains.sample_time
-    for k in range(1, times + 1):
-        sampling = Sampling(sample_time=float(f"{h * share**k:.2g}"))
-        shorter = sampled_gains(controller.plant, controller.design.K, controller.design.L, sampling)
-        if with_forms(controller.plant, shorter) is not None:
-            return SampledLoop(gains=gains, proof=None, missing=_NOT_FOUND, shorter=sampling.sample_time)
-    return SampledLoop(gains=gains, proof=None, missing=_NOT_FOUND)
+    found = with_forms(controller.plant, gains) or (gains, None)
+    missing = _NOT_FOUND if found[1] is None else ""
+    design = controller.plant, controller.design.K, controller.design.L
+    return SampledLoop(gains=found[0], proof=found[1], missing=missing, design=design)
 
 
 def _same(one: SampledGains, other: SampledGains) -> bool:
