@@ -1,6 +1,6 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,13 +13,14 @@ from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.exact import Packed, rounded_down
 from pwatrack.model.pwa import PWASystem
 
-_LAST_DIGIT = 1e-7  # of an entry of a gain, as a share
+_LAST_DIGIT = 1e-5  # of an entry of a gain, as a share
 _NOT_FOUND = "no forms were found that prove it"
 
 
@@ -54,10 +55,7 @@ class SampledLoop(Claim):
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
         """Yield the proof, or why there is none, where the loop is to be sampled."""
         if asked.sampled is not None:
-            missing = _beyond(controller, asked.sampled)
-            yield (
-                cls(gains=asked.sampled, proof=None, missing=missing) if missing else _proved(controller, asked.sampled)
-            )
+            yield _proved(controller, list(_candidates(controller, asked, asked.sampled)))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
@@ -65,13 +63,14 @@ class SampledLoop(Claim):
         told = content["sampled"]
         if told is not None:
             gains = _read_gains(told)
-            if asked.sampled is not None and not _same(gains, asked.sampled):
+            tried = () if asked.sampled is None else _candidates(controller, asked, asked.sampled)
+            if asked.sampled is not None and not any(_same(gains, each) for each in tried):
                 raise ValueError("the gains of the sampled loop are not those of its certificate")
             P = tuple(Packed(**whole(one)) for one in told["P"])
             yield cls(gains=gains, proof=ClockedProof(P=P, rate=double(told["rate"])))
         elif asked.sampled is not None:
-            missing = _beyond(controller, asked.sampled) or _NOT_FOUND
-            yield cls(gains=asked.sampled, proof=None, missing=missing)
+            gains = next(_candidates(controller, asked, asked.sampled))
+            yield cls(gains=gains, proof=None, missing=_beyond(controller, gains) or _NOT_FOUND)
 
     @property
     def runs_with(self) -> SampledGains:
@@ -100,7 +99,7 @@ class SampledLoop(Claim):
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is proved of it, and what it runs with."""
         yield "sampled loop", self.sentence
-        yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}, made of K and L for it"
+        yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
 
     @property
     def sentence(self) -> str:
@@ -155,12 +154,18 @@ def _beyond(controller: ProvedController, gains: SampledGains) -> str:
     return too_much(plant, gains)
 
 
-def _proved(controller: ProvedController, gains: SampledGains) -> SampledLoop:
-    """Return a proof with as many substeps as it needs; of the gains as they are where none is found."""
-    found = with_forms(controller.plant, gains) or (gains, None)
-    missing = _NOT_FOUND if found[1] is None else ""
+def _candidates(controller: ProvedController, asked: Asked, made: SampledGains) -> Iterator[SampledGains]:
+    return candidates(controller.plant, controller.sizes, asked.words.goals, made)
+
+
+def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> SampledLoop:
+    """Return a proof of the first gains that have one, with as many substeps as it needs; else the first, without."""
+    if missing := _beyond(controller, tried[0]):
+        return SampledLoop(gains=tried[0], proof=None, missing=missing)
     design = controller.plant, controller.design.K, controller.design.L
-    return SampledLoop(gains=found[0], proof=found[1], missing=missing, design=design)
+    found = (with_forms(controller.plant, gains) for gains in tried)
+    gains, proof = next((each for each in found if each is not None), (tried[0], None))
+    return SampledLoop(gains=gains, proof=proof, missing=_NOT_FOUND if proof is None else "", design=design)
 
 
 def _same(one: SampledGains, other: SampledGains) -> bool:
