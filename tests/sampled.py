@@ -87,7 +87,8 @@ def running(
                 seen = [predicted(plant, one, u, k * step) for one in begin]
                 Delta, moved = np.hstack(seen) - np.tile(np.append(x, s), len(seen)), np.subtract(seen, begin)[:, :n]
                 if tick >= 0:
-                    yield part, k, np.concatenate([x, u + U @ s, Delta, (moved @ R.T).ravel()])
+                    nu = u + U @ (s if late else seen[0][n:])  # of loads what e' does not have
+                    yield part, k, np.concatenate([x, nu, Delta, (moved @ R.T).ravel()])
 
 
 def predicted(plant: PWASystem, seen: Array, u: Array, time: float) -> Array:

@@ -43,9 +43,9 @@ class SampledLoop(Claim):
     statement: ClassVar[str] = (
         "Under sampled: P of z = (x - x_d, nu, x_hat_i - x, s_hat_i - s, rho_i), with x_hat_i as it is predicted for "
         "now from the tick i ago, i = 0 ... max(delay, 1) - 1, rho = R (x_hat - p) - R (x_d - x_d at p), p where a "
-        "substep begins, and nu = K (x_hat_delay - x_d) - U (s_hat_delay - s) at the tick, E = B U, linear in time "
-        "between the knots of each substep, is positive definite and z^T P z falls as e^(-2 rate t), where t is "
-        "counted by the program, sample_time from tick to tick, which are within jitter of that apart: "
+        "substep begins, and nu = K (x_hat_delay - x_d) at the tick, with delay less U (s_hat_delay - s), E = B U, "
+        "linear in time between the knots of each substep, is positive definite and z^T P z falls as e^(-2 rate t), "
+        "t as the program counts it, sample_time from tick to tick, which are within jitter of that apart: "
         "(P_k+1 - P_k) / step + F^T P_e + P_e F + 2 rate P_e < 0 at both ends e of each segment for all F of the "
         "cells, J^T P_0 J < P_N at ticks and at the ends of substeps."
     )

@@ -6,12 +6,12 @@ late it predicts d times more, with the inputs that wait, and what it puts out a
 on is u = K (x̃_d − x_d(t_k)) − U s̃_d + u_ff, where (x̃_i, s̃_i) is what was predicted for now from the tick i ago:
 x̃_0 = x̂_k at the tick. With loads s, if any, that are constants at inputs, E = B U, for
 
-    e = x − x_d,   ν = K (x̃_d − x_d) − U (s̃_d − s) at the tick,   (Δ_i, σ_i) = (x̃_i − x, s̃_i − s),
+    e = x − x_d,   ν = K (x̃_d − x_d) at the tick,   (Δ_i, σ_i) = (x̃_i − x, s̃_i − s),
     ρ_i = R (x̃_i − p_i) − R (x_d(t) − x_d(t_p))
 
 and i = 0 … max(d, 1) − 1, with rows R that span those of all A_a − A_b = G_ab R,
 
-    e' = A_i e + B ν + B ω,      ν' = 0,
+    e' = A_i e + B ν − E σ_0 + B ω,      ν' = 0,
     (Δ, σ)' = [A_j, E; 0, 0] (Δ, σ) + (G_ab (ρ + R (x_d(t) − x_d(t_p))), 0),      ρ' = R (e' + Δ').
 
 The field f of all cells has f(x) − f(x_d) = A_i (x − x_d) with A_i in the hull of the cells, likewise for x̃ and x; and
@@ -19,22 +19,21 @@ f_a(x̃) − f(x̃) = (A_a − A_b)(x̃ − p), since f_a(p) = f(p). i is any, a
 substep ρ⁺ = 0; after a tick, with noise n beside C Δ_0,
 
     e⁺ = e,   (Δ_0, σ_0)⁺ = (Δ_0, σ_0) + M C Δ_0,   (Δ_i, σ_i)⁺ = (Δ_{i−1}, σ_{i−1}),   ρ⁺ = 0,
-    ν⁺ = K (e + Δ_0⁺) − U σ_0⁺ without delay,   ν⁺ = K (e + Δ_{d−1}) − U σ_{d−1} with it.
+    ν⁺ = K (e + Δ_0⁺) without delay,   ν⁺ = K (e + Δ_{d−1}) − U σ_{d−1} with it.
 
-So one sample of delay adds nothing to them: x̃_1 at a tick is x̃_0 before it is corrected.
+With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of it adds nothing: x̃_1 is x̃_0 not yet corrected.
 
 A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
-from tick to tick, e' = λ (A_i e + B ν), and Δ' = … + (1 − λ)(A_i e + B ν); what else 1 − λ multiplies is x_d'.
+from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
 
 ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n and
-what the steps of the generator leave of (15) act from outside. Of other loads ŝ would move x_d, and with it ω: nothing
-is said of these.
+steps of the generator beside (15) act from outside. Of other loads ŝ would move x_d and ω: nothing is said of these.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import permutations, product
 
 import numpy as np
@@ -104,8 +103,7 @@ class SampledErrors:
     @property
     def clocked(self) -> Clocked:
         """They as a system with a clock, in the time of the program."""
-        n, m, *others = self.widths
-        held = self.predicted * self.R.shape[0]
+        (n, m, *others), held = self.widths, self.predicted * self.R.shape[0]
         ends = BallMatrix.of(np.diag([1.0] * (self.order - held) + [0.0] * held))
         return Clocked(
             F=different([F for pace in self.paces for F in self._flows(pace)]),
@@ -119,10 +117,12 @@ class SampledErrors:
     def _flows(self, pace: Fraction) -> list[BallMatrix]:
         """Return what they obey between ticks that are a share of h apart."""
         plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
-        seen = [plant.loads.observed(A) for A in self.cells] if plant.loads is not None else self.cells
+        loads = plant.loads
+        seen = self.cells if loads is None else [loads.observed(A) for A in self.cells]
+        minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
         pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
         for A_i in self.cells:
-            e = self._row(n, {0: A_i, 1: plant.exact.B})
+            e = self._row(n, {0: A_i, 1: plant.exact.B} | minus)
             late = above(e.times(1 - pace), zero(N - n, self.order))
             for predicted in product(product(seen, pushes), repeat=d):
                 Delta, rho = list[BallMatrix](), list[BallMatrix]()
@@ -130,21 +130,21 @@ class SampledErrors:
                     row = self._row(N, {2 + i: A_j, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
                     Delta.append(row + late)
                     rho.append(self.R @ (e + row.part(range(n), range(self.order))))
-                found.append(reduce(above, (e.times(pace), zero(m, self.order), *Delta, *rho)))
+                found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho))
         return found
 
     @property
     def tick(self) -> BallMatrix:
         """What a tick makes of them."""
         plant, gains, d, (n, m, N, *_) = self.plant, self.gains, self.predicted, self.widths
-        at = () if plant.loads is None else plant.loads.inputs(plant.exact.B) or ()
-        K, U, eye = BallMatrix.of(gains.K), BallMatrix.of(np.eye(m)[:, list(at)], (m, len(at))), BallMatrix(identity(N))
+        K, U, eye = BallMatrix.of(gains.K), zero(m, N - n), BallMatrix(identity(N))
+        if gains.delay and plant.loads is not None:
+            U = BallMatrix.of(np.eye(m)[:, list(plant.loads.inputs(plant.exact.B) or ())])
         corrected, acts = eye + BallMatrix.of(gains.M) @ plant.observed.C, beside(K, zero(m, N - n) - U)
-        e = self._row(n, {0: BallMatrix(identity(n))})
         nu = self._row(m, {0: K, 1 + d: acts if gains.delay else acts @ corrected})
         Delta = [self._row(N, {2: corrected}), *(self._row(N, {1 + i: eye}) for i in range(1, d))]
-        return reduce(above, (e, nu, *Delta, zero(d * self.R.shape[0], self.order)))
+        return above(self._row(n, {0: BallMatrix(identity(n))}), nu, *Delta, zero(d * self.R.shape[0], self.order))
 
     def _row(self, height: int, blocks: Mapping[int, BallMatrix]) -> BallMatrix:
         """Return rows on z that are 0 but for some blocks."""
-        return reduce(beside, (blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)))
+        return beside(*(blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)))

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.lmi.blocks import Blocks, Scaling
-from pwatrack.lmi.linear_map import FormEquations, LinearMap, Triangle
+from pwatrack.lmi.blocks import Blocks
+from pwatrack.lmi.linear_map import LinearMap, Triangle
 
 Term = tuple[Array, Array]  # L and R
 
@@ -103,7 +103,3 @@ class ChainMap(LinearMap):
             whole = np.tensordot(second, first, axes=([0], [0]))  # (a, d, b, c)
             half = whole.transpose(0, 2, 1, 3)[low] + whole.transpose(2, 0, 1, 3)[low]
             H[self.places[k], self.places[other]] = 2 * (half + half.transpose(0, 2, 1))[:, *low]
-
-    def step(self, scalings: Sequence[Scaling]) -> FormEquations:
-        """Return the equations of a step, factorized."""
-        return FormEquations(self, scalings, self._rooms)

@@ -19,11 +19,12 @@ class AuditedErrors:
     """What the errors (x - x_d, nu, the observer's, rho) of a sampled loop obey.
 
     The observer's are those of what was predicted for now from the last max(delay, 1) ticks, each with a rho. In the
-    time of the program e' = pace (A_i e + B nu), pace the time between two ticks as a share of the sample time; each
-    observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a substep begins
-    differs from that of any other, and with (1 - pace)(A_i e + B nu); nu' = 0; rho' = R of how e and the observer's
-    error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) - U sigma anew
-    for the prediction that is delay ticks old, and rho = 0. Loads are constants, E = B U.
+    time of the program e' is pace times d = A_i e + B nu - E sigma, pace the time between two ticks as a share of the
+    sample time; each observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a
+    substep begins differs from that of any other, and with (1 - pace) d; nu' = 0; rho' = R of how e and the observer's
+    error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) anew for the
+    prediction that is delay ticks old, and rho = 0. Loads are constants, E = B U; with delay, nu has - U sigma of that
+    prediction, and d has no sigma.
     """
 
     def __init__(self, content: Any, loop: Loop) -> None:
@@ -71,11 +72,14 @@ class AuditedErrors:
         """What they obey between ticks, for all cells of x, of each x_hat and of its prediction."""
         d, held, found = self.predicted, zero(self.m, self.order), list[Ball]()
         below = self.N - self.n
+        estimated = {}
+        if self.plant.loads is not None and not self.late:
+            estimated = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
         of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
         if len(self.paces) * len(self.cells) * len(of_each) ** d > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
         for pace, A_i in product(self.paces, self.cells):
-            e = self.row(self.n, {0: A_i, 1: self.plant.B})
+            e = self.row(self.n, {0: A_i, 1: self.plant.B} | estimated)
             late = (scaled(e, 1 - pace), zero(below, self.order))
             for chosen in product(of_each, repeat=d):
                 Delta, rho = list[Ball](), list[Ball]()
@@ -101,7 +105,7 @@ class AuditedErrors:
         """What a tick makes of them."""
         d, eye = self.predicted, Ball(identity(self.N, 1))
         corrected = eye + self.M @ self.plant.seen_C
-        U = Ball([[Fraction(-int(k == at)) for at in self.at] for k in range(self.m)])
+        U = Ball([[Fraction(-int(self.late and k == at)) for at in self.at] for k in range(self.m)])
         acts = joined([self.K, U])
         rows = [
             self.row(self.n, {0: Ball(identity(self.n, 1))}),
