@@ -53,7 +53,8 @@ def running(
 ) -> Iterator[tuple[int, int, Array]]:
     """Yield z of a loop whose reference rests at 0, in each substep many times, with the number of both.
 
-    The plant is integrated by Runge and Kutta, and its prediction by exponentials in the cell of each substep's begin.
+    The plant is integrated by Runge and Kutta, for as long as ticks happen to be apart, and its prediction by
+    exponentials in the cell of each substep's begin. Nothing is yielded while inputs act that were there before.
 
     Args:
         errors: What they are of; the plant rests at 0 without inputs and loads.
@@ -63,26 +64,40 @@ def running(
         fine: Steps in each substep.
     """
     plant, gains = errors.plant, errors.gains
-    (n, _), r = plant.B.shape, errors.parts
+    (n, m), r, late = plant.B.shape, errors.parts, gains.delay
     K, M, C, R = gains.K, gains.M, plant.observed.C.floats, errors.R.floats
     E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
+    U, random = np.linalg.pinv(plant.B) @ E, np.random.default_rng(7)
     step = gains.sample_time / r / fine
-    x, s, seen = start[:n], start[n:], estimate
-    for _ in range(ticks):
-        seen = seen + M @ (C @ seen - C[:, :n] @ x)
-        held = K @ seen[:n]
-        u = held - np.linalg.pinv(plant.B) @ E @ seen[n:]
+    x, s, waiting = start[:n], start[n:], [np.ones(m)] * late
+    seen = [estimate] * errors.predicted  # from the last tick, from the one before …
+    for tick in range(-late, ticks):
+        now = seen[0] + M @ (C @ seen[0] - C[:, :n] @ x)
+        seen, ahead = [now, *seen[:-1]], now
+        for u in waiting:
+            for _ in range(r):
+                ahead = predicted(plant, ahead, u, step * fine)
+        u, *waiting = [*waiting, K @ ahead[:n] - U @ ahead[n:]]
+        pace = 1 + random.uniform(-1, 1) * gains.jitter / gains.sample_time
         for part in range(r):
-            begun, begin = plant.partition.locate(seen[:n]), seen[:n]
-            F = np.zeros((len(seen) + 1, len(seen) + 1))
-            F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[begun], E, plant.b[begun] + plant.B @ u
-            turned, ahead = expm(F * step), np.append(seen, 1.0)
+            begin = seen
             for k in range(fine + 1):
-                seen = ahead[:-1]
-                yield part, k, np.concatenate([x, held, seen - np.append(x, s), R @ (seen[:n] - begin)])
-                if k < fine:
-                    x = integrated(plant, x, plant.B @ u + E @ s, step)
-                    ahead = turned @ ahead
+                if k:
+                    x = integrated(plant, x, plant.B @ u + E @ s, pace * step)
+                seen = [predicted(plant, one, u, k * step) for one in begin]
+                Delta, moved = np.hstack(seen) - np.tile(np.append(x, s), len(seen)), np.subtract(seen, begin)[:, :n]
+                if tick >= 0:
+                    nu = u + U @ (s if late else seen[0][n:])  # of loads what e' does not have
+                    yield part, k, np.concatenate([x, nu, Delta, (moved @ R.T).ravel()])
+
+
+def predicted(plant: PWASystem, seen: Array, u: Array, time: float) -> Array:
+    """Return x̂ and ŝ some time later by the law of the cell of x̂."""
+    (n, _), N = plant.B.shape, len(seen)
+    E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
+    i, F = plant.partition.locate(seen[:n]), np.zeros((N + 1, N + 1))
+    F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[i], E, plant.b[i] + plant.B @ u
+    return np.asarray(expm(F * time) @ np.append(seen, 1.0))[:-1]
 
 
 def integrated(plant: PWASystem, x: Array, push: Array, step: float) -> Array:

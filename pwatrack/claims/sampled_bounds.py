@@ -181,7 +181,7 @@ def _known(
 ) -> Iterator[tuple[ClockedProof, SampledErrors, Mapping[Channel, float]]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None:
+        if loop.proof is not None and asked.acting is not None and not (loop.gains.delay or loop.gains.jitter):
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:
