@@ -33,13 +33,9 @@ _SAID = 65_536  # bytes that are kept of what a process says before it dies
 
 
 class Lost(CheckFailed):
-    """A task whose process did not live to end it.
+    """A task whose process did not live to end it, and the last that it said on stderr.
 
-    Attributes:
-        reason: Why, in words.
-        killer: The signal that ended the process, if it was one that nobody here sent; 0 otherwise.
-        said: The last that it said on stderr.
-        seconds: How long it was at the task.
+    Its killer is the signal that ended the process, if it was one that nobody here sent; 0 otherwise.
     """
 
     def __init__(self, reason: str, *, killer: int = 0, said: str = "", seconds: float = 0.0) -> None:

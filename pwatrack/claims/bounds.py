@@ -142,7 +142,8 @@ def from_start(
 ) -> dict[Form, Array]:
     """Return the most that each signal is over time from a start, (K,), where nothing else acts and it is proved.
 
-    The ellipsoids of the bounds `found` are looked at, and those of all entries of a start, `starts`, or none. It is (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,); t (K,) are times in s, and n is `states`.
+    The ellipsoids of the bounds `found` are looked at, and those of all entries of a start, `starts`, or none. It is
+    (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,); t (K,) are times in s, and n is `states`.
     """
     most: dict[Form, Array] = {}
     first = [bounds.channel[1] for bounds in starts]

@@ -68,11 +68,11 @@ def best_certificate(
     return search.best
 
 
-def first_certificate(M: Array, *, sizes: Array | None = None) -> Certificate | None:
+def first_certificate(M: Array) -> Certificate | None:
     """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None."""
     if not (np.isfinite(M).all() and np.linalg.eigvals(M).real.max(initial=-1.0) < 0):
         return None
-    corners, at = extreme(M), _near(M, None, sizes)
+    corners, at = extreme(M), _near(M, None, None)
     for _ in range(_RECENTRED + 1):
         found = solve(largest_margin(lyapunov(at.system(corners))), gap=_NEAR, against=0.0)
         if found is None or not found.objective < 0:  # the sign of the largest margin is the same in all coordinates

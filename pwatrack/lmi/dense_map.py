@@ -42,15 +42,12 @@ class DenseMap(LinearMap):
             out[self.main - 1] = side.T
 
     def apply(self, v: Array) -> Array:
-        """Return A(v)."""
         return np.asarray(v @ self.images)
 
     def adjoint(self, z: Array) -> Array:
-        """Return A*(Z)."""
         return np.asarray(self.images @ z)
 
     def step(self, scalings: Sequence[Scaling]) -> Equations:
-        """Return the equations of a step, factorized."""
         return DenseEquations(self, scalings[0])
 
 
@@ -74,15 +71,12 @@ class DenseEquations(Equations):
         self._normal = Normal(self._images @ self._images.T)
 
     def apply(self, v: Array) -> list[Array]:
-        """Return the scaled left-hand sides."""
         return [(v @ self._images).reshape(self._shape)]
 
     def adjoint(self, changes: Sequence[Array]) -> Array:
-        """Return A*(Z) for scaled Z."""
         return np.asarray(self._images @ changes[0].ravel())
 
     def solve(self, right: Array) -> Array:
-        """Return v whose scaled left-hand sides have this adjoint."""
         return self._normal.solve(right)
 
 

@@ -16,7 +16,7 @@ V = zᵀQ⁻¹z, V' ≤ −a V: ∫ |c z| ≤ 2/a √(c Q cᵀ) √V. Steps are 
 e^(Mh) is enclosed by balls.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -59,12 +59,7 @@ _INSIDE = Fraction(1, 2**60)  # of the square of w: by so much P is inside its i
 _ABOVE = Fraction(1_000_001, 1_000_000)  # so that other balls come to no more
 
 
-class _Modes:
-    """λ_k of one matrix, and e^(λ_k t) at times t, each worked out once."""
-
-    def __init__(self, rates: list[Any]) -> None:
-        self.rates = rates
-        self.at = cache(lambda t: [(rate * flint.arb(t)).exp() for rate in rates])
+_Modes = tuple[list[Any], Callable[[float], list[Any]]]  # λ_k of one matrix, and e^(λ_k t), each worked out once
 
 
 def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[float, float]] | None:
@@ -81,17 +76,17 @@ def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[fl
             return None
         if not all(rate.real < 0 for rate in rates):
             return None
-        modes, seen = _Modes(rates), _complex(forms) * vectors
+        seen, at = _complex(forms) * vectors, cache(lambda t: [(rate * flint.arb(t)).exp() for rate in rates])
         N = len(rates)
-        return [_between(modes, [seen[j, k] * weights[k, 0] for k in range(N)]) for j in range(forms.shape[0])]
+        return [_between((rates, at), [seen[j, k] * weights[k, 0] for k in range(N)]) for j in range(forms.shape[0])]
 
 
 def _between(modes: _Modes, residues: Sequence[Any]) -> tuple[float, float]:
     """Return a lower and an upper bound of ∫ |Σ r_k e^(λ_k t)| dt."""
-    rates = modes.rates
+    rates, at = modes
     end = float(np.ldexp(1.0, int(np.ceil(np.log2(_LONG / min(-float(rate.real.mid()) for rate in rates))))))
     rest = sum(
-        (abs(r) * abs(e) / -rate.real for r, e, rate in zip(residues, modes.at(end), rates, strict=True)), flint.arb(0)
+        (abs(r) * abs(e) / -rate.real for r, e, rate in zip(residues, at(end), rates, strict=True)), flint.arb(0)
     )
     heap = list[tuple[float, float, float, Any, Any]]()
     _add(heap, modes, residues, 0.0, end)
@@ -109,7 +104,8 @@ def _between(modes: _Modes, residues: Sequence[Any]) -> tuple[float, float]:
 
 def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Sequence[Any], a: float, b: float) -> None:
     """Put an interval on the heap, with how far its bounds are apart, and both of them."""
-    first, last, middle, rates = modes.at(a), modes.at(b), modes.at((a + b) / 2), modes.rates
+    rates, at = modes
+    first, last, middle = at(a), at(b), at((a + b) / 2)
     h = flint.arb((b - a) / 2)
     moved = abs(sum(((y - x) * v / p for x, y, v, p in zip(first, last, r, rates, strict=True)), flint.acb(0)).real)
     here = abs(sum((e * v for e, v in zip(middle, r, strict=True)), flint.acb(0)).real)

@@ -42,9 +42,7 @@ def _of_w(trajectory: DesiredTrajectory) -> Array:
     return np.asarray(block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1))))
 
 
-def blocks(
-    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float, *, steps: int = STEPS
-) -> Iterator[Trace]:
+def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
     """Walk (η̂, w, 1) from z0 for a time in s, with the cells of x_d.
 
     Raises Undecided if that would take too long; CheckFailed as `simulate_flow`.
@@ -59,7 +57,7 @@ def blocks(
             hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
         )
     resets = pieces(system, slice(p, p + len(system.w0)))
-    flow, step = desired_flow(plant, trajectory), duration / steps
+    flow, step = desired_flow(plant, trajectory), duration / STEPS
     return trace_blocks(flow, z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
 
 

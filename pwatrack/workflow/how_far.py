@@ -154,7 +154,7 @@ class _Inequality:
 
         def proved(value: float) -> bool:
             M = self._matrices(name, value) if self._paid() else None
-            proof = None if M is None else _polynomial(self._role, M, most_rows=FEW_ROWS)
+            proof = None if M is None else _polynomial(self._role, M)
             if proof is not None:
                 seen[value] = proof.degree
             return proof is not None
@@ -254,11 +254,11 @@ def _common_P(role: Role, M: Sequence[BallMatrix]) -> Proof | None:
     return None if found is None else prove_exactly(role, exact, found.P, found.rate)
 
 
-def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> PolynomialProof | None:
+def _polynomial(role: Role, M: Sequence[BallMatrix]) -> PolynomialProof | None:
     """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found."""
     exact = different(M)
     A = distinct(role.oriented(stack(exact)))[0]
-    tried = degrees(A.shape[1], len(A), most_rows)
+    tried = degrees(A.shape[1], len(A), FEW_ROWS)
     if not tried or not np.linalg.eigvals(A).real.max() < 0:
         return None
     found = best_polynomial(A, tried[-1], near_polynomial(A), trials=1)
