@@ -138,6 +138,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "no Q": lambda t: t[0].update(Q=[]),
     "a smaller Q": lambda t: t[0]["Q"].__setitem__(0, t[1]["Q"][0]),
     "b of 1": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="1"),
+    "another b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0.5"),
     "no b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0"),
 }
 
