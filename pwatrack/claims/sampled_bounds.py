@@ -201,7 +201,7 @@ def _tubes(
         return None if found is None else (float(weights @ np.square(found.sizes)), share, found)
 
     for channel in channels:
-        best = next(filter(None, (at(channel, one) for one in ([share] if share else _SHARES))), None)
+        best = next(filter(None, (at(channel, one) for one in ([share, *_SHARES] if share else _SHARES))), None)
         if best is None:
             continue
         first = best[1]
