@@ -9,7 +9,10 @@ from scipy.linalg import expm, solve_discrete_are
 from pwatrack import Spec
 from pwatrack.arrays import Array
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.sampled_disturbances import driven
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.clocked import ClockedProof
@@ -122,3 +125,29 @@ def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
     k = min(int(place), size - 2)
     one, other = P[part * size + k], P[part * size + k + 1]
     return np.asarray(one + (place - k) * (other - one))
+
+
+def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int) -> float:
+    """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z."""
+    errors, random = claim.errors, np.random.default_rng(seed)
+    system, drive = errors.clocked, driven(errors, channel)
+    F = np.array([X.floats for X in system.F])
+    J, parts, fine, n = system.J[0].floats, system.parts, 4, F.shape[1]
+    R = np.eye(n) if system.between is None else system.between.floats
+    dt = float(system.period) / parts / fine
+    held, between = drive.held.floats, drive.between.floats
+    kick = None if drive.ticks is None else drive.ticks.floats
+    shares = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
+    last, total = c.copy(), 0.0
+    for _ in range(150):  # backwards from the end
+        for part in reversed(range(parts)):
+            for k in reversed(range(fine)):
+                A = np.tensordot(shares[part * fine + k], F, 1)
+                g = A @ held + between
+                whole = expm(np.block([[A, g], [np.zeros((1, n + 1))]]) * dt)
+                total += abs(float((last @ whole[:n, n:]).item()))
+                last = last @ whole[:n, :n]
+            last = last @ (R if part else np.eye(n))
+        total += 0.0 if kick is None else abs(float((last @ kick).item()))
+        last = last @ J
+    return total
