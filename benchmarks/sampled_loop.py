@@ -24,7 +24,7 @@ from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds, seen
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
-from pwatrack.control.sampled_disturbances import row
+from pwatrack.control.sampled_disturbances import Acting, row
 from pwatrack.errors import PwatrackError
 from pwatrack.model.conditions import Method, Sampling
 from pwatrack.workflow.pipeline import asked_of, design, simulate
@@ -83,10 +83,11 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
     return times, reached
 
 
-def _all_of_size_one(controller: ProvedController, _: object) -> dict[Channel, float]:
+def _all_of_size_one(controller: ProvedController, _: object) -> Acting:
     plant = controller.plant
     found: dict[Channel, float] = {("disturbance", k): 1.0 for k in range(len(plant.B))}
-    return found | {("noise", k): 1.0 for k in range(len(plant.C))}
+    found |= {("noise", k): 1.0 for k in range(len(plant.C))}
+    return Acting(sizes=found, off=np.zeros(plant.B.shape[1]))
 
 
 def main(paths: list[Path]) -> None:

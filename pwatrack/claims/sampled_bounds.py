@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, up
-from pwatrack.ball_matrix import above
+from pwatrack.ball_matrix import above, absolute
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import driven, row
+from pwatrack.control.sampled_disturbances import Acting, driven, row
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.words import Words
+from pwatrack.control.words import Words, by_second
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube, tube
 from pwatrack.lmi.exact import Packed, rounded_down
@@ -40,20 +40,22 @@ class SampledBounds(Claim):
 
     Attributes:
         errors: Of the loop with its program.
-        acts: How large each channel gets in the run, and none where that is not known; but for those that are 0.
+        acts: How large each channel gets in the run, but for those that are 0, and ω.
         tubes: What 1 of each of these leaves: those that are proved.
         signals: What the sizes of a tube are of.
     """
 
     errors: SampledErrors = field(repr=False)
-    acts: Mapping[Channel, float]
+    acts: Acting
     tubes: Mapping[Channel, Tube]
 
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
-        "signal: of a disturbance of a state equation, of what is measured off at ticks, of u off what it is meant to "
-        "be, beside nu, and of R (x_d - x_d at p), beside rho. With Q linear in time between the knots of each "
-        "substep and g and h how it acts between ticks and at them, c Q c^T <= size^2 at all knots, "
+        "signal: of a disturbance of a state equation, of what is measured off at ticks, of the mean from tick to tick "
+        "of u off what it is meant to be, beside nu, of the ripple W, which is the integral of the rest of that since "
+        "a tick, B W beside e, and of R (x_d + B W) off what it was at p, beside rho; this is z less B W of e and "
+        "R (B W - B W at p) of rho. With Q linear in time between the knots of each substep and g and h how it acts "
+        "between ticks and at them, c Q c^T <= size^2 at all knots, "
         "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
         "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps."
     )
@@ -63,7 +65,7 @@ class SampledBounds(Claim):
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in _known(controller, asked):
-            yield cls(errors=errors, acts=acts, tubes=dict(_tubes(controller, errors, proof, list(acts))))
+            yield cls(errors=errors, acts=acts, tubes=dict(_tubes(controller, errors, proof, list(acts.sizes))))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
@@ -71,7 +73,7 @@ class SampledBounds(Claim):
         told = content["sampled_bounds"]
         tubes = {read_channel(entry["channel"]): _read_tube(entry) for entry in told}
         for _, errors, acts in _known(controller, asked):
-            if not tubes.keys() <= acts.keys():
+            if not tubes.keys() <= acts.sizes.keys():
                 raise ValueError("a tube is of something that does not act")
             yield cls(errors=errors, acts=acts, tubes=tubes)
 
@@ -92,15 +94,27 @@ class SampledBounds(Claim):
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
         """Return below what each signal ends in the run; nothing where something acts that has no tube."""
-        if self.tubes.keys() != self.acts.keys():
+        if self.tubes.keys() != self.acts.sizes.keys():
             return {}
         total = dict.fromkeys(seen(controller), 0.0)
-        for channel, size in self.acts.items():
+        for channel, size in self.acts.sizes.items():
             for form, each in zip(total, self.tubes[channel].sizes, strict=True):
                 total[form] += each * size
         for form in total:
-            beside = self.acts.get(("input", form[1]), 0.0) if form[0] == "input" else 0.0
-            total[form] = (total[form] + beside) * OVER_SUMS
+            total[form] = (total[form] + self._beside(form)) * OVER_SUMS
+        return total
+
+    def _beside(self, form: Form) -> float:
+        """Return what a signal has beside c z: an input ω, others c B W."""
+        kind, k = form
+        if kind == "input":
+            return float(self.acts.off[k])
+        total = 0.0
+        for channel, size in self.acts.sizes.items():
+            if channel[0] == "ripple":
+                X = row(self.errors, form) @ driven(self.errors, channel).held
+                most = absolute(X.centre) if X.radius is None else absolute(X.centre) + X.radius
+                total += size * float(floats(most).item())
         return total
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
@@ -135,7 +149,7 @@ class SampledBounds(Claim):
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return what acts, what 1 of it leaves of each signal, and what all of it does."""
         ends, forms = self.ends_below(controller), list(seen(controller))
-        acts = dict(zip(self.acts, self._named(words), strict=True))
+        acts = dict(zip(self.acts.sizes, self._named(words), strict=True))
         return {
             "sampled_bounds": {
                 "acts": {name: {"at_most": size, "unit": unit} for (name, unit), size in acts.values()},
@@ -155,9 +169,12 @@ class SampledBounds(Claim):
     def _named(self, words: Words) -> Iterator[tuple[tuple[str, str], float]]:
         """Yield what acts in words, with its unit, and its size."""
         plant, units = words.plant, words.units
-        for (kind, k), size in self.acts.items():
-            if kind == "input":
-                yield (f"{plant.inputs[k]} off {plant.inputs[k]}_ff", units.get(plant.inputs[k], "")), size
+        for (kind, k), size in self.acts.sizes.items():
+            if kind in ("input", "ripple"):
+                name, unit = plant.inputs[k], units.get(plant.inputs[k], "")
+                mean = f"{name} off {name}_ff in the mean of a sample"
+                rest = f"the integral of {name} off {name}_ff since a tick, less that mean"
+                yield ((mean, unit) if kind == "input" else (rest, by_second(unit))), size
             elif kind == "moved":
                 rows = zip(self.errors.R.texts[k], plant.states, strict=True)
                 entries = [(v, name) for v, name in rows if v != "0"]
@@ -176,16 +193,19 @@ def seen(controller: ProvedController) -> Iterator[Form]:
     yield from (("estimate", k) for k in range(n))
 
 
-def _known(
-    controller: ProvedController, asked: Asked
-) -> Iterator[tuple[ClockedProof, SampledErrors, Mapping[Channel, float]]]:
+def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
         if loop.proof is not None and asked.acting is not None and not (loop.gains.delay or loop.gains.jitter):
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:
-                yield loop.proof, errors, {channel: _above(size) for channel, size in acts.items()}
+                sizes = {channel: _above(size) for channel, size in acts.sizes.items()}
+                yield (
+                    loop.proof,
+                    errors,
+                    Acting(sizes=sizes, off=np.array([_above(size) for size in acts.off.tolist()])),
+                )
 
 
 def _tubes(

@@ -18,6 +18,7 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom
+from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.synthesis import Gains
@@ -44,7 +45,7 @@ class Asked:
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later
     sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
-    acting: "Callable[[ProvedController, SampledErrors], Mapping[Channel, float] | None] | None" = None  # in the run
+    acting: "Callable[[ProvedController, SampledErrors], Acting | None] | None" = None  # in the run
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,20 +1,41 @@
 """How what acts on a sampled loop enters its errors z = (e, ν, Δ, σ, ρ), and how signals are read off these.
 
-With `sampled_error`, each as large as it likes:
+Let ω be u as it is put out less K (x̂ − x_d) at the tick less u_ff(t), and W(t) the integral since the tick of ω less
+its mean until the next one: W = 0 at ticks. With W(t_p) where a substep began, z less (B W, 0, 0, 0, R B (W − W(t_p)))
+obeys the same, but that B W acts beside e in place of what W' did, and R B (W − W(t_p)) beside ρ. So, with
+`sampled_error`, each as large as it likes:
 
     ("disturbance", k)   d in the k-th state equation: e' + d ε_k and Δ' − d ε_k, so that ρ' is what it was
     ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d
-    ("input", k)         ω_k, u as it is put out less K (x̂ − x_d) at the tick less u_ff(t): it acts beside ν_k
-    ("moved", k)         R_k (x_d(t) − x_d(t_p)) in a substep that begins at t_p: it acts beside ρ_k
+    ("input", k)         the mean of ω_k from tick to tick: it acts beside ν_k
+    ("ripple", k)        W_k: B ε_k W_k acts beside e, and is a part of it
+    ("moved", k)         R_k (x_d(t) + B W(t) − x_d(t_p) − B W(t_p)) in a substep: it acts beside ρ_k
 """
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.lmi.clocked_tubes import Drive
 from pwatrack.rational import identity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acting:
+    """What acts in a run.
+
+    Attributes:
+        sizes: How large each channel gets, but for those that are 0.
+        off: How large each ω_k gets, (m,).
+    """
+
+    sizes: Mapping[Channel, float]
+    off: Array
 
 
 def driven(errors: SampledErrors, channel: Channel) -> Drive:
@@ -29,12 +50,14 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     if kind == "disturbance":
         one = _unit(n, k)
         return Drive(held=nothing, between=_column([one, _zero(m), _zero(n) - one, _zero(N - n + q)]))
+    if kind == "ripple":
+        return Drive(held=_column([errors.plant.exact.B.part(range(n), [k]), _zero(m + N + q)]), between=nothing)
     place = n + k if kind == "input" else n + m + N + k
     return Drive(held=_unit(n + m + N + q, place), between=nothing)
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:
-    """Return c, (1, order): of an input it reads ν, to which ω adds."""
+    """Return c, (1, order): of an input it reads ν, to which ω adds; of e, to which B W does."""
     kind, k = form
     n, m, N, q = _sizes(errors)
     if kind == "output":

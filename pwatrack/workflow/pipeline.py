@@ -14,11 +14,12 @@ from pwatrack.control.headroom import Headroom, InputConstraint
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
+from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
-from pwatrack.simulation.acting import Acting, acting
+from pwatrack.simulation.acting import acting
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import desired_flow

@@ -83,7 +83,7 @@ class Tubes:
     def drive(self, channel: Any) -> tuple[Ball, Ball, Ball]:
         """Return what 1 of a channel is beside z, adds to z', and to z at a tick."""
         (kind, k), (n, m, _, q) = channel, self.sizes
-        counts = {"disturbance": n, "noise": len(self.errors.plant.C[0]), "input": m, "moved": q}
+        counts = {"disturbance": n, "noise": len(self.errors.plant.C[0]), "input": m, "moved": q, "ripple": m}
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
@@ -93,6 +93,8 @@ class Tubes:
             M = [v for (v,) in self.errors.M.column(k).centre]
             kick = [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
             return nothing, nothing, column([e, kick, M, rho])
+        if kind == "ripple":
+            return stacked(self.errors.plant.B.column(k), column([nu, Delta, rho])), nothing, nothing
         if kind == "disturbance":
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
