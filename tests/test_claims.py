@@ -16,10 +16,13 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report import summary, terminal
+from pwatrack.report.check import can_be_designed, plant_rows
 from pwatrack.report.files import write_result
+from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
+from pwatrack.workflow.cautions import assessed
 from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
@@ -100,11 +103,16 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         except PwatrackError as error:
             reference = str(error)
         print_plant(console, spec.name, report, reference, sizes)
+        rows += [(False, label, text) for label, text in plant_rows(report, spec.name)]
+        rows.append((False, "check", can_be_designed(report, "", refused=False)))
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)
-        summary.print_design(console, spec, controller, required(spec, controller))
-        summary.print_result(console, result, checked)
+        assessment = assessed(spec, controller)
+        summary.print_design(console, spec, controller, required(spec, controller), assessment=assessment)
+        summary.print_result(console, result, checked, assessment)
+        said = first_rows(spec, controller, assessment, checked=checked, result=result)
+        rows += [(False, label, text) for label, text in said]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
         if path.stem in ("state", "cart"):
             summary.print_ensemble(console, ensemble(result, 3))
