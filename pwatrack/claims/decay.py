@@ -23,7 +23,7 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
 
-_LINE = 66  # letters of gains on the first screen: more are left to their file
+_LINE = 136  # letters of gains on the first screen, two lines: more are left to their file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 

@@ -62,7 +62,7 @@ def write_design(
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
     effort: Effort = _NONE,
-    warnings: Sequence[str] = (),
+    warnings: Sequence[str] | None = None,
     summary: str | None = None,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
@@ -114,7 +114,7 @@ def write_result(
     *,
     many: EnsembleResult | None = None,
     effort: Effort = _NONE,
-    warnings: Sequence[str] = (),
+    warnings: Sequence[str] | None = None,
     summary: str | None = None,
     plots: Plots = "all",
     executor: Executor | None = None,
@@ -158,8 +158,10 @@ def write_result(
     return Path(folder)
 
 
-def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str], summary: str | None) -> None:
-    index["warnings"] = list(warnings)
+def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str] | None, summary: str | None) -> None:
+    """Add what is for people, where it is there."""
+    if warnings is not None:
+        index["warnings"] = list(warnings)
     if summary is not None:
         run.text(SUMMARY, summary)
 

@@ -92,8 +92,8 @@ def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) 
     _, of_K, _ = controller.guarantees.robust
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)
-        cells = f"gain {low} to {high}, phase {degrees(margins.phase):.0f}°, delay {margins.delay:.2g} s, each cell"
-        yield "margins", f"{cells}; all: K {100 * of_K:.2g} %"
+        cells = f"gain {low} to {high}, phase {degrees(margins.phase):.0f}°, delay {margins.delay:.2g} s"
+        yield "margins", f"each cell: {cells}; all: K ± {100 * of_K:.2g} %"
 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
