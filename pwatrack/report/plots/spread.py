@@ -74,8 +74,8 @@ def fan(many: EnsembleResult) -> Figure:
         axes.fill_between(t, quarter, three_quarters, color="0.6", linewidth=0, label="50 %")
         axes.plot(t, middle, label="median", **ACTUAL)
         axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
-        for figure, when in (("final_error", " in the last tenth"), ("largest_error", "")):
-            for limit in limits(result, figure, members=True):
+        for wish, when in (("final_error", " in the last tenth"), ("largest_error", "")):
+            for limit in limits(result, wish, members=True):
                 axes.axhline(limit, label=f"required{when}", **REQUIRED)
         legend(axes, columns=3)
         label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
